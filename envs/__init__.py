@@ -1,0 +1,12 @@
+"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own."""
+
+from envs import _platform
+
+_platform.prepare()
+
+from brax.envs.base import State  # noqa: E402
+
+from envs.base import GoalEnv  # noqa: E402
+from envs.registry import TASKS, make  # noqa: E402
+
+__all__ = ["TASKS", "GoalEnv", "State", "make"]

@@ -1,0 +1,61 @@
+"""Works around faults of the installed JAX and MJX before either is first used."""
+
+import contextlib
+import importlib
+import io
+import os
+
+import jaxlib.version
+
+# Two faults of jaxlib's CPU backend, both mended in the releases that Python 3.12 gets:
+# - the fusion emitters duplicate work along the arm's kinematic chain, so that a batched MJX step compiles for minutes
+#   and runs a thousand times slower (releases without the fault may abort on the flag as unknown);
+# - a batched Cholesky factorisation waits, inside a thread of XLA's pool, for tasks it hands to the same pool. MJX has
+#   up to three at once, which on two cores wait for one another for ever. More threads than that, and none is stuck.
+_FAULTY = [(0, minor) for minor in range(7, 11)]
+_NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
+_ENOUGH_THREADS = 8
+
+
+def _release(version: str) -> tuple[int, int]:
+    major, minor = version.split(".")[:2]
+    return int(major), int(minor)
+
+
+def xla_flags(flags: str, jaxlib_version: str) -> str:
+    """Returns the XLA flags to run with, given those already set and jaxlib's version, e.g. `"0.10.2"`.
+
+    >>> xla_flags("", "0.10.2")
+    '--xla_cpu_use_fusion_emitters=false'
+    >>> xla_flags("--xla_cpu_use_fusion_emitters=true", "0.10.2")
+    '--xla_cpu_use_fusion_emitters=true'
+    >>> xla_flags("", "0.12.0")
+    ''
+    """
+    if "xla_cpu_use_fusion_emitters" in flags or _release(jaxlib_version) not in _FAULTY:
+        return flags
+    return f"{flags} {_NO_FUSION_EMITTERS}".strip()
+
+
+def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
+    """Returns the threads that XLA's CPU client needs, or None where its own choice is right.
+
+    >>> thread_pool_size(2, "0.10.2")
+    8
+    >>> thread_pool_size(2, "0.12.0") is None
+    True
+    """
+    if _release(jaxlib_version) in _FAULTY and cores < _ENOUGH_THREADS:
+        return _ENOUGH_THREADS
+    return None
+
+
+def prepare() -> None:
+    """Sets what XLA reads when its backend starts, and imports MJX without its notices of missing packages."""
+    version = jaxlib.version.__version__
+    os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
+    threads = thread_pool_size(os.cpu_count() or 1, version)
+    if threads is not None:
+        os.environ.setdefault("NPROC", str(threads))
+    with contextlib.redirect_stdout(io.StringIO()):
+        importlib.import_module("mujoco.mjx")

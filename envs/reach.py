@@ -1,0 +1,42 @@
+"""FetchReach: bring the gripper to a point in the air."""
+
+import jax
+import jax.numpy as jnp
+from mujoco import mjx
+
+from envs.fetch import ACCURATE_SUBSTEPS, FetchEnv
+
+_GOAL_RANGE = 0.15  # metres around the gripper's start, along each axis
+
+
+class Reach(FetchEnv):
+    """FetchReach with the paper's observation, nine numbers.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6:9 | target position, the goal | m |
+
+    The fingers are blocked, so the action's fourth number has no effect. Goals are uniform in a cube of ±0.15 m
+    around the gripper's start. The reference is Gymnasium-Robotics' FetchReach-v4.
+    """
+
+    feature_size = 6
+    goal_size = 3
+
+    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS):
+        super().__init__("fetch/reach", impl, substeps)
+
+    def step_physics(self, physics: mjx.Data, action: jax.Array) -> mjx.Data:
+        return self._observe_kinematics(self._block_fingers(self._move(physics, action[:3])))
+
+    def features(self, physics: mjx.Data) -> jax.Array:
+        return jnp.concatenate([self.gripper_position(physics), self.gripper_velocity(physics)])
+
+    def achieved_goal(self, physics: mjx.Data) -> jax.Array:
+        return self.gripper_position(physics)
+
+    def sample_goal(self, rng: jax.Array, physics: mjx.Data) -> jax.Array:
+        offset = jax.random.uniform(rng, (3,), minval=-_GOAL_RANGE, maxval=_GOAL_RANGE)
+        return self.initial_gripper_position + offset

@@ -1,0 +1,47 @@
+"""Makes a task from its name."""
+
+import importlib
+import inspect
+
+from envs.base import GoalEnv
+
+TASKS = {"point": "envs.point:Point", "reach": "envs.reach:Reach"}
+"""Name of each task that comes with the package, and where its class is."""
+
+
+def make(task: str, **options) -> GoalEnv:
+    """Makes a task.
+
+    Args:
+      task: a name in `TASKS`, or `"module:Class"` for a task of one's own.
+      **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
+
+    Raises:
+      ValueError: no such task, or the task has no such option or not with such a value.
+
+    >>> make("point").observation_size
+    6
+    >>> make("poke")
+    Traceback (most recent call last):
+    ValueError: unknown task 'poke'; choose from point, reach, or name a GoalEnv of your own as 'module:Class'
+    """
+    task_class = _find_class(task)
+    allowed = inspect.signature(task_class).parameters
+    for option in options:
+        if option not in allowed:
+            raise ValueError(f"task {task!r} has no option {option!r}; it takes {', '.join(allowed) or 'none'}")
+    return task_class(**options)
+
+
+def _find_class(task: str) -> type[GoalEnv]:
+    module, separator, name = TASKS.get(task, task).partition(":")
+    names = f"choose from {', '.join(TASKS)}, or name a GoalEnv of your own as 'module:Class'"
+    if not separator:
+        raise ValueError(f"unknown task {task!r}; {names}")
+    try:
+        task_class = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"cannot load task {task!r}: {error}; {names}") from error
+    if not (inspect.isclass(task_class) and issubclass(task_class, GoalEnv)):
+        raise ValueError(f"task {task!r} is not a GoalEnv; {names}")
+    return task_class

@@ -1,0 +1,132 @@
+"""What a training run is made of: static sizes, sweepable hyperparameters, and their presets."""
+
+import dataclasses
+
+import jax
+from flax import struct
+
+from hgail_jax.hindsight import FINAL, FUTURE
+from hgail_jax.rewards import R1, R2, R3, R4
+
+STRATEGIES = {"future": FUTURE, "final": FINAL}
+"""Hindsight strategies by name."""
+REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
+"""Reward forms by name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Shapes and counts of a run: whatever decides the compiled program.
+
+    A sample is one step of one episode; a roll-out holds `num_envs` episodes.
+
+    Raises:
+      ValueError: a count is out of its range.
+    """
+
+    num_envs: int = 128
+    """Episodes in a roll-out."""
+    rounds: int = 8
+    """Rounds of Algorithm 2 after the pre-training."""
+    pretrain: bool = True
+    """Whether to pre-train policy and discriminator before the first round."""
+    policy_phases: int = 3
+    """Roll-outs with a PPO update in a round (the paper's g_steps)."""
+    discriminator_phases: int = 3
+    """Roll-outs with a discriminator update in a round (the paper's d_steps)."""
+    ppo_epochs: int = 2
+    """Passes over the samples of a roll-out in one PPO update."""
+    ppo_minibatches: int = 4
+    """Minibatches that a roll-out is cut into in one pass."""
+    discriminator_minibatches: int = 50
+    """Gradient steps in one discriminator update."""
+    discriminator_batch: int = 512
+    """Positive, and as many negative, samples in a gradient step of the discriminator."""
+    pretrain_policy_minibatches: int = 300
+    """Gradient steps of maximum likelihood in the pre-training."""
+    pretrain_policy_batch: int = 512
+    """Samples in one of them."""
+    pretrain_discriminator_minibatches: int = 100
+    """Gradient steps of the discriminator in the pre-training."""
+    policy_hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers of the policy and of the value function."""
+    discriminator_hidden: tuple[int, ...] = (100, 100)
+    """Widths of the hidden layers of the discriminator."""
+
+    def __post_init__(self):
+        at_least_zero = ("rounds", "policy_phases", "discriminator_phases")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.type is int and value < (field.name not in at_least_zero):
+                raise ValueError(f"{field.name} is {value}; it must be at least {int(field.name not in at_least_zero)}")
+
+
+@struct.dataclass
+class Hyperparameters:
+    """Scalars of the algorithm. They are leaves of the training state, so that `jax.vmap` can sweep any of them."""
+
+    p_ht: jax.Array | float = 1.0
+    """Probability that a step's goal is replaced in hindsight."""
+    strategy: jax.Array | int = FUTURE
+    """Where a replaced goal comes from: a value of `STRATEGIES`."""
+    include_current: jax.Array | bool = False
+    """Whether "future" may also pick the position achieved before the step's own action."""
+    reward: jax.Array | int = R1
+    """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
+    environment_reward: jax.Array | float = 0.0
+    """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
+    action_std: jax.Array | float = 1.0
+    """Standard deviation of the policy, in units of action."""
+    discount: jax.Array | float = 0.98
+    gae_lambda: jax.Array | float = 0.95
+    clip_ratio: jax.Array | float = 0.2
+    """PPO's bound on the change of an action's probability."""
+    policy_learning_rate: jax.Array | float = 1e-3
+    """Adam's step size for the policy and the value function."""
+    discriminator_learning_rate: jax.Array | float = 4e-4
+    """Adam's step size for the discriminator."""
+
+    def validate(self) -> "Hyperparameters":
+        """Returns itself.
+
+        Raises:
+          ValueError: a value is out of its range. Call it before tracing: it needs concrete numbers.
+        """
+        for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be from 0 to 1")
+        for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive and finite")
+        return self
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Sizes and hyperparameters that belong together."""
+
+    config: Config
+    hyperparameters: Hyperparameters
+
+
+PRESETS = {
+    "parallel": Preset(Config(), Hyperparameters()),
+    # The paper's sizes: batches of 128 for the policy and 64 for the discriminator, each update one pass over a
+    # roll-out of 64 episodes of 50 steps.
+    "paper": Preset(
+        Config(
+            num_envs=64,
+            policy_phases=16,
+            discriminator_phases=3,
+            ppo_epochs=1,
+            ppo_minibatches=25,
+            discriminator_minibatches=50,
+            discriminator_batch=64,
+            pretrain_policy_minibatches=100,
+            pretrain_policy_batch=128,
+            pretrain_discriminator_minibatches=500,
+        ),
+        Hyperparameters(policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
+    ),
+}
+"""`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes and schedule."""

@@ -1,0 +1,61 @@
+"""Proximal policy optimisation: advantages and losses."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+def generalized_advantages(
+    reward: jax.Array, value: jax.Array, discount: jax.Array | float, gae_lambda: jax.Array | float
+) -> jax.Array:
+    """Returns generalised advantage estimates (Schulman et al. 2016, Eq. 16), `[T, ...]`.
+
+    Episodes end by their time limit alone, which is a truncation: the last step bootstraps from the value of the
+    state it leads to, as every other step does.
+
+    Args:
+      reward: `[T, ...]`.
+      value: `[T + 1, ...]`, the values of states 0 to T.
+      discount: γ.
+      gae_lambda: λ.
+    """
+    delta = reward + discount * value[1:] - value[:-1]
+
+    def accumulate(advantage, delta):
+        advantage = delta + discount * gae_lambda * advantage
+        return advantage, advantage
+
+    return jax.lax.scan(accumulate, jnp.zeros_like(delta[0]), delta, reverse=True)[1]
+
+
+class PolicyLoss(NamedTuple):
+    """PPO's clipped loss and what to watch about it, all `[]`."""
+
+    loss: jax.Array
+    clip_fraction: jax.Array
+    """Share of samples whose probability ratio is outside the bounds."""
+    kl: jax.Array
+    """Estimate of KL(old policy ‖ new policy), nats."""
+
+
+def policy_loss(
+    log_prob: jax.Array, old_log_prob: jax.Array, advantage: jax.Array, clip_ratio: jax.Array | float
+) -> PolicyLoss:
+    """Clipped surrogate loss (Schulman et al. 2017, Eq. 7) of a minibatch; every argument but the last is `[B]`.
+
+    There is no entropy bonus: with a fixed covariance the entropy is constant.
+    """
+    log_ratio = log_prob - old_log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1.0 - clip_ratio, 1.0 + clip_ratio)
+    return PolicyLoss(
+        loss=-jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage)),
+        clip_fraction=jnp.mean(jnp.abs(ratio - 1.0) > clip_ratio),
+        kl=jnp.mean(ratio - 1.0 - log_ratio),
+    )
+
+
+def standardize(advantage: jax.Array) -> jax.Array:
+    """Shifts and scales to mean 0 and standard deviation 1 over all entries."""
+    return (advantage - advantage.mean()) / (advantage.std() + 1e-8)

@@ -1,0 +1,57 @@
+"""Runs a policy for one episode in many environments at once."""
+
+from collections.abc import Callable
+
+import jax
+from flax import struct
+
+from envs import GoalEnv
+
+Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+"""Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
+
+
+@struct.dataclass
+class Trajectory:
+    """`N` whole episodes of `T` steps; time comes first. Step `t` acts in state `t` and leads to state `t + 1`."""
+
+    features: jax.Array
+    """`[T + 1, N, feature_size]`: the observations without the goal."""
+    achieved: jax.Array
+    """`[T + 1, N, goal_size]`: achieved goals."""
+    desired: jax.Array
+    """`[N, goal_size]`: the goals pursued."""
+    action: jax.Array
+    """`[T, N, action_size]`: as drawn, not clipped."""
+    log_prob: jax.Array
+    """`[T, N]`: log-probability of `action` under the policy that drew it."""
+    reward: jax.Array
+    """`[T, N]`: the environment's reward."""
+
+    def observation(self, env: GoalEnv) -> jax.Array:
+        """Returns the observations under the goals pursued, `[T + 1, N, observation_size]`."""
+        return env.goal_observation(self.features, jax.numpy.broadcast_to(self.desired, self.achieved.shape))
+
+
+def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int) -> Trajectory:
+    """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps."""
+    reset_rng, act_rng = jax.random.split(rng)
+    state = jax.vmap(env.reset)(jax.random.split(reset_rng, num_envs))
+
+    def step(state, rng):
+        action, log_prob = policy(state.obs, rng)
+        following = jax.vmap(env.step)(state, action)
+        seen = (state.info["observation"], state.info["achieved_goal"], action, log_prob, following.reward)
+        return following, seen
+
+    final, (features, achieved, action, log_prob, reward) = jax.lax.scan(
+        step, state, jax.random.split(act_rng, env.episode_length)
+    )
+    return Trajectory(
+        features=jax.numpy.concatenate([features, final.info["observation"][None]]),
+        achieved=jax.numpy.concatenate([achieved, final.info["achieved_goal"][None]]),
+        desired=final.info["desired_goal"],
+        action=action,
+        log_prob=log_prob,
+        reward=reward,
+    )

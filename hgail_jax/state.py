@@ -1,0 +1,72 @@
+"""The training state: everything that a round reads and writes, as one pytree."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.training.acme import running_statistics, specs
+from flax import struct
+
+from envs import GoalEnv
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.networks import discriminator_network, policy_network, value_network
+
+OPTIMIZER = optax.scale_by_adam()
+"""Adam without its step size, which is a hyperparameter of the state."""
+
+_MAX_NORMALIZED = 5.0
+
+Params = Any
+
+
+@struct.dataclass
+class TrainState:
+    """Networks, optimisers, observation statistics, hyperparameters and the PRNG key."""
+
+    actor_critic: Params
+    """`{"policy": ..., "value": ...}`."""
+    discriminator: Params
+    actor_critic_optimizer: optax.OptState
+    discriminator_optimizer: optax.OptState
+    statistics: running_statistics.RunningStatisticsState
+    """Mean and standard deviation of all observations so far, under pursued and relabelled goals."""
+    hyperparameters: Hyperparameters
+    rng: jax.Array
+
+    def normalize(self, observation: jax.Array) -> jax.Array:
+        """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
+        return running_statistics.normalize(observation, self.statistics, max_abs_value=_MAX_NORMALIZED)
+
+    def observe(self, observation: jax.Array) -> "TrainState":
+        """Returns the state with observations, `[..., observation_size]`, counted into its statistics."""
+        observation = observation.reshape(-1, observation.shape[-1])
+        return self.replace(statistics=running_statistics.update(self.statistics, observation))
+
+
+def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, rng: jax.Array) -> TrainState:
+    """Returns the state of an untrained learner; `jax.vmap` it over `rng` for several seeds.
+
+    Args:
+      env: the task.
+      config: its network sizes are read.
+      hyperparameters: scalars, or tracers where a sweep is vmapped.
+      rng: a PRNG key, from `jax.random.key`.
+    """
+    policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)
+    observation = jnp.zeros(env.observation_size)
+    actor_critic = {
+        "policy": policy_network(config, env.action_size).init(policy_rng, observation),
+        "value": value_network(config).init(value_rng, observation),
+    }
+    observation_and_action = jnp.zeros(env.observation_size + env.action_size)
+    discriminator = discriminator_network(config).init(discriminator_rng, observation_and_action)
+    return TrainState(
+        actor_critic=actor_critic,
+        discriminator=discriminator,
+        actor_critic_optimizer=OPTIMIZER.init(actor_critic),
+        discriminator_optimizer=OPTIMIZER.init(discriminator),
+        statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
+        hyperparameters=jax.tree.map(jnp.asarray, hyperparameters),
+        rng=rng,
+    )

@@ -1,0 +1,120 @@
+"""The training step: one round of Algorithm 2 as a pure function.
+
+A round is a row of phases, each of which is one roll-out and what is done with it. A scan over the phases runs them,
+so the physics is traced and compiled once whatever the round holds, and `schedule` lists the rounds of a whole run:
+
+    states, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from envs import GoalEnv
+from hgail_jax.config import Config
+from hgail_jax.evaluate import EpisodeMetrics, episode_metrics
+from hgail_jax.rollout import rollout
+from hgail_jax.state import TrainState
+from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
+
+SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = range(5)
+"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action."""
+
+
+@struct.dataclass
+class RoundMetrics:
+    """Means over the phases of a round, all `[]`; NaN where the round has no such phase."""
+
+    evaluation: EpisodeMetrics
+    """Episodes under the mean action."""
+    training: EpisodeMetrics
+    """Episodes under the stochastic policy."""
+    update: UpdateMetrics
+
+
+def schedule(config: Config) -> np.ndarray:
+    """Returns the phases of a whole run, integers `[rounds + 1, phases]`.
+
+    Row 0 is the pre-training, if there is one; every row ends with an evaluation.
+    """
+    updates = [POLICY] * config.policy_phases + [DISCRIMINATOR] * config.discriminator_phases
+    first = [PRETRAIN if config.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
+    return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
+
+
+def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
+    """Returns the environment steps that each row of a schedule learns from; evaluations do not count."""
+    learning = np.isin(phases, [PRETRAIN, POLICY, DISCRIMINATOR])
+    return learning.sum(axis=-1) * config.num_envs * env.episode_length
+
+
+def train_step(
+    env: GoalEnv, config: Config, state: TrainState, phases: jax.Array | np.ndarray
+) -> tuple[TrainState, RoundMetrics]:
+    """Runs one round. Pure: bind `env` and `config`, then jit, scan over a schedule, or vmap over states.
+
+    Args:
+      env: the task.
+      config: sizes and counts.
+      state: the learner, from `init_state` or an earlier step.
+      phases: `[phases]`, a row of a schedule. Under a vmap over states leave it unbatched, so that a phase runs its
+        own update and no other.
+
+    Returns:
+      The learner after the round, and what the round measured.
+    """
+    phases = jnp.asarray(phases)
+    state, (episodes, updates) = jax.lax.scan(functools.partial(_run_phase, env, config), state, phases)
+    stochastic = (phases == PRETRAIN) | (phases == POLICY) | (phases == DISCRIMINATOR)
+    means_over_own_kind = UpdateMetrics(
+        reward=_masked_mean(updates.reward, phases == POLICY),
+        policy_loss=_masked_mean(updates.policy_loss, (phases == POLICY) | (phases == PRETRAIN)),
+        value_loss=_masked_mean(updates.value_loss, phases == POLICY),
+        clip_fraction=_masked_mean(updates.clip_fraction, phases == POLICY),
+        kl=_masked_mean(updates.kl, phases == POLICY),
+        discriminator_loss=_masked_mean(
+            updates.discriminator_loss, (phases == DISCRIMINATOR) | (phases == PRETRAIN)
+        ),
+        discriminator_accuracy=_masked_mean(
+            updates.discriminator_accuracy, (phases == DISCRIMINATOR) | (phases == PRETRAIN)
+        ),
+    )
+    return state, RoundMetrics(
+        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases == EVALUATE), episodes),
+        training=jax.tree.map(lambda values: _masked_mean(values, stochastic), episodes),
+        update=means_over_own_kind,
+    )
+
+
+def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):
+    def skip(state):
+        return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()))
+
+    def run(state):
+        rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
+        noise = jnp.where(phase == EVALUATE, 0.0, 1.0)
+        trajectory = rollout(env, act(env, config, state, noise), rollout_rng, config.num_envs)
+        updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
+        state, metrics = jax.lax.switch(
+            phase - PRETRAIN, [*updates, _leave], state.replace(rng=rng), trajectory, update_rng
+        )
+        return state, (episode_metrics(env, trajectory).mean(), _as_arrays(metrics))
+
+    return jax.lax.cond(phase == SKIP, skip, run, state)
+
+
+def _leave(state: TrainState, trajectory, rng: jax.Array):
+    """The update of an evaluation: none."""
+    del trajectory, rng
+    return state, _as_arrays(UpdateMetrics())
+
+
+def _as_arrays(metrics):
+    return jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), metrics)
+
+
+def _masked_mean(values: jax.Array, mask: jax.Array) -> jax.Array:
+    return jnp.where(mask, values, 0.0).sum() / jnp.where(mask.any(), mask.sum(), jnp.nan)

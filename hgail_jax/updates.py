@@ -1,0 +1,222 @@
+"""What a roll-out teaches: the updates of policy, value function and discriminator.
+
+Below, `S` is the number of samples of a roll-out, steps times episodes, and `B` a minibatch of them.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from envs import GoalEnv
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
+from hgail_jax.hindsight import relabel
+from hgail_jax.networks import discriminator_network, gaussian_log_prob, policy_network, value_network
+from hgail_jax.ppo import generalized_advantages, policy_loss, standardize
+from hgail_jax.rewards import imitation_reward
+from hgail_jax.rollout import Trajectory
+from hgail_jax.state import OPTIMIZER, TrainState
+
+
+@struct.dataclass
+class UpdateMetrics:
+    """What an update did, all `[]`; what a kind of update does not measure stays 0."""
+
+    reward: jax.Array | float = 0.0
+    """Mean reward that the policy was given."""
+    policy_loss: jax.Array | float = 0.0
+    value_loss: jax.Array | float = 0.0
+    clip_fraction: jax.Array | float = 0.0
+    kl: jax.Array | float = 0.0
+    discriminator_loss: jax.Array | float = 0.0
+    discriminator_accuracy: jax.Array | float = 0.0
+
+
+@struct.dataclass
+class Samples:
+    """Steps without their order."""
+
+    observation: jax.Array
+    """`[S, observation_size]`, not normalised."""
+    action: jax.Array
+    """`[S, action_size]`, not clipped."""
+
+
+def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float):
+    """Returns the policy of `state` as a function for `rollout`.
+
+    Args:
+      noise: factor on the policy's standard deviation: 1 to explore, 0 for the mean action.
+    """
+    std = state.hyperparameters.action_std
+    network = policy_network(config, env.action_size)
+
+    def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+        mean = network.apply(state.actor_critic["policy"], state.normalize(observation))
+        action = mean + noise * std * jax.random.normal(rng, mean.shape)
+        return action, gaussian_log_prob(action, mean, std)
+
+    return policy
+
+
+def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
+    """Returns the samples of a trajectory under the goals it pursued."""
+    return _flatten(Samples(trajectory.observation(env)[:-1], trajectory.action))
+
+
+def expert_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
+    """Returns the samples of a trajectory under goals replaced in hindsight."""
+
+    def relabel_one(rng, achieved, desired):
+        return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current).goal
+
+    rngs = jax.random.split(rng, trajectory.desired.shape[0])
+    goal = jax.vmap(relabel_one, in_axes=(0, 1, 0), out_axes=1)(rngs, trajectory.achieved, trajectory.desired)
+    return _flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action))
+
+
+def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+    """Fits policy and discriminator to the first roll-out (Algorithm 2, lines 1 to 3).
+
+    The policy by maximum likelihood on the relabelled samples, the discriminator by cross-entropy of these against
+    the samples as they were. Returns the new state and its `UpdateMetrics`.
+    """
+    relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
+    expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
+    policy = policy_samples(env, trajectory)
+    state = state.observe(policy.observation).observe(expert.observation)
+    state, policy_metrics = _maximize_likelihood(env, config, state, expert, policy_rng)
+    state, metrics = _fit_discriminator(
+        config, state, expert, policy, config.pretrain_discriminator_minibatches, discriminator_rng
+    )
+    return state, metrics.replace(policy_loss=policy_metrics.policy_loss)
+
+
+def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+    """Teaches the discriminator a roll-out's relabelled samples against its own (Algorithm 2, the d_steps)."""
+    relabel_rng, fit_rng = jax.random.split(rng)
+    expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
+    policy = policy_samples(env, trajectory)
+    state = state.observe(policy.observation).observe(expert.observation)
+    return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
+
+
+def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+    """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps)."""
+    hyper = state.hyperparameters
+    observation = state.normalize(trajectory.observation(env))
+    value = value_network(config).apply(state.actor_critic["value"], observation)[..., 0]
+    logits = _discriminate(config, state.discriminator, observation[:-1], trajectory.action)
+    imitation = imitation_reward(hyper.reward, logits)
+    reward = (1.0 - hyper.environment_reward) * imitation + hyper.environment_reward * trajectory.reward
+    # Episodes have a fixed length, so a constant reward ranks no policy above another: taking the mean off leaves the
+    # problem as it is and spares the value function from learning a large offset that moves with the discriminator.
+    advantage = generalized_advantages(reward - reward.mean(), value, hyper.discount, hyper.gae_lambda)
+    batch = _flatten(
+        {
+            "observation": observation[:-1],
+            "action": trajectory.action,
+            "log_prob": trajectory.log_prob,
+            "advantage": standardize(advantage),
+            "return": advantage + value[:-1],
+        }
+    )
+
+    def loss(params, indices):
+        part = jax.tree.map(lambda array: array[indices], batch)
+        mean = policy_network(config, env.action_size).apply(params["policy"], part["observation"])
+        log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
+        policy = policy_loss(log_prob, part["log_prob"], part["advantage"], hyper.clip_ratio)
+        predicted = value_network(config).apply(params["value"], part["observation"])[..., 0]
+        value_loss = 0.5 * jnp.mean(jnp.square(predicted - part["return"]))
+        return policy.loss + value_loss, UpdateMetrics(
+            policy_loss=policy.loss, value_loss=value_loss, clip_fraction=policy.clip_fraction, kl=policy.kl
+        )
+
+    indices = _minibatches(rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
+    state, metrics = _improve_actor_critic(state, loss, indices)
+    return state.observe(trajectory.observation(env)[:-1]), metrics.replace(reward=reward.mean())
+
+
+def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array):
+    observation = state.normalize(samples.observation)
+
+    def loss(params, indices):
+        mean = policy_network(config, env.action_size).apply(params["policy"], observation[indices])
+        log_prob = gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std)
+        return -log_prob.mean(), UpdateMetrics(policy_loss=-log_prob.mean())
+
+    shape = (config.pretrain_policy_minibatches, config.pretrain_policy_batch)
+    return _improve_actor_critic(state, loss, jax.random.randint(rng, shape, 0, observation.shape[0]))
+
+
+def _fit_discriminator(
+    config: Config, state: TrainState, expert: Samples, policy: Samples, minibatches: int, rng: jax.Array
+):
+    expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
+
+    def loss(params, indices):
+        of_expert, of_policy = indices
+        expert_logits = _discriminate(config, params, expert_observation[of_expert], expert.action[of_expert])
+        policy_logits = _discriminate(config, params, policy_observation[of_policy], policy.action[of_policy])
+        value = discriminator_loss(expert_logits, policy_logits)
+        return value, UpdateMetrics(
+            discriminator_loss=value, discriminator_accuracy=discriminator_accuracy(expert_logits, policy_logits)
+        )
+
+    shape = (2, minibatches, config.discriminator_batch)
+    indices = jax.random.randint(rng, shape, 0, policy.action.shape[0])
+    params, optimizer, metrics = _descend(
+        loss,
+        state.discriminator,
+        state.discriminator_optimizer,
+        state.hyperparameters.discriminator_learning_rate,
+        (indices[0], indices[1]),
+    )
+    return state.replace(discriminator=params, discriminator_optimizer=optimizer), metrics
+
+
+def _discriminate(config: Config, params, observation: jax.Array, action: jax.Array) -> jax.Array:
+    """Logits, `[...]`, of normalised observations and of actions as the environment takes them: clipped."""
+    inputs = jnp.concatenate([observation, jnp.clip(action, -1.0, 1.0)], axis=-1)
+    return discriminator_network(config).apply(params, inputs)[..., 0]
+
+
+def _improve_actor_critic(state: TrainState, loss: Callable, indices: jax.Array):
+    params, optimizer, metrics = _descend(
+        loss,
+        state.actor_critic,
+        state.actor_critic_optimizer,
+        state.hyperparameters.policy_learning_rate,
+        indices,
+    )
+    return state.replace(actor_critic=params, actor_critic_optimizer=optimizer), metrics
+
+
+def _descend(loss: Callable, params, optimizer: optax.OptState, learning_rate: jax.Array, minibatches):
+    """Takes an Adam step for each entry of `minibatches` along its first axis; returns the mean metrics."""
+
+    def step(carry, minibatch):
+        params, optimizer = carry
+        gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
+        update, optimizer = OPTIMIZER.update(gradient, optimizer)
+        params = optax.apply_updates(params, jax.tree.map(lambda leaf: -learning_rate * leaf, update))
+        return (params, optimizer), metrics
+
+    (params, optimizer), metrics = jax.lax.scan(step, (params, optimizer), minibatches)
+    return params, optimizer, jax.tree.map(jnp.mean, metrics)
+
+
+def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) -> jax.Array:
+    """Indices `[epochs * minibatches, B]`: every pass goes through the samples in a new order, less a remainder."""
+    size = samples // minibatches
+    orders = jax.vmap(lambda rng: jax.random.permutation(rng, samples))(jax.random.split(rng, epochs))
+    return orders[:, : size * minibatches].reshape(epochs * minibatches, size)
+
+
+def _flatten(tree):
+    """Joins the first two axes, steps and episodes, of every leaf."""
+    return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), tree)
