@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import io
 import os
+import sys
 
 import jaxlib.version
 
@@ -51,11 +52,13 @@ def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
 
 
 def prepare() -> None:
-    """Sets what XLA reads when its backend starts, and imports MJX without its notices of missing packages."""
+    """Sets what XLA and MuJoCo's renderer read when they start; imports MJX without its notices of missing packages."""
     version = jaxlib.version.__version__
     os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
     threads = thread_pool_size(os.cpu_count() or 1, version)
     if threads is not None:
         os.environ.setdefault("NPROC", str(threads))
+    if sys.platform == "linux" and "DISPLAY" not in os.environ:
+        os.environ.setdefault("MUJOCO_GL", "egl")
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")

@@ -91,5 +91,5 @@ class GoalEnv(Env):
 
     @property
     def backend(self) -> str:
-        """brax's name for the physics; `"mjx"` unless the task says otherwise."""
+        """Brax's name for the physics; `"mjx"` unless the task says otherwise."""
         return "mjx"

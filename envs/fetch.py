@@ -23,7 +23,7 @@ _DISPLACEMENT_SCALE = 0.05  # metres that the mocap body leads the gripper by fo
 _DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
 _FINGERS = ("right_finger", "left_finger")
 _BASE_POSITION = {"base_x": 0.405, "base_y": 0.48}  # metres
-_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to its start
+_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's outstretched position to its start
 _SETTLE_PERIODS = 10
 
 
@@ -40,6 +40,7 @@ class FetchEnv(GoalEnv):
 
     Raises:
       ValueError: an unknown or unavailable `impl`, or too few substeps.
+
     """
 
     episode_length = 50
@@ -65,7 +66,7 @@ class FetchEnv(GoalEnv):
         return physics.site_xpos[self._gripper_site]
 
     def gripper_velocity(self, physics: mjx.Data) -> jax.Array:
-        """Returns the gripper's linear velocity times `CONTROL_PERIOD`, `[3]`, metres per action as in the reference."""
+        """Returns the gripper's linear velocity times `CONTROL_PERIOD`, `[3]`, metres, as the reference has it."""
         angular, linear = jnp.split(physics.cvel[self._gripper_body], 2)
         origin = physics.subtree_com[self.model.body_rootid[self._gripper_body]]
         return (linear + jnp.cross(angular, self.gripper_position(physics) - origin)) * CONTROL_PERIOD
@@ -97,6 +98,7 @@ def resolve_impl(impl: str) -> str:
 
     Raises:
       ValueError: `impl` is none of these, or is not available.
+
     """
     if impl == "warp":
         raise ValueError("impl 'warp' is not yet supported; use 'jax' or 'auto'")

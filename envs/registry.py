@@ -24,8 +24,9 @@ def make(task: str, **options) -> GoalEnv:
     >>> make("poke")
     Traceback (most recent call last):
     ValueError: unknown task 'poke'; choose from point, reach, or name a GoalEnv of your own as 'module:Class'
+
     """
-    task_class = _find_class(task)
+    task_class = find_class(task)
     allowed = inspect.signature(task_class).parameters
     for option in options:
         if option not in allowed:
@@ -33,7 +34,8 @@ def make(task: str, **options) -> GoalEnv:
     return task_class(**options)
 
 
-def _find_class(task: str) -> type[GoalEnv]:
+def find_class(task: str) -> type[GoalEnv]:
+    """Returns the class of a task; see `make`."""
     module, separator, name = TASKS.get(task, task).partition(":")
     names = f"choose from {', '.join(TASKS)}, or name a GoalEnv of your own as 'module:Class'"
     if not separator:

@@ -20,6 +20,7 @@ def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
     Args:
       name: path of the scene below the assets folder, without its ending.
       visual: keep what is only for pictures. Without it the dynamics are the same and the model is smaller.
+
     """
     spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))
     if not visual:

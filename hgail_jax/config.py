@@ -22,11 +22,12 @@ class Config:
 
     Raises:
       ValueError: a count is out of its range.
+
     """
 
-    num_envs: int = 128
+    num_envs: int = 64
     """Episodes in a roll-out."""
-    rounds: int = 8
+    rounds: int = 6
     """Rounds of Algorithm 2 after the pre-training."""
     pretrain: bool = True
     """Whether to pre-train policy and discriminator before the first round."""
@@ -46,8 +47,10 @@ class Config:
     """Gradient steps of maximum likelihood in the pre-training."""
     pretrain_policy_batch: int = 512
     """Samples in one of them."""
-    pretrain_discriminator_minibatches: int = 100
+    pretrain_discriminator_minibatches: int = 500
     """Gradient steps of the discriminator in the pre-training."""
+    final_learning_rate: float = 0.0
+    """What the policy's learning rate has shrunk to at the end of the last round, as a share of its start."""
     policy_hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers of the policy and of the value function."""
     discriminator_hidden: tuple[int, ...] = (100, 100)
@@ -59,6 +62,8 @@ class Config:
             value = getattr(self, field.name)
             if field.type is int and value < (field.name not in at_least_zero):
                 raise ValueError(f"{field.name} is {value}; it must be at least {int(field.name not in at_least_zero)}")
+        if not 0.0 <= self.final_learning_rate <= 1.0:
+            raise ValueError(f"final_learning_rate is {self.final_learning_rate}; it must be from 0 to 1")
 
 
 @struct.dataclass
@@ -75,15 +80,15 @@ class Hyperparameters:
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
-    action_std: jax.Array | float = 1.0
+    action_std: jax.Array | float = 0.5
     """Standard deviation of the policy, in units of action."""
     discount: jax.Array | float = 0.98
     gae_lambda: jax.Array | float = 0.95
     clip_ratio: jax.Array | float = 0.2
     """PPO's bound on the change of an action's probability."""
-    policy_learning_rate: jax.Array | float = 1e-3
+    policy_learning_rate: jax.Array | float = 3e-4
     """Adam's step size for the policy and the value function."""
-    discriminator_learning_rate: jax.Array | float = 4e-4
+    discriminator_learning_rate: jax.Array | float = 1e-3
     """Adam's step size for the discriminator."""
 
     def validate(self) -> "Hyperparameters":
@@ -91,6 +96,7 @@ class Hyperparameters:
 
         Raises:
           ValueError: a value is out of its range. Call it before tracing: it needs concrete numbers.
+
         """
         for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
@@ -125,8 +131,9 @@ PRESETS = {
             pretrain_policy_minibatches=100,
             pretrain_policy_batch=128,
             pretrain_discriminator_minibatches=500,
+            final_learning_rate=1.0,
         ),
-        Hyperparameters(policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
+        Hyperparameters(action_std=1.0, policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
     ),
 }
 """`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes and schedule."""

@@ -39,6 +39,7 @@ def relabel(
       p_ht: probability of choosing a step.
       strategy: `FUTURE`, with `l` uniform over `j+1..T`, or `FINAL`, with `l = T`.
       include_current: let "future" draw from `j..T` instead.
+
     """
     length = achieved.shape[0] - 1
     chosen_rng, source_rng = jax.random.split(rng)

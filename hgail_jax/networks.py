@@ -21,6 +21,7 @@ class MLP(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: jax.Array) -> jax.Array:
+        """Applies the layers."""
         for width in self.hidden:
             inputs = nn.tanh(nn.Dense(width)(inputs))
         init = nn.initializers.variance_scaling(self.output_scale, "fan_in", "truncated_normal")

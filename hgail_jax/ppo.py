@@ -19,6 +19,7 @@ def generalized_advantages(
       value: `[T + 1, ...]`, the values of states 0 to T.
       discount: γ.
       gae_lambda: λ.
+
     """
     delta = reward + discount * value[1:] - value[:-1]
 
@@ -56,6 +57,6 @@ def policy_loss(
     )
 
 
-def standardize(advantage: jax.Array) -> jax.Array:
-    """Shifts and scales to mean 0 and standard deviation 1 over all entries."""
-    return (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+def standardize(values: jax.Array) -> jax.Array:
+    """Shifts and scales to mean 0 and standard deviation 1 over all entries; constant values become 0."""
+    return (values - values.mean()) / (values.std() + 1e-8)

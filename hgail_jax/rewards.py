@@ -13,7 +13,7 @@ def r1(logits: jax.Array) -> jax.Array:
 
 
 def r2(logits: jax.Array) -> jax.Array:
-    """log clip(logit, 0, 1), with a floor of 1e-3 under the logarithm."""
+    """Log clip(logit, 0, 1), with a floor of 1e-3 under the logarithm."""
     return jnp.log(jnp.clip(logits, _R2_FLOOR, 1.0))
 
 
@@ -23,7 +23,7 @@ def r3(logits: jax.Array) -> jax.Array:
 
 
 def r4(logits: jax.Array) -> jax.Array:
-    """log σ(logit) - log(1 - σ(logit)), which is the logit again."""
+    """Log σ(logit) - log(1 - σ(logit)), which is the logit again."""
     return jax.nn.log_sigmoid(logits) - jax.nn.log_sigmoid(-logits)
 
 

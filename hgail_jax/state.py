@@ -12,9 +12,6 @@ from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.networks import discriminator_network, policy_network, value_network
 
-OPTIMIZER = optax.scale_by_adam()
-"""Adam without its step size, which is a hyperparameter of the state."""
-
 _MAX_NORMALIZED = 5.0
 
 Params = Any
@@ -44,6 +41,22 @@ class TrainState:
         return self.replace(statistics=running_statistics.update(self.statistics, observation))
 
 
+def actor_critic_optimizer(config: Config) -> optax.GradientTransformation:
+    """Adam for policy and value function, less the learning rate, which is a hyperparameter of the state.
+
+    Steps keep their length through the pre-training, then shrink linearly over the rounds to `final_learning_rate`.
+    """
+    pretraining = config.pretrain_policy_minibatches if config.pretrain else 0
+    rounds = config.rounds * config.policy_phases * config.ppo_epochs * config.ppo_minibatches
+    annealing = optax.linear_schedule(1.0, config.final_learning_rate, rounds, transition_begin=pretraining)
+    return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(annealing))
+
+
+def discriminator_optimizer() -> optax.GradientTransformation:
+    """Adam for the discriminator, less the learning rate."""
+    return optax.scale_by_adam()
+
+
 def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, rng: jax.Array) -> TrainState:
     """Returns the state of an untrained learner; `jax.vmap` it over `rng` for several seeds.
 
@@ -52,6 +65,7 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
       config: its network sizes are read.
       hyperparameters: scalars, or tracers where a sweep is vmapped.
       rng: a PRNG key, from `jax.random.key`.
+
     """
     policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)
     observation = jnp.zeros(env.observation_size)
@@ -64,8 +78,8 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
     return TrainState(
         actor_critic=actor_critic,
         discriminator=discriminator,
-        actor_critic_optimizer=OPTIMIZER.init(actor_critic),
-        discriminator_optimizer=OPTIMIZER.init(discriminator),
+        actor_critic_optimizer=actor_critic_optimizer(config).init(actor_critic),
+        discriminator_optimizer=discriminator_optimizer().init(discriminator),
         statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
         hyperparameters=jax.tree.map(jnp.asarray, hyperparameters),
         rng=rng,

@@ -65,6 +65,7 @@ def train_step(
 
     Returns:
       The learner after the round, and what the round measured.
+
     """
     phases = jnp.asarray(phases)
     state, (episodes, updates) = jax.lax.scan(functools.partial(_run_phase, env, config), state, phases)
@@ -75,9 +76,7 @@ def train_step(
         value_loss=_masked_mean(updates.value_loss, phases == POLICY),
         clip_fraction=_masked_mean(updates.clip_fraction, phases == POLICY),
         kl=_masked_mean(updates.kl, phases == POLICY),
-        discriminator_loss=_masked_mean(
-            updates.discriminator_loss, (phases == DISCRIMINATOR) | (phases == PRETRAIN)
-        ),
+        discriminator_loss=_masked_mean(updates.discriminator_loss, (phases == DISCRIMINATOR) | (phases == PRETRAIN)),
         discriminator_accuracy=_masked_mean(
             updates.discriminator_accuracy, (phases == DISCRIMINATOR) | (phases == PRETRAIN)
         ),

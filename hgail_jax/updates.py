@@ -4,6 +4,7 @@ Below, `S` is the number of samples of a roll-out, steps times episodes, and `B`
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,8 @@ from hgail_jax.hindsight import relabel
 from hgail_jax.networks import discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import generalized_advantages, policy_loss, standardize
 from hgail_jax.rewards import imitation_reward
-from hgail_jax.rollout import Trajectory
-from hgail_jax.state import OPTIMIZER, TrainState
+from hgail_jax.rollout import Policy, Trajectory
+from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
 
 
 @struct.dataclass
@@ -45,11 +46,12 @@ class Samples:
     """`[S, action_size]`, not clipped."""
 
 
-def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float):
+def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float) -> Policy:
     """Returns the policy of `state` as a function for `rollout`.
 
     Args:
       noise: factor on the policy's standard deviation: 1 to explore, 0 for the mean action.
+
     """
     std = state.hyperparameters.action_std
     network = policy_network(config, env.action_size)
@@ -112,9 +114,10 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     logits = _discriminate(config, state.discriminator, observation[:-1], trajectory.action)
     imitation = imitation_reward(hyper.reward, logits)
     reward = (1.0 - hyper.environment_reward) * imitation + hyper.environment_reward * trajectory.reward
-    # Episodes have a fixed length, so a constant reward ranks no policy above another: taking the mean off leaves the
-    # problem as it is and spares the value function from learning a large offset that moves with the discriminator.
-    advantage = generalized_advantages(reward - reward.mean(), value, hyper.discount, hyper.gae_lambda)
+    # Episodes have a fixed length, so shifting and scaling the reward ranks no policy above another. Standardised it
+    # keeps returns of order one while the discriminator, and with it the reward, drifts: the value function can follow.
+    scaled = standardize(reward) / env.episode_length
+    advantage = generalized_advantages(scaled, value, hyper.discount, hyper.gae_lambda)
     batch = _flatten(
         {
             "observation": observation[:-1],
@@ -137,7 +140,7 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
         )
 
     indices = _minibatches(rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
-    state, metrics = _improve_actor_critic(state, loss, indices)
+    state, metrics = _improve_actor_critic(config, state, loss, indices)
     return state.observe(trajectory.observation(env)[:-1]), metrics.replace(reward=reward.mean())
 
 
@@ -150,7 +153,7 @@ def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, sample
         return -log_prob.mean(), UpdateMetrics(policy_loss=-log_prob.mean())
 
     shape = (config.pretrain_policy_minibatches, config.pretrain_policy_batch)
-    return _improve_actor_critic(state, loss, jax.random.randint(rng, shape, 0, observation.shape[0]))
+    return _improve_actor_critic(config, state, loss, jax.random.randint(rng, shape, 0, observation.shape[0]))
 
 
 def _fit_discriminator(
@@ -170,6 +173,7 @@ def _fit_discriminator(
     shape = (2, minibatches, config.discriminator_batch)
     indices = jax.random.randint(rng, shape, 0, policy.action.shape[0])
     params, optimizer, metrics = _descend(
+        discriminator_optimizer(),
         loss,
         state.discriminator,
         state.discriminator_optimizer,
@@ -179,14 +183,15 @@ def _fit_discriminator(
     return state.replace(discriminator=params, discriminator_optimizer=optimizer), metrics
 
 
-def _discriminate(config: Config, params, observation: jax.Array, action: jax.Array) -> jax.Array:
+def _discriminate(config: Config, params: Params, observation: jax.Array, action: jax.Array) -> jax.Array:
     """Logits, `[...]`, of normalised observations and of actions as the environment takes them: clipped."""
     inputs = jnp.concatenate([observation, jnp.clip(action, -1.0, 1.0)], axis=-1)
     return discriminator_network(config).apply(params, inputs)[..., 0]
 
 
-def _improve_actor_critic(state: TrainState, loss: Callable, indices: jax.Array):
+def _improve_actor_critic(config: Config, state: TrainState, loss: Callable, indices: jax.Array):
     params, optimizer, metrics = _descend(
+        actor_critic_optimizer(config),
         loss,
         state.actor_critic,
         state.actor_critic_optimizer,
@@ -196,18 +201,25 @@ def _improve_actor_critic(state: TrainState, loss: Callable, indices: jax.Array)
     return state.replace(actor_critic=params, actor_critic_optimizer=optimizer), metrics
 
 
-def _descend(loss: Callable, params, optimizer: optax.OptState, learning_rate: jax.Array, minibatches):
-    """Takes an Adam step for each entry of `minibatches` along its first axis; returns the mean metrics."""
+def _descend(
+    optimizer: optax.GradientTransformation,
+    loss: Callable,
+    params: Params,
+    optimizer_state: optax.OptState,
+    learning_rate: jax.Array,
+    minibatches: Any,
+):
+    """Takes a step for each entry of `minibatches` along its first axis; returns the mean metrics too."""
 
     def step(carry, minibatch):
-        params, optimizer = carry
+        params, optimizer_state = carry
         gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
-        update, optimizer = OPTIMIZER.update(gradient, optimizer)
+        update, optimizer_state = optimizer.update(gradient, optimizer_state)
         params = optax.apply_updates(params, jax.tree.map(lambda leaf: -learning_rate * leaf, update))
-        return (params, optimizer), metrics
+        return (params, optimizer_state), metrics
 
-    (params, optimizer), metrics = jax.lax.scan(step, (params, optimizer), minibatches)
-    return params, optimizer, jax.tree.map(jnp.mean, metrics)
+    (params, optimizer_state), metrics = jax.lax.scan(step, (params, optimizer_state), minibatches)
+    return params, optimizer_state, jax.tree.map(jnp.mean, metrics)
 
 
 def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) -> jax.Array:

@@ -1,0 +1,48 @@
+"""Hindsight generative adversarial imitation learning (Liu et al. 2019), massively vectorised in JAX.
+
+`docs` in the README show the ways in; the short one is `train_step`, a pure function from a `TrainState` and a row of
+`schedule` to the next state and its metrics.
+"""
+
+from envs import GoalEnv, make
+from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
+from hgail_jax.evaluate import EpisodeMetrics, episode_metrics, evaluate
+from hgail_jax.hindsight import Hindsight, relabel
+from hgail_jax.methods import METHODS, Method
+from hgail_jax.policy import MeanPolicy, load_policy, save_policy
+from hgail_jax.rollout import Trajectory, rollout
+from hgail_jax.state import TrainState, init_state
+from hgail_jax.train import RoundMetrics, env_steps, schedule, train_step
+from hgail_jax.updates import act
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "METHODS",
+    "PRESETS",
+    "REWARDS",
+    "STRATEGIES",
+    "Config",
+    "EpisodeMetrics",
+    "GoalEnv",
+    "Hindsight",
+    "Hyperparameters",
+    "MeanPolicy",
+    "Method",
+    "Preset",
+    "RoundMetrics",
+    "TrainState",
+    "Trajectory",
+    "act",
+    "env_steps",
+    "episode_metrics",
+    "evaluate",
+    "init_state",
+    "load_policy",
+    "make",
+    "relabel",
+    "rollout",
+    "save_policy",
+    "schedule",
+    "train_step",
+]
