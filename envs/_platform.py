@@ -1,10 +1,12 @@
 """Works around faults of the installed JAX and MJX before either is first used."""
 
 import contextlib
+import ctypes.util
 import importlib
 import io
 import os
 import sys
+from collections.abc import Callable
 
 import jaxlib.version
 
@@ -51,6 +53,17 @@ def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
     return None
 
 
+def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
+    """Returns what MuJoCo can render with where there is no display: `"egl"`, `"osmesa"` or nothing.
+
+    MuJoCo cannot even be imported with a backend named whose library is missing.
+
+    >>> headless_backend({"OSMesa": "libOSMesa.so.8"}.get)
+    'osmesa'
+    """
+    return next((library.lower() for library in ("EGL", "OSMesa") if find_library(library)), None)
+
+
 def prepare() -> None:
     """Sets what XLA and MuJoCo's renderer read when they start; imports MJX without its notices of missing packages."""
     version = jaxlib.version.__version__
@@ -58,7 +71,8 @@ def prepare() -> None:
     threads = thread_pool_size(os.cpu_count() or 1, version)
     if threads is not None:
         os.environ.setdefault("NPROC", str(threads))
-    if sys.platform == "linux" and "DISPLAY" not in os.environ:
-        os.environ.setdefault("MUJOCO_GL", "egl")
+    backend = headless_backend(ctypes.util.find_library)
+    if sys.platform == "linux" and "DISPLAY" not in os.environ and backend is not None:
+        os.environ.setdefault("MUJOCO_GL", backend)
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")

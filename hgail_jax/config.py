@@ -80,7 +80,7 @@ class Hyperparameters:
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
-    action_std: jax.Array | float = 0.5
+    action_std: jax.Array | float = 0.3
     """Standard deviation of the policy, in units of action."""
     discount: jax.Array | float = 0.98
     gae_lambda: jax.Array | float = 0.95

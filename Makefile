@@ -1,0 +1,36 @@
+# Two commands: `make train` and `make test`. Both set everything up in .venv first.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?= --seeds 8
+
+.PHONY: train test slow lock clean
+
+train: $(VENV)/.installed
+	$(BIN)/python experiments/run.py $(ARGS)
+
+test: $(VENV)/.installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest
+
+slow: $(VENV)/.installed
+	$(BIN)/pytest -m slow
+
+$(VENV)/.installed: requirements.lock pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	if command -v nvidia-smi > /dev/null; then $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		"jax[cuda13]==$$($(BIN)/python -c 'import jax; print(jax.__version__)')"; fi
+	touch $@
+
+# Pins every dependency with its hashes for Python 3.11 and 3.12; needs uv.
+lock:
+	uv pip compile pyproject.toml --extra compare --extra dev --universal --python-version 3.11 \
+		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --no-header --quiet \
+		--output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) .cache build dist
