@@ -61,6 +61,13 @@ class GoalEnv(Env):
         """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`."""
         return jnp.linalg.norm(achieved - desired, axis=-1) <= self.success_threshold
 
+    def accurate(self, when: jax.Array | bool = True) -> "GoalEnv":
+        """Returns the task with its most accurate physics where `when`, which may be traced, and as it is elsewhere.
+
+        A task with one physics only returns itself.
+        """
+        return self
+
     def reset(self, rng: jax.Array) -> State:
         """Starts an episode; see the class for what the state holds."""
         physics_rng, goal_rng = jax.random.split(rng)

@@ -3,6 +3,8 @@
 The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C MuJoCo).
 """
 
+import copy
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -50,7 +52,8 @@ class FetchEnv(GoalEnv):
     def __init__(self, scene: str, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS):
         if substeps < FAST_SUBSTEPS:
             raise ValueError(f"substeps is {substeps}; the Fetch scenes need at least {FAST_SUBSTEPS}")
-        self.scene, self.impl, self.substeps = scene, resolve_impl(impl), substeps
+        self.scene, self.impl = scene, resolve_impl(impl)
+        self.substeps: int | jax.Array = substeps
         self.model = load_scene(scene)
         self._gripper_body = self.model.body("gripper").id
         self._gripper_site = self.model.site("grip").id
@@ -60,6 +63,13 @@ class FetchEnv(GoalEnv):
         self._mjx_model = mjx.put_model(self.model, impl=self.impl)
         self._initial_physics = mjx.put_data(self.model, settled, impl=self.impl)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
+
+    def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
+        """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
+        env = copy.copy(self)
+        env.substeps = jnp.where(when, ACCURATE_SUBSTEPS, self.substeps)
+        env._mjx_model = self._mjx_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
+        return env
 
     def gripper_position(self, physics: mjx.Data) -> jax.Array:
         """Returns the position of the point between the fingers, `[3]`, metres, world frame."""

@@ -1,6 +1,5 @@
 """Trains several seeds of a method on a task, side by side, and writes what came of it to a new folder."""
 
-import concurrent.futures
 import dataclasses
 import os
 import sys
@@ -17,15 +16,15 @@ from tqdm import tqdm
 from video import film
 
 import envs
-from envs.fetch import ACCURATE_SUBSTEPS, FAST_SUBSTEPS, FetchEnv
+from envs.fetch import FAST_SUBSTEPS, FetchEnv
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
 from hgail_jax.evaluate import EpisodeMetrics
 from hgail_jax.methods import METHODS
-from hgail_jax.parallel import compile_evaluation, compile_train_step, init_seeds, seed_keys
+from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
 from hgail_jax.policy import from_state, save_policy
 from hgail_jax.train import RoundMetrics, env_steps, schedule
 
-AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 6}}
+AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 5}}
 """What `--num-envs` and `--iterations` are by default under the preset `parallel`."""
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Episodes per seed in the final evaluation."""
@@ -72,8 +71,6 @@ class Run:
     """Options, checked and worked out."""
 
     env: envs.GoalEnv
-    accurate_env: envs.GoalEnv
-    """The task as it is evaluated in the end."""
     config: Config
     hyperparameters: Hyperparameters
     evaluation_episodes: int
@@ -100,17 +97,16 @@ def prepare(options: Options, platform: str) -> Run:
     if options.p_ht is not None:
         hyperparameters = hyperparameters.replace(p_ht=options.p_ht)
     return Run(
-        env=_make(options, options.substeps if options.substeps is not None else FAST_SUBSTEPS),
-        accurate_env=_make(options, ACCURATE_SUBSTEPS),
+        env=_make(options),
         config=preset.config,
         hyperparameters=hyperparameters.validate(),
         evaluation_episodes=EVALUATION_EPISODES[platform],
     )
 
 
-def _make(options: Options, substeps: int) -> envs.GoalEnv:
+def _make(options: Options) -> envs.GoalEnv:
     if issubclass(envs.find_class(options.task), FetchEnv):
-        return envs.make(options.task, impl=options.impl, substeps=substeps)
+        return envs.make(options.task, impl=options.impl, substeps=options.substeps or FAST_SUBSTEPS)
     if options.substeps is not None or options.impl != "auto":
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     return envs.make(options.task)
@@ -146,10 +142,7 @@ def train(options: Options, run: Run, folder: Path) -> dict:
 
     compile_started = time.perf_counter()
     print("compiling ...", flush=True)
-    with concurrent.futures.ThreadPoolExecutor() as pool:
-        step = pool.submit(compile_train_step, run.env, run.config, states, phases[0])
-        evaluation = pool.submit(compile_evaluation, run.accurate_env, run.config, states, run.evaluation_episodes)
-        train_step, evaluate = step.result(), evaluation.result()
+    train_step = compile_train_step(run.env, run.config, states, phases[0])
     train_started = time.perf_counter()
 
     metrics_file, history = MetricsFile(folder / "metrics.csv"), []
@@ -165,8 +158,7 @@ def train(options: Options, run: Run, folder: Path) -> dict:
             f" {total_steps * options.seeds / seconds:,.0f} env steps/s"
         )
     trained = time.perf_counter()
-    # A key of its own, so that no evaluation episode is one of the training's.
-    final = jax.tree.map(np.asarray, evaluate(states, jax.vmap(lambda key: jax.random.fold_in(key, 1))(states.rng)))
+    states, final = evaluate_seeds(train_step, run.config, states, run.evaluation_episodes)
     evaluated = time.perf_counter()
 
     write_results(options, run, folder, states, steps, history)
@@ -215,9 +207,9 @@ def write_results(
     draw_curves(folder / "curves.png", title, steps, success, distance)
     if options.video:
         try:
-            if not isinstance(run.accurate_env, FetchEnv):
+            if not isinstance(run.env, FetchEnv):
                 raise RuntimeError(f"{options.task} has no scene to film")
-            film(folder / "rollout.mp4", run.accurate_env, policies[0])
+            film(folder / "rollout.mp4", run.env.accurate(), policies[0])
         except RuntimeError as error:
             print(f"no video: {error}", file=sys.stderr)
 

@@ -9,13 +9,12 @@ import numpy as np
 
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.evaluate import EpisodeMetrics, evaluate
+from hgail_jax.evaluate import EpisodeMetrics
 from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import RoundMetrics, train_step
-from hgail_jax.updates import act
+from hgail_jax.train import RoundMetrics, final_evaluation, train_step
 
 SeedsStep = Callable[[TrainState, np.ndarray], tuple[TrainState, RoundMetrics]]
-SeedsEvaluation = Callable[[TrainState, jax.Array], EpisodeMetrics]
+"""A compiled function of states and a row of phases to new states and metrics, all with an axis over seeds."""
 
 
 def seed_keys(first: int, count: int) -> jax.Array:
@@ -45,15 +44,17 @@ def compile_train_step(env: GoalEnv, config: Config, states: TrainState, phases:
     return jax.jit(step, donate_argnums=0).lower(states, phases).compile()
 
 
-def compile_evaluation(env: GoalEnv, config: Config, states: TrainState, num_episodes: int) -> SeedsEvaluation:
-    """Compiles the evaluation of every seed's mean action over `num_episodes` fresh episodes.
+def evaluate_seeds(
+    step: SeedsStep, config: Config, states: TrainState, num_episodes: int
+) -> tuple[TrainState, EpisodeMetrics]:
+    """Evaluates every seed's mean action in the task's most accurate physics, with the compiled `step`.
 
-    Returns:
-      A function of states and PRNG keys, `[seeds]`, to metrics with an axis over seeds.
-
+    Consumes the states; returns them as they were but for their keys, and the means over the episodes, `[seeds]`. There
+    are at least `num_episodes` episodes per seed: whole roll-outs.
     """
-
-    def evaluate_one(state: TrainState, rng: jax.Array) -> EpisodeMetrics:
-        return evaluate(env, act(env, config, state, noise=0.0), rng, num_episodes)
-
-    return jax.jit(jax.vmap(evaluate_one)).lower(states, states.rng).compile()
+    measured, weights = [], []
+    for phases in final_evaluation(config, num_episodes):
+        states, metrics = step(states, phases)
+        measured.append(metrics.evaluation)
+        weights.append(np.count_nonzero(phases))
+    return states, jax.tree.map(lambda *means: np.average(means, axis=0, weights=weights), *measured)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 
 from envs import GoalEnv
@@ -30,7 +31,7 @@ class Trajectory:
 
     def observation(self, env: GoalEnv) -> jax.Array:
         """Returns the observations under the goals pursued, `[T + 1, N, observation_size]`."""
-        return env.goal_observation(self.features, jax.numpy.broadcast_to(self.desired, self.achieved.shape))
+        return env.goal_observation(self.features, jnp.broadcast_to(self.desired, self.achieved.shape))
 
 
 def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int) -> Trajectory:
@@ -48,8 +49,8 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int) -> Traj
         step, state, jax.random.split(act_rng, env.episode_length)
     )
     return Trajectory(
-        features=jax.numpy.concatenate([features, final.info["observation"][None]]),
-        achieved=jax.numpy.concatenate([achieved, final.info["achieved_goal"][None]]),
+        features=jnp.concatenate([features, final.info["observation"][None]]),
+        achieved=jnp.concatenate([achieved, final.info["achieved_goal"][None]]),
         desired=final.info["desired_goal"],
         action=action,
         log_prob=log_prob,

@@ -3,7 +3,7 @@
 A round is a row of phases, each of which is one roll-out and what is done with it. A scan over the phases runs them,
 so the physics is traced and compiled once whatever the round holds, and `schedule` lists the rounds of a whole run:
 
-    states, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
+    state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
 """
 
 import functools
@@ -20,8 +20,9 @@ from hgail_jax.rollout import rollout
 from hgail_jax.state import TrainState
 from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
 
-SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = range(5)
-"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action."""
+SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE, EVALUATE_ACCURATELY = range(6)
+"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action, in the physics
+trained in or in the task's most accurate one."""
 
 
 @struct.dataclass
@@ -43,6 +44,19 @@ def schedule(config: Config) -> np.ndarray:
     updates = [POLICY] * config.policy_phases + [DISCRIMINATOR] * config.discriminator_phases
     first = [PRETRAIN if config.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
     return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
+
+
+def final_evaluation(config: Config, num_episodes: int) -> np.ndarray:
+    """Returns phases, `[rows, phases]` as in `schedule`, that evaluate accurately in at least `num_episodes` episodes.
+
+    Every row has the length of a schedule's rows, so that the same compiled `train_step` runs it.
+    """
+    width = schedule(config).shape[1]
+    rollouts = -(-num_episodes // config.num_envs)
+    rows = -(-rollouts // width)
+    phases = np.full(rows * width, SKIP)
+    phases[:rollouts] = EVALUATE_ACCURATELY
+    return phases.reshape(rows, width)
 
 
 def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
@@ -69,23 +83,27 @@ def train_step(
     """
     phases = jnp.asarray(phases)
     state, (episodes, updates) = jax.lax.scan(functools.partial(_run_phase, env, config), state, phases)
-    stochastic = (phases == PRETRAIN) | (phases == POLICY) | (phases == DISCRIMINATOR)
-    means_over_own_kind = UpdateMetrics(
-        reward=_masked_mean(updates.reward, phases == POLICY),
-        policy_loss=_masked_mean(updates.policy_loss, (phases == POLICY) | (phases == PRETRAIN)),
-        value_loss=_masked_mean(updates.value_loss, phases == POLICY),
-        clip_fraction=_masked_mean(updates.clip_fraction, phases == POLICY),
-        kl=_masked_mean(updates.kl, phases == POLICY),
-        discriminator_loss=_masked_mean(updates.discriminator_loss, (phases == DISCRIMINATOR) | (phases == PRETRAIN)),
-        discriminator_accuracy=_masked_mean(
-            updates.discriminator_accuracy, (phases == DISCRIMINATOR) | (phases == PRETRAIN)
-        ),
-    )
     return state, RoundMetrics(
-        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases == EVALUATE), episodes),
-        training=jax.tree.map(lambda values: _masked_mean(values, stochastic), episodes),
-        update=means_over_own_kind,
+        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases >= EVALUATE), episodes),
+        training=jax.tree.map(lambda values: _masked_mean(values, (phases != SKIP) & (phases < EVALUATE)), episodes),
+        update=UpdateMetrics(**{name: _mean_over(phases, name, values) for name, values in vars(updates).items()}),
     )
+
+
+_MEASURED_BY = {
+    "reward": (POLICY,),
+    "policy_loss": (PRETRAIN, POLICY),
+    "value_loss": (POLICY,),
+    "clip_fraction": (POLICY,),
+    "kl": (POLICY,),
+    "discriminator_loss": (PRETRAIN, DISCRIMINATOR),
+    "discriminator_accuracy": (PRETRAIN, DISCRIMINATOR),
+}
+"""Kinds of phase that fill each of `UpdateMetrics`."""
+
+
+def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
+    return _masked_mean(values, jnp.isin(phases, jnp.array(_MEASURED_BY[name])))
 
 
 def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):
@@ -94,11 +112,13 @@ def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array
 
     def run(state):
         rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
-        noise = jnp.where(phase == EVALUATE, 0.0, 1.0)
-        trajectory = rollout(env, act(env, config, state, noise), rollout_rng, config.num_envs)
+        noise = jnp.where(phase >= EVALUATE, 0.0, 1.0)
+        trajectory = rollout(
+            env.accurate(phase == EVALUATE_ACCURATELY), act(env, config, state, noise), rollout_rng, config.num_envs
+        )
         updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
         state, metrics = jax.lax.switch(
-            phase - PRETRAIN, [*updates, _leave], state.replace(rng=rng), trajectory, update_rng
+            phase - PRETRAIN, [*updates, _leave, _leave], state.replace(rng=rng), trajectory, update_rng
         )
         return state, (episode_metrics(env, trajectory).mean(), _as_arrays(metrics))
 

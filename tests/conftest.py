@@ -1,8 +1,9 @@
 import os
 from pathlib import Path
 
-import envs  # noqa: F401  (sets what XLA reads before JAX starts)
 import jax
+
+import envs  # noqa: F401  (sets what XLA reads before JAX starts)
 
 # One cache for all tests and runs of the suite: the same program is compiled once.
 _CACHE = Path(__file__).parent.parent / ".cache" / "jax"

@@ -19,7 +19,9 @@ def test_advantages_agree_with_a_double_sum(discount, gae_lambda):
         for k in range(t, LENGTH):
             delta = REWARD[k] + discount * VALUE[k + 1] - VALUE[k]
             expected[t] += (discount * gae_lambda) ** (k - t) * delta
-    np.testing.assert_allclose(generalized_advantages(REWARD, VALUE, discount, gae_lambda), expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(
+        generalized_advantages(REWARD, VALUE, discount, gae_lambda), expected, rtol=1e-4, atol=1e-5
+    )
 
 
 def test_the_time_limit_is_a_truncation():
