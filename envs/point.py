@@ -7,13 +7,13 @@ from envs.base import GoalEnv
 
 
 class Point(GoalEnv):
-    """A point that an action moves by up to 5 cm along each axis, and a goal up to 0.3 m away along each.
+    """A point that an action moves by up to 3 cm along each axis, and a goal up to 15 cm away along each.
 
     Observation: position (0:3) and goal (3:6), metres. The physics state is the position. It stands for the smallest
     complete task: copy it, change the five methods, and train it with `--task my_module:MyTask`.
     """
 
-    episode_length = 25
+    episode_length = 50
     feature_size = 3
     goal_size = 3
     action_size = 3
@@ -23,7 +23,7 @@ class Point(GoalEnv):
         return jnp.zeros(3)
 
     def step_physics(self, physics: jax.Array, action: jax.Array) -> jax.Array:
-        return physics + 0.05 * action
+        return physics + 0.03 * action
 
     def features(self, physics: jax.Array) -> jax.Array:
         return physics
@@ -32,4 +32,4 @@ class Point(GoalEnv):
         return physics
 
     def sample_goal(self, rng: jax.Array, physics: jax.Array) -> jax.Array:
-        return jax.random.uniform(rng, (3,), minval=-0.3, maxval=0.3)
+        return jax.random.uniform(rng, (3,), minval=-0.15, maxval=0.15)

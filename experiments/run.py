@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -24,7 +24,7 @@ from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, s
 from hgail_jax.policy import from_state, save_policy
 from hgail_jax.train import RoundMetrics, env_steps, schedule
 
-AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 5}}
+AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 4}}
 """What `--num-envs` and `--iterations` are by default under the preset `parallel`."""
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Episodes per seed in the final evaluation."""
@@ -86,7 +86,7 @@ def prepare(options: Options, platform: str) -> Run:
     if options.seeds < 1:
         raise ValueError(f"--seeds is {options.seeds}; it must be at least 1")
     preset = PRESETS[options.preset]
-    sizes = dict(AUTO_SIZES[platform]) if options.preset == "parallel" else {}
+    sizes: dict[str, Any] = dict(AUTO_SIZES[platform]) if options.preset == "parallel" else {}
     given = {"num_envs": options.num_envs, "rounds": options.iterations}
     sizes |= {name: value for name, value in given.items() if value is not None}
     preset = Preset(dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes), preset.hyperparameters)
@@ -217,7 +217,8 @@ def write_results(
 def summarize(options: Options, run: Run, final: EpisodeMetrics, steps: int, timing: dict) -> dict:
     """Returns summary.json's content, less what made it and the total time."""
 
-    def over_seeds(values: np.ndarray) -> dict:
+    def over_seeds(measured: jax.Array | float) -> dict:
+        values = np.asarray(measured)
         return {"mean": float(values.mean()), "std": float(values.std()), "per_seed": values.tolist()}
 
     return {

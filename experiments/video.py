@@ -40,7 +40,7 @@ def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed:
                 data.qpos[:] = np.asarray(state.pipeline_state.qpos)
                 mujoco.mj_kinematics(model, data)
                 renderer.update_scene(data, camera)
-                writer.append_data(renderer.render())
+                writer.append_data(renderer.render())  # type: ignore[attr-defined]
                 if time < env.episode_length:
                     state = step(state, policy(np.asarray(state.obs)))
     temporary.rename(path)

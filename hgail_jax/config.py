@@ -66,8 +66,7 @@ class Config:
             raise ValueError(f"final_learning_rate is {self.final_learning_rate}; it must be from 0 to 1")
 
 
-@struct.dataclass
-class Hyperparameters:
+class Hyperparameters(struct.PyTreeNode):
     """Scalars of the algorithm. They are leaves of the training state, so that `jax.vmap` can sweep any of them."""
 
     p_ht: jax.Array | float = 1.0

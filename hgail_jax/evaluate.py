@@ -8,8 +8,7 @@ from envs import GoalEnv
 from hgail_jax.rollout import Policy, Trajectory, rollout
 
 
-@struct.dataclass
-class EpisodeMetrics:
+class EpisodeMetrics(struct.PyTreeNode):
     """Where episodes ended, by the last step alone. One number per episode, `[N]`, or their mean, `[]`."""
 
     success: jax.Array | float = 0.0

@@ -1,6 +1,7 @@
 """The three networks and the Gaussian policy."""
 
 from collections.abc import Sequence
+from typing import Any, cast
 
 import flax.linen as nn
 import jax
@@ -41,6 +42,11 @@ def value_network(config: Config) -> MLP:
 def discriminator_network(config: Config) -> MLP:
     """Normalised observation and clipped action, concatenated, to the logit, `[..., 1]`."""
     return MLP(config.discriminator_hidden, 1)
+
+
+def apply(network: MLP, params: Any, inputs: jax.Array) -> jax.Array:
+    """Runs a network: `[..., inputs]` to `[..., outputs]`."""
+    return cast(jax.Array, network.apply(params, inputs))
 
 
 def gaussian_log_prob(action: jax.Array, mean: jax.Array, std: jax.Array | float) -> jax.Array:

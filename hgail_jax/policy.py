@@ -52,7 +52,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
     for index, (weights, biases) in enumerate(policy.layers):
         arrays |= {f"weights_{index}": weights, f"biases_{index}": biases}
     with replace_file(path, "wb") as file:
-        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+        np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
 
 
 def load_policy(path: Path | str) -> MeanPolicy:

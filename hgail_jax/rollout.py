@@ -12,8 +12,7 @@ Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 """Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
 
 
-@struct.dataclass
-class Trajectory:
+class Trajectory(struct.PyTreeNode):
     """`N` whole episodes of `T` steps; time comes first. Step `t` acts in state `t` and leads to state `t + 1`."""
 
     features: jax.Array

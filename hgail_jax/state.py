@@ -17,8 +17,7 @@ _MAX_NORMALIZED = 5.0
 Params = Any
 
 
-@struct.dataclass
-class TrainState:
+class TrainState(struct.PyTreeNode):
     """Networks, optimisers, observation statistics, hyperparameters and the PRNG key."""
 
     actor_critic: Params

@@ -25,8 +25,7 @@ SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE, EVALUATE_ACCURATELY = range(6)
 trained in or in the task's most accurate one."""
 
 
-@struct.dataclass
-class RoundMetrics:
+class RoundMetrics(struct.PyTreeNode):
     """Means over the phases of a round, all `[]`; NaN where the round has no such phase."""
 
     evaluation: EpisodeMetrics

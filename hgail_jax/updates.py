@@ -15,15 +15,14 @@ from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
 from hgail_jax.hindsight import relabel
-from hgail_jax.networks import discriminator_network, gaussian_log_prob, policy_network, value_network
+from hgail_jax.networks import apply, discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import generalized_advantages, policy_loss, standardize
 from hgail_jax.rewards import imitation_reward
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
 
 
-@struct.dataclass
-class UpdateMetrics:
+class UpdateMetrics(struct.PyTreeNode):
     """What an update did, all `[]`; what a kind of update does not measure stays 0."""
 
     reward: jax.Array | float = 0.0
@@ -36,8 +35,7 @@ class UpdateMetrics:
     discriminator_accuracy: jax.Array | float = 0.0
 
 
-@struct.dataclass
-class Samples:
+class Samples(struct.PyTreeNode):
     """Steps without their order."""
 
     observation: jax.Array
@@ -47,17 +45,12 @@ class Samples:
 
 
 def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float) -> Policy:
-    """Returns the policy of `state` as a function for `rollout`.
-
-    Args:
-      noise: factor on the policy's standard deviation: 1 to explore, 0 for the mean action.
-
-    """
+    """The policy of `state`, to be rolled out: with noise 1 it explores, with noise 0 it takes the mean action."""
     std = state.hyperparameters.action_std
     network = policy_network(config, env.action_size)
 
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
-        mean = network.apply(state.actor_critic["policy"], state.normalize(observation))
+        mean = apply(network, state.actor_critic["policy"], state.normalize(observation))
         action = mean + noise * std * jax.random.normal(rng, mean.shape)
         return action, gaussian_log_prob(action, mean, std)
 
@@ -110,7 +103,7 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps)."""
     hyper = state.hyperparameters
     observation = state.normalize(trajectory.observation(env))
-    value = value_network(config).apply(state.actor_critic["value"], observation)[..., 0]
+    value = apply(value_network(config), state.actor_critic["value"], observation)[..., 0]
     logits = _discriminate(config, state.discriminator, observation[:-1], trajectory.action)
     imitation = imitation_reward(hyper.reward, logits)
     reward = (1.0 - hyper.environment_reward) * imitation + hyper.environment_reward * trajectory.reward
@@ -130,10 +123,10 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
 
     def loss(params, indices):
         part = jax.tree.map(lambda array: array[indices], batch)
-        mean = policy_network(config, env.action_size).apply(params["policy"], part["observation"])
+        mean = apply(policy_network(config, env.action_size), params["policy"], part["observation"])
         log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
         policy = policy_loss(log_prob, part["log_prob"], part["advantage"], hyper.clip_ratio)
-        predicted = value_network(config).apply(params["value"], part["observation"])[..., 0]
+        predicted = apply(value_network(config), params["value"], part["observation"])[..., 0]
         value_loss = 0.5 * jnp.mean(jnp.square(predicted - part["return"]))
         return policy.loss + value_loss, UpdateMetrics(
             policy_loss=policy.loss, value_loss=value_loss, clip_fraction=policy.clip_fraction, kl=policy.kl
@@ -148,7 +141,7 @@ def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, sample
     observation = state.normalize(samples.observation)
 
     def loss(params, indices):
-        mean = policy_network(config, env.action_size).apply(params["policy"], observation[indices])
+        mean = apply(policy_network(config, env.action_size), params["policy"], observation[indices])
         log_prob = gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std)
         return -log_prob.mean(), UpdateMetrics(policy_loss=-log_prob.mean())
 
@@ -186,7 +179,7 @@ def _fit_discriminator(
 def _discriminate(config: Config, params: Params, observation: jax.Array, action: jax.Array) -> jax.Array:
     """Logits, `[...]`, of normalised observations and of actions as the environment takes them: clipped."""
     inputs = jnp.concatenate([observation, jnp.clip(action, -1.0, 1.0)], axis=-1)
-    return discriminator_network(config).apply(params, inputs)[..., 0]
+    return apply(discriminator_network(config), params, inputs)[..., 0]
 
 
 def _improve_actor_critic(config: Config, state: TrainState, loss: Callable, indices: jax.Array):
@@ -206,7 +199,7 @@ def _descend(
     loss: Callable,
     params: Params,
     optimizer_state: optax.OptState,
-    learning_rate: jax.Array,
+    learning_rate: jax.Array | float,
     minibatches: Any,
 ):
     """Takes a step for each entry of `minibatches` along its first axis; returns the mean metrics too."""

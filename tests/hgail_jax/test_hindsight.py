@@ -16,8 +16,8 @@ DESIRED = np.full((TRAJECTORIES, 2), -1.0, np.float32)
 
 def relabel_all(p_ht, strategy=FUTURE, include_current=False):
     rngs = jax.random.split(jax.random.key(0), TRAJECTORIES)
-    one = lambda rng, achieved, desired: relabel(rng, achieved, desired, p_ht, strategy, include_current)
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(rngs, ACHIEVED, DESIRED))
+    relabel_batch = jax.jit(jax.vmap(relabel, in_axes=(0, 0, 0, None, None, None)))
+    return jax.tree.map(np.asarray, relabel_batch(rngs, ACHIEVED, DESIRED, p_ht, strategy, include_current))
 
 
 def by_loop(hindsight):

@@ -1,0 +1,216 @@
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import envs
+from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
+from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
+from hgail_jax.train import (
+    DISCRIMINATOR,
+    EVALUATE,
+    EVALUATE_ACCURATELY,
+    POLICY,
+    PRETRAIN,
+    SKIP,
+    final_evaluation,
+)
+from hgail_jax.updates import act, expert_samples
+
+ENV = envs.make("point")
+TINY = Config(
+    num_envs=4,
+    rounds=2,
+    policy_phases=2,
+    discriminator_phases=1,
+    ppo_minibatches=2,
+    discriminator_minibatches=3,
+    discriminator_batch=8,
+    pretrain_policy_minibatches=3,
+    pretrain_policy_batch=8,
+    pretrain_discriminator_minibatches=3,
+)
+PHASES = schedule(TINY)
+tiny_step = jax.jit(functools.partial(train_step, ENV, TINY))
+seeds_step = jax.jit(jax.vmap(functools.partial(train_step, ENV, TINY), in_axes=(0, None)))
+
+
+def train_tiny(seed, step=tiny_step, state=None):
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(seed)) if state is None else state
+    metrics = []
+    for phases in PHASES:
+        state, measured = step(state, phases)
+        metrics.append(measured)
+    return state, jax.tree.map(lambda *values: jnp.stack(values), *metrics)
+
+
+def without_key(state):
+    return jax.tree.map(np.asarray, state.replace(rng=jax.random.key_data(state.rng)))
+
+
+def assert_equal(one, other, **tolerance):
+    jax.tree.map(functools.partial(np.testing.assert_allclose, **tolerance), without_key(one), without_key(other))
+
+
+def test_one_seed_is_bit_equal_twice_and_two_seeds_differ():
+    first, metrics = train_tiny(0)
+    again, metrics_again = train_tiny(0)
+    jax.tree.map(np.testing.assert_array_equal, without_key(first), without_key(again))
+    jax.tree.map(np.testing.assert_array_equal, metrics, metrics_again)
+    other, _ = train_tiny(1)
+    assert not np.allclose(first.statistics.mean, other.statistics.mean)
+
+
+def test_every_episode_has_goals_of_its_own():
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    policy = act(ENV, TINY, state, noise=1.0)
+    goals = np.concatenate([rollout(ENV, policy, jax.random.key(seed), 4).desired for seed in range(3)])
+    assert len(np.unique(goals[:, 0])) == 12
+
+
+def test_a_round_draws_new_goals_in_each_phase(monkeypatch):
+    """Statistics of the goals differ between two phases of the same kind."""
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    width = PHASES.shape[1]
+    distances = []
+    for _ in range(2):
+        state, metrics = tiny_step(state, np.array([EVALUATE] + [SKIP] * (width - 1)))
+        distances.append(float(metrics.evaluation.distance_l1))
+    assert distances[0] != distances[1]
+
+
+def test_seeds_side_by_side_equal_seeds_alone():
+    keys = seed_keys(0, 8)
+    together, metrics = train_tiny(None, seeds_step, init_seeds(ENV, TINY, Hyperparameters(), keys))
+    for seed in range(8):
+        alone, metrics_alone = train_tiny(seed)
+        assert_equal(jax.tree.map(lambda leaf, seed=seed: leaf[seed], together), alone, rtol=2e-3, atol=2e-4)
+        np.testing.assert_allclose(
+            metrics.evaluation.distance_l1[:, seed], metrics_alone.evaluation.distance_l1, rtol=1e-3
+        )
+
+
+def test_a_scan_over_the_schedule_is_the_loop_over_it():
+    looped, metrics = train_tiny(0)
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    scanned, scanned_metrics = jax.jit(
+        lambda state: jax.lax.scan(functools.partial(train_step, ENV, TINY), state, PHASES)
+    )(state)
+    assert_equal(looped, scanned, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(metrics.update.reward, scanned_metrics.update.reward, rtol=1e-3)
+
+
+def test_hyperparameters_can_be_swept_in_one_program():
+    init = functools.partial(init_state, ENV, TINY, rng=jax.random.key(0))
+    swept = jax.vmap(lambda p_ht: init(Hyperparameters(p_ht=p_ht)))(jnp.array([0.0, 1.0]))
+    swept, _ = train_tiny(None, seeds_step, swept)
+    for index, p_ht in enumerate((0.0, 1.0)):
+        alone, _ = train_tiny(None, tiny_step, init(Hyperparameters(p_ht=p_ht)))
+        assert_equal(jax.tree.map(lambda leaf, i=index: leaf[i], swept), alone, rtol=2e-3, atol=2e-4)
+
+
+def test_no_key_is_used_twice():
+    with jax.debug_key_reuse(True):
+        state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+        jax.jit(functools.partial(train_step, ENV, TINY))(state, PHASES[0])
+        with pytest.raises(jax.errors.KeyReuseError):  # the checker does see one
+            jax.jit(lambda key: jax.random.normal(key) + jax.random.normal(key))(jax.random.key(0))
+
+
+def changed(before, after, name):
+    leaves = zip(jax.tree.leaves(getattr(before, name)), jax.tree.leaves(getattr(after, name)), strict=True)
+    return any(not np.array_equal(one, other) for one, other in leaves)
+
+
+@pytest.mark.parametrize(
+    ("phase", "learns"),
+    [
+        (SKIP, set()),
+        (PRETRAIN, {"actor_critic", "discriminator", "statistics"}),
+        (POLICY, {"actor_critic", "statistics"}),
+        (DISCRIMINATOR, {"discriminator", "statistics"}),
+        (EVALUATE, set()),
+        (EVALUATE_ACCURATELY, set()),
+    ],
+)
+def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    after, _ = tiny_step(state, np.array([phase] + [SKIP] * (PHASES.shape[1] - 1)))
+    for name in ("actor_critic", "discriminator", "statistics"):
+        assert changed(state, after, name) == (name in learns)
+    assert np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(after.rng)) == (phase == SKIP)
+
+
+def test_schedule_and_its_steps():
+    np.testing.assert_array_equal(
+        schedule(dataclasses.replace(TINY, rounds=1)),
+        [[PRETRAIN, SKIP, SKIP, SKIP, EVALUATE], [SKIP, POLICY, POLICY, DISCRIMINATOR, EVALUATE]],
+    )
+    assert schedule(dataclasses.replace(TINY, pretrain=False))[0, 0] == SKIP
+    np.testing.assert_array_equal(env_steps(ENV, TINY, PHASES), np.array([1, 3, 3]) * 4 * 50)
+
+
+def test_final_evaluation_has_enough_episodes_in_rows_of_the_schedule():
+    for episodes in (1, 4, 5, 20, 21, 100):
+        rows = final_evaluation(TINY, episodes)
+        assert rows.shape[1] == PHASES.shape[1]
+        count = 4 * (rows == EVALUATE_ACCURATELY).sum()
+        assert episodes <= count < episodes + 4
+        assert ((rows == EVALUATE_ACCURATELY) | (rows == SKIP)).all()
+
+
+def test_relabelled_samples_keep_state_and_action():
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    trajectory = rollout(ENV, act(ENV, TINY, state, noise=1.0), jax.random.key(1), 4)
+    samples = expert_samples(ENV, state.hyperparameters, trajectory, jax.random.key(2))
+    np.testing.assert_array_equal(samples.observation[:, :3], trajectory.features[:-1].reshape(-1, 3))
+    np.testing.assert_array_equal(samples.action, trajectory.action.reshape(-1, 3))
+    goals = np.asarray(samples.observation[:, 3:]).reshape(50, 4, 3)
+    for step, episode in ((0, 0), (20, 1), (49, 3)):
+        later = np.asarray(trajectory.achieved[step + 1 :, episode])
+        assert (np.abs(later - goals[step, episode]).max(axis=-1) == 0).any()
+
+
+def solve_point(method, rounds, **changes):
+    preset = METHODS[method].apply(PRESETS["parallel"])
+    config = dataclasses.replace(preset.config, rounds=rounds, **changes)
+    states = init_seeds(ENV, config, preset.hyperparameters, seed_keys(0, 3))
+    phases = schedule(config)
+    step = compile_train_step(ENV, config, states, phases[0])
+    for row in phases:
+        states, _ = step(states, row)
+    return evaluate_seeds(step, config, states, 256)[1].success
+
+
+def test_hgail_solves_the_probe_task_without_pretraining():
+    assert (solve_point("hgail", rounds=12, pretrain=False) >= 0.95).all()
+
+
+def test_hgail_solves_the_probe_task_with_pretraining():
+    assert (solve_point("hgail", rounds=6) >= 0.97).all()
+
+
+def test_without_hindsight_the_probe_task_is_not_learnt():
+    assert (solve_point("hgail-no", rounds=6) <= 0.3).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"num_envs": 0}, "num_envs is 0; it must be at least 1"),
+        ({"rounds": -1}, "rounds is -1; it must be at least 0"),
+        ({"final_learning_rate": 1.5}, "from 0 to 1"),
+    ],
+)
+def test_bad_sizes_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Config(**changes)
+
+
+@pytest.mark.parametrize("changes", [{"p_ht": 1.1}, {"p_ht": float("nan")}, {"action_std": 0.0}, {"discount": -0.1}])
+def test_bad_hyperparameters_are_refused(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        Hyperparameters(**changes).validate()
