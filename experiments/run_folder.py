@@ -45,7 +45,7 @@ def provenance() -> dict:
         "command": shlex.join(["python", *sys.argv]),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
-        "matmul_precision": jax.config.read("jax_default_matmul_precision") or "default",
+        "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
     }
 
 
