@@ -38,10 +38,11 @@ class FetchEnv(GoalEnv):
     Args:
       scene: the scene's name, e.g. `"fetch/reach"`.
       impl: physics implementation: `"auto"` (the best available), `"jax"` or `"warp"`.
-      substeps: physics steps per action, from `FAST_SUBSTEPS` up; the length of an action stays `CONTROL_PERIOD`.
+      substeps: physics steps per action, from `FAST_SUBSTEPS` to `ACCURATE_SUBSTEPS`; an action always lasts
+        `CONTROL_PERIOD`.
 
     Raises:
-      ValueError: an unknown or unavailable `impl`, or too few substeps.
+      ValueError: an unknown or unavailable `impl`, or a number of substeps out of range.
 
     """
 
@@ -50,8 +51,8 @@ class FetchEnv(GoalEnv):
     success_threshold = 0.05
 
     def __init__(self, scene: str, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS):
-        if substeps < FAST_SUBSTEPS:
-            raise ValueError(f"substeps is {substeps}; the Fetch scenes need at least {FAST_SUBSTEPS}")
+        if not FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS:
+            raise ValueError(f"substeps is {substeps}; it must be from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}")
         self.scene, self.impl = scene, resolve_impl(impl)
         self.substeps: int | jax.Array = substeps
         self.model = load_scene(scene)

@@ -31,7 +31,7 @@ def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarr
         mean, std = values.mean(axis=1), values.std(axis=1)
         axis.plot(env_steps, values, color=_COLOR, alpha=0.3, linewidth=0.7)
         axis.fill_between(env_steps, mean - std, mean + std, color=_COLOR, alpha=0.15, linewidth=0)
-        axis.plot(env_steps, mean, color=_COLOR, linewidth=2)
+        axis.plot(env_steps, mean, color=_COLOR, linewidth=2, marker="o", markersize=4)
         axis.set(xlabel="environment steps per seed", ylabel=label, ylim=limits)
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)

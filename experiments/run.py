@@ -20,8 +20,8 @@ from envs.fetch import FAST_SUBSTEPS, FetchEnv
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
 from hgail_jax.evaluate import EpisodeMetrics
 from hgail_jax.methods import METHODS
-from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
-from hgail_jax.policy import from_state, save_policy
+from hgail_jax.parallel import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
+from hgail_jax.policy import MeanPolicy, from_state, load_policy, save_policy
 from hgail_jax.train import RoundMetrics, env_steps, schedule
 
 AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 4}}
@@ -74,6 +74,7 @@ class Run:
     config: Config
     hyperparameters: Hyperparameters
     evaluation_episodes: int
+    """Episodes per seed that the final evaluation has at least."""
 
 
 def prepare(options: Options, platform: str) -> Run:
@@ -106,7 +107,9 @@ def prepare(options: Options, platform: str) -> Run:
 
 def _make(options: Options) -> envs.GoalEnv:
     if issubclass(envs.find_class(options.task), FetchEnv):
-        return envs.make(options.task, impl=options.impl, substeps=options.substeps or FAST_SUBSTEPS)
+        return envs.make(
+            options.task, impl=options.impl, substeps=FAST_SUBSTEPS if options.substeps is None else options.substeps
+        )
     if options.substeps is not None or options.impl != "auto":
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     return envs.make(options.task)
@@ -131,6 +134,8 @@ def main(arguments: list[str] | None = None) -> None:
     summary["wall_seconds"]["total"] = time.perf_counter() - started
     write_json(folder / "summary.json", summary | made_by)
     report(summary, folder)
+    if options.video:
+        film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
 
 
 def train(options: Options, run: Run, folder: Path) -> dict:
@@ -193,7 +198,7 @@ def metrics_rows(
 def write_results(
     options: Options, run: Run, folder: Path, states, steps: np.ndarray, history: list[RoundMetrics]
 ) -> None:
-    """Writes the policies, the curves and, if asked for, the video."""
+    """Writes the policies and the curves."""
     (folder / "policies").mkdir()
     policies = [
         from_state(options.task, jax.tree.map(lambda leaf, i=index: leaf[i], states)) for index in range(options.seeds)
@@ -205,13 +210,16 @@ def write_results(
         np.stack([getattr(metrics.evaluation, name) for metrics in history]) for name in ("success", "distance_l1")
     )
     draw_curves(folder / "curves.png", title, steps, success, distance)
-    if options.video:
-        try:
-            if not isinstance(run.env, FetchEnv):
-                raise RuntimeError(f"{options.task} has no scene to film")
-            film(folder / "rollout.mp4", run.env.accurate(), policies[0])
-        except RuntimeError as error:
-            print(f"no video: {error}", file=sys.stderr)
+
+
+def film_policy(run: Run, folder: Path, policy: MeanPolicy) -> None:
+    """Writes rollout.mp4, or says in one line why it cannot."""
+    try:
+        if not isinstance(run.env, FetchEnv):
+            raise RuntimeError("the task has no scene to film")
+        film(folder / "rollout.mp4", run.env.accurate(), policy)
+    except Exception as error:  # whatever rendering or encoding raises, the results are written
+        print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
 
 
 def summarize(options: Options, run: Run, final: EpisodeMetrics, steps: int, timing: dict) -> dict:
@@ -229,7 +237,7 @@ def summarize(options: Options, run: Run, final: EpisodeMetrics, steps: int, tim
         "success_rate_l1": over_seeds(final.success_l1),
         "distance_l1": over_seeds(final.distance_l1),
         "distance_l2": over_seeds(final.distance_l2),
-        "evaluation_episodes_per_seed": run.evaluation_episodes,
+        "evaluation_episodes_per_seed": evaluation_episodes(run.config, run.evaluation_episodes),
         "env_steps_per_seed": steps,
         "env_steps_per_second": steps * options.seeds / timing["train"],
         "wall_seconds": timing,
@@ -250,4 +258,5 @@ def report(summary: dict, folder: Path) -> None:
 if __name__ == "__main__":
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
     jax.config.update("jax_compilation_cache_dir", str(cache))
+    sys.path.append(os.getcwd())  # where --task finds a module of the user's own
     main()

@@ -39,6 +39,7 @@ def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed:
             for time in range(env.episode_length + _HOLD):
                 data.qpos[:] = np.asarray(state.pipeline_state.qpos)
                 mujoco.mj_kinematics(model, data)
+                mujoco.mj_camlight(model, data)
                 renderer.update_scene(data, camera)
                 writer.append_data(renderer.render())  # type: ignore[attr-defined]
                 if time < env.episode_length:

@@ -1,7 +1,7 @@
 """Hindsight generative adversarial imitation learning (Liu et al. 2019), massively vectorised in JAX.
 
-`docs` in the README show the ways in; the short one is `train_step`, a pure function from a `TrainState` and a row of
-`schedule` to the next state and its metrics.
+The centre is `train_step`: a pure function from a `TrainState` and a row of `schedule` to the next state and what the
+round measured.
 """
 
 from envs import GoalEnv, make

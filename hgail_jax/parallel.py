@@ -65,3 +65,8 @@ def evaluate_seeds(
         measured.append(metrics.evaluation)
         weights.append(np.count_nonzero(phases))
     return states, jax.tree.map(lambda *means: np.average(means, axis=0, weights=weights), *measured)
+
+
+def evaluation_episodes(config: Config, num_episodes: int) -> int:
+    """Returns how many episodes per seed `evaluate_seeds` runs: `num_episodes`, rounded up to whole roll-outs."""
+    return int(np.count_nonzero(final_evaluation(config, num_episodes))) * config.num_envs
