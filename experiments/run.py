@@ -1,6 +1,9 @@
 """Trains several seeds of a method on a task, side by side, and writes what came of it to a new folder."""
 
+import contextlib
 import dataclasses
+import io
+import itertools
 import os
 import sys
 import time
@@ -115,9 +118,24 @@ def _make(options: Options) -> envs.GoalEnv:
     return envs.make(options.task)
 
 
+def parse(arguments: list[str] | None) -> Options:
+    """Reads the command line; what it cannot read is said in one line instead of tyro's box, with exit code 2."""
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            return tyro.cli(Options, args=arguments, description=__doc__)
+    except SystemExit as stop:
+        # A title, perhaps a rule, the message on one line or more, a rule, and advice.
+        lines = [line.strip("│|─-╰╯+ ") for line in box.getvalue().strip().splitlines()[1:]]
+        message = itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines))
+        if stop.code:
+            print(f"run.py: {' '.join(message)}", file=sys.stderr)
+        raise
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
-    options = tyro.cli(Options, args=arguments, description=__doc__)
+    options = parse(arguments)
     started = time.perf_counter()
     try:
         run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
