@@ -5,6 +5,22 @@ import abc
 import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
+from flax import struct
+
+
+class EpisodeMetrics(struct.PyTreeNode):
+    """How an episode ended: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
+
+    success: jax.Array | float = 0.0
+    """1 where the episode is a success by the task's strictest test, else 0."""
+    achieved: jax.Array | float = 0.0
+    """1 where the last step satisfies the goal; differs from `success` in a task with a probe."""
+    success_l1: jax.Array | float = 0.0
+    """1 where the L1 distance is within the task's threshold, as in the paper, else 0."""
+    distance_l1: jax.Array | float = 0.0
+    """Sum of absolute differences between where the last step is and where it should be, in the goal's unit."""
+    distance_l2: jax.Array | float = 0.0
+    """Euclidean distance between them."""
 
 
 class GoalEnv(Env):
@@ -14,8 +30,9 @@ class GoalEnv(Env):
     rebuild an observation for another goal without stepping. Everything here is for a single environment; batches
     come from `jax.vmap`. `P` below is the task's own physics state, any pytree.
 
-    A task sets the five class attributes and implements the five abstract methods. Episodes never end early:
-    `done` stays 0 and the time limit is the caller's, who treats it as a truncation.
+    A task sets the five class attributes without a value and implements the five abstract methods; the others have
+    defaults. Episodes never end early: `done` stays 0 and the time limit is the caller's, who treats it as a
+    truncation.
 
     `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`).
     `State.obs` is `goal_observation(observation, desired_goal)`, `[observation_size]`. `State.reward` is -1, or 0
@@ -32,6 +49,12 @@ class GoalEnv(Env):
     """Numbers in an action; each is clipped to [-1, 1]."""
     success_threshold: float
     """Largest Euclidean distance between achieved and desired goal that counts as success."""
+    goal_kinds: int = 1
+    """Kinds of goals, see `goal_kind`."""
+    probe_length: int = 0
+    """Steps that an evaluation appends to an episode to test what it ended with, see `probe_action`."""
+    observation_limit: float = 1e3
+    """Largest absolute observation of a sound simulation; beyond it, or not a number, the episode is left out."""
 
     @abc.abstractmethod
     def reset_physics(self, rng: jax.Array):
@@ -61,6 +84,45 @@ class GoalEnv(Env):
         """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`."""
         return jnp.linalg.norm(achieved - desired, axis=-1) <= self.success_threshold
 
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
+
+        Hindsight draws its goals so that each kind has the share among them that it has among the desired ones, where
+        a roll-out achieved it at all. Otherwise a kind that is rarely achieved would hardly be taught, and would give
+        away which samples are relabelled.
+        """
+        return jnp.zeros(goal.shape[:-1], jnp.int32)
+
+    def track_goal(self, desired: jax.Array, physics) -> jax.Array:
+        """Returns the desired goal, `[goal_size]`, as it stands once `physics` is reached; by default it stays."""
+        del physics
+        return desired
+
+    def probe_action(self, action: jax.Array) -> jax.Array:
+        """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
+        return action
+
+    def outcome(self, end: State, probed: State) -> EpisodeMetrics:
+        """Measures an episode by its last state, `end`, and by the state at the end of the probe, `probed`."""
+        del probed  # the same as `end` in a task without a probe
+        achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
+        reached = self.success(achieved, desired).astype(jnp.float32)
+        return self.measure(achieved, desired).replace(success=reached, achieved=reached)
+
+    def measure(self, position: jax.Array, target: jax.Array) -> EpisodeMetrics:
+        """Returns the distances between two vectors, and what follows from them alone."""
+        l1 = jnp.sum(jnp.abs(position - target))
+        return EpisodeMetrics(
+            success_l1=(l1 <= self.success_threshold).astype(jnp.float32),
+            distance_l1=l1,
+            distance_l2=jnp.linalg.norm(position - target),
+        )
+
+    def overflow(self, physics) -> jax.Array:
+        """Returns whether the simulation ran out of room for contacts, and so is wrong: a boolean `[]`."""
+        del physics
+        return jnp.zeros((), bool)
+
     def accurate(self, when: jax.Array | bool = True) -> "GoalEnv":
         """Returns the task with its most accurate physics where `when`, which may be traced, and as it is elsewhere.
 
@@ -68,16 +130,25 @@ class GoalEnv(Env):
         """
         return self
 
+    def exploring(self, when: jax.Array | bool = True) -> "GoalEnv":
+        """Returns the task with the starts and goals to learn from where `when`, which may be traced.
+
+        Elsewhere, and in a task that learns from the episodes it is measured by, it is as it is.
+        """
+        return self
+
     def reset(self, rng: jax.Array) -> State:
         """Starts an episode; see the class for what the state holds."""
         physics_rng, goal_rng = jax.random.split(rng)
         physics = self.reset_physics(physics_rng)
-        return self._observe(physics, self.sample_goal(goal_rng, physics), metrics={})
+        desired = self.track_goal(self.sample_goal(goal_rng, physics), physics)
+        return self._observe(physics, desired, metrics={})
 
     def step(self, state: State, action: jax.Array) -> State:
         """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
-        following = self._observe(physics, state.info["desired_goal"], state.metrics)
+        desired = self.track_goal(state.info["desired_goal"], physics)
+        following = self._observe(physics, desired, state.metrics)
         return following.replace(info=state.info | following.info)
 
     def _observe(self, physics, desired: jax.Array, metrics: dict) -> State:

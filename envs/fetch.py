@@ -4,11 +4,13 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 """
 
 import copy
+import importlib.util
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from flax import struct
 from mujoco import mjx
 
 from envs.base import GoalEnv
@@ -27,22 +29,51 @@ _FINGERS = ("right_finger", "left_finger")
 _BASE_POSITION = {"base_x": 0.405, "base_y": 0.48}  # metres
 _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's outstretched position to its start
 _SETTLE_PERIODS = 10
+_HIGHEST_START = 0.15  # metres above the usual start; the arm reaches no higher in the whole workspace
+
+
+class FetchPhysics(struct.PyTreeNode):
+    """What the simulation carries from one action to the next, and what is seen of it."""
+
+    steps: jax.Array
+    """`[]` integer: actions taken in the episode."""
+    qpos: jax.Array
+    """`[nq]`: joint positions."""
+    qvel: jax.Array
+    """`[nv]`: joint velocities."""
+    warmstart: jax.Array
+    """`[nv]`: accelerations of the last step, where the constraint solver starts."""
+    sensordata: jax.Array
+    """`[nsensordata]`: as of the last physics step."""
+    overflow: jax.Array
+    """`[]` boolean: whether contacts or constraints ever exceeded their buffers (MJX-Warp alone has such)."""
+    body_position: jax.Array
+    """`[3]`: the gripper's body, which the mocap body leads."""
+    body_quaternion: jax.Array
+    """`[4]`: the same body's orientation."""
+    gripper_position: jax.Array
+    """`[3]`: the point between the fingers, metres, world frame."""
+    gripper_velocity: jax.Array
+    """`[3]`: its linear velocity times `CONTROL_PERIOD`, metres, as the reference has it."""
 
 
 class FetchEnv(GoalEnv):
     """The Fetch arm, its gripper pulled by a mocap body through a weld constraint.
 
     An action is four numbers in [-1, 1]: three end-effector displacements (x, y, z; a unit moves the gripper about
-    33 mm once it is up to speed) and the gripper command. The physics state is an `mjx.Data`.
+    33 mm once it is up to speed) and the gripper command. The physics state is a `FetchPhysics`.
 
     Args:
       scene: the scene's name, e.g. `"fetch/reach"`.
-      impl: physics implementation: `"auto"` (the best available), `"jax"` or `"warp"`.
+      impl: physics implementation: `"auto"` (MJX-Warp on a GPU where warp-lang is installed, else MJX-JAX), `"jax"`
+        or `"warp"`.
       substeps: physics steps per action, from `FAST_SUBSTEPS` to `ACCURATE_SUBSTEPS`; an action always lasts
         `CONTROL_PERIOD`.
+      worlds: environments that are stepped at once at most; MJX-Warp sizes its contact buffers by it.
+      raise_start: metres by which the gripper starts above its usual place.
 
     Raises:
-      ValueError: an unknown or unavailable `impl`, or a number of substeps out of range.
+      ValueError: an unknown or unavailable `impl`, or a number out of range.
 
     """
 
@@ -50,20 +81,36 @@ class FetchEnv(GoalEnv):
     action_size = 4
     success_threshold = 0.05
 
-    def __init__(self, scene: str, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS):
+    def __init__(
+        self,
+        scene: str,
+        impl: str = "auto",
+        substeps: int = ACCURATE_SUBSTEPS,
+        worlds: int = 4096,
+        raise_start: float = 0.0,
+    ):
         if not FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS:
             raise ValueError(f"substeps is {substeps}; it must be from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}")
+        if worlds < 1:
+            raise ValueError(f"worlds is {worlds}; it must be at least 1")
+        if not 0.0 <= raise_start <= _HIGHEST_START:
+            raise ValueError(f"raise_start is {raise_start}; it must be from 0 to {_HIGHEST_START} m")
         self.scene, self.impl = scene, resolve_impl(impl)
         self.substeps: int | jax.Array = substeps
         self.model = load_scene(scene)
         self._gripper_body = self.model.body("gripper").id
         self._gripper_site = self.model.site("grip").id
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
-        settled = _settle(self.model)
+        settled = settle(self.model, raise_start)
+        self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.model.opt.timestep = CONTROL_PERIOD / substeps
         self._mjx_model = mjx.put_model(self.model, impl=self.impl)
-        self._initial_physics = mjx.put_data(self.model, settled, impl=self.impl)
-        self.initial_gripper_position = settled.site("grip").xpos.copy()
+        sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
+        self._mjx_data = mjx.put_data(self.model, settled, impl=self.impl, **sizes)
+        # Kinematics are MJX-JAX's under either implementation: MJX-Warp exposes no velocities.
+        self._kinematic_model = mjx.put_model(self.model, impl="jax")
+        self._kinematic_data = mjx.put_data(self.model, settled, impl="jax")
+        self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
     def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
@@ -72,36 +119,61 @@ class FetchEnv(GoalEnv):
         env._mjx_model = self._mjx_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
         return env
 
-    def gripper_position(self, physics: mjx.Data) -> jax.Array:
-        """Returns the position of the point between the fingers, `[3]`, metres, world frame."""
-        return physics.site_xpos[self._gripper_site]
-
-    def gripper_velocity(self, physics: mjx.Data) -> jax.Array:
-        """Returns the gripper's linear velocity times `CONTROL_PERIOD`, `[3]`, metres, as the reference has it."""
-        angular, linear = jnp.split(physics.cvel[self._gripper_body], 2)
-        origin = physics.subtree_com[self.model.body_rootid[self._gripper_body]]
-        return (linear + jnp.cross(angular, self.gripper_position(physics) - origin)) * CONTROL_PERIOD
-
-    def reset_physics(self, rng: jax.Array) -> mjx.Data:
+    def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         del rng  # the arm always starts from the same pose
         return self._initial_physics
 
-    def _move(self, physics: mjx.Data, displacement: jax.Array) -> mjx.Data:
-        """Pulls the gripper by a displacement, `[3]` in [-1, 1], and runs the physics for `CONTROL_PERIOD`."""
-        physics = physics.replace(
-            mocap_pos=(physics.xpos[self._gripper_body] + _DISPLACEMENT_SCALE * displacement)[None],
-            mocap_quat=(physics.xquat[self._gripper_body] + _DOWNWARD)[None],
+    def overflow(self, physics: FetchPhysics) -> jax.Array:
+        return physics.overflow
+
+    def place(self, qpos: jax.Array, qvel: jax.Array) -> FetchPhysics:
+        """Returns the physics with joint positions `[nq]` and velocities `[nv]`, without a history."""
+        model, data = self._kinematic_model, self._kinematic_data.replace(qpos=qpos, qvel=qvel)
+        data = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
+        angular, linear = jnp.split(data.cvel[self._gripper_body], 2)
+        position = data.site_xpos[self._gripper_site]
+        origin = data.subtree_com[self.model.body_rootid[self._gripper_body]]
+        return FetchPhysics(
+            steps=jnp.zeros((), jnp.int32),
+            qpos=jnp.asarray(qpos, jnp.float32),
+            qvel=jnp.asarray(qvel, jnp.float32),
+            warmstart=jnp.zeros(self.model.nv),
+            sensordata=jnp.zeros(self.model.nsensordata),
+            overflow=jnp.zeros((), bool),
+            body_position=data.xpos[self._gripper_body],
+            body_quaternion=data.xquat[self._gripper_body],
+            gripper_position=position,
+            gripper_velocity=(linear + jnp.cross(angular, position - origin)) * CONTROL_PERIOD,
         )
-        return jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self._mjx_model, data), physics)
 
-    def _block_fingers(self, physics: mjx.Data) -> mjx.Data:
-        """Puts the fingers back to their closed position."""
-        return physics.replace(qpos=physics.qpos.at[self._finger_qpos].set(0.0))
+    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
+        """Runs the physics for `CONTROL_PERIOD`.
 
-    def _observe_kinematics(self, physics: mjx.Data) -> mjx.Data:
-        """Brings positions and velocities in the world frame up to date with `qpos` and `qvel`."""
-        physics = mjx.kinematics(self._mjx_model, physics)
-        return mjx.com_vel(self._mjx_model, mjx.com_pos(self._mjx_model, physics))
+        Args:
+          physics: where from.
+          displacement: `[3]` in [-1, 1], where the mocap body pulls the gripper.
+          grip: `[]` in [-1, 1], metres by which the fingers' servos lead the fingers; None puts the fingers back to
+            their closed position instead.
+
+        """
+        data = self._mjx_data.replace(
+            qpos=physics.qpos,
+            qvel=physics.qvel,
+            qacc_warmstart=physics.warmstart,
+            mocap_pos=(physics.body_position + _DISPLACEMENT_SCALE * displacement)[None],
+            mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
+        )
+        if grip is not None:
+            data = data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
+        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self._mjx_model, data), data)
+        qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
+        overflow = data._impl.overflow != 0 if self.impl == "warp" else False
+        return self.place(qpos, data.qvel).replace(
+            steps=physics.steps + 1,
+            warmstart=data.qacc_warmstart,
+            sensordata=data.sensordata,
+            overflow=physics.overflow | overflow,
+        )
 
 
 def resolve_impl(impl: str) -> str:
@@ -111,20 +183,33 @@ def resolve_impl(impl: str) -> str:
       ValueError: `impl` is none of these, or is not available.
 
     """
-    if impl == "warp":
-        raise ValueError("impl 'warp' is not yet supported; use 'jax' or 'auto'")
-    if impl not in ("auto", "jax"):
+    if impl not in ("auto", "jax", "warp"):
         raise ValueError(f"unknown impl {impl!r}; choose from auto, jax, warp")
-    return "jax"
+    available = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
+    if impl == "warp" and not available:
+        raise ValueError("impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax' or 'auto'")
+    return "jax" if impl == "jax" or not available else "warp"
 
 
-def _settle(model: mujoco.MjModel) -> mujoco.MjData:
+def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
+    """Returns the most contacts of all worlds together and the most constraint rows of one: `put_data`'s arguments.
+
+    A plane and a box meet in at most four points, two boxes in eight. A contact takes two rows per direction of its
+    friction pyramid, a weld six rows, a limited joint one.
+    """
+    planes = model.geom_type[model.pair_geom1] == mujoco.mjtGeom.mjGEOM_PLANE
+    points = np.where(planes, 4, 8)
+    rows = 6 * model.neq + int(model.jnt_limited.sum()) + int(np.sum(points * 2 * (model.pair_dim - 1)))
+    return {"naconmax": int(points.sum()) * worlds, "njmax": rows}
+
+
+def settle(model: mujoco.MjModel, raise_start: float = 0.0) -> mujoco.MjData:
     """Brings the arm to its start, as the reference does: pull the gripper there with C MuJoCo and let it settle."""
     data = mujoco.MjData(model)
     for joint, position in _BASE_POSITION.items():
         data.joint(joint).qpos = position
     mujoco.mj_forward(model, data)
-    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET
+    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, raise_start]
     data.mocap_quat[0] = _DOWNWARD
     mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * ACCURATE_SUBSTEPS)
     mujoco.mj_forward(model, data)

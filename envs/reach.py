@@ -2,9 +2,8 @@
 
 import jax
 import jax.numpy as jnp
-from mujoco import mjx
 
-from envs.fetch import ACCURATE_SUBSTEPS, FetchEnv
+from envs.fetch import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
 
 _GOAL_RANGE = 0.15  # metres around the gripper's start, along each axis
 
@@ -25,18 +24,18 @@ class Reach(FetchEnv):
     feature_size = 6
     goal_size = 3
 
-    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS):
-        super().__init__("fetch/reach", impl, substeps)
+    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096):
+        super().__init__("fetch/reach", impl, substeps, worlds)
 
-    def step_physics(self, physics: mjx.Data, action: jax.Array) -> mjx.Data:
-        return self._observe_kinematics(self._block_fingers(self._move(physics, action[:3])))
+    def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
+        return self._move(physics, action[:3])
 
-    def features(self, physics: mjx.Data) -> jax.Array:
-        return jnp.concatenate([self.gripper_position(physics), self.gripper_velocity(physics)])
+    def features(self, physics: FetchPhysics) -> jax.Array:
+        return jnp.concatenate([physics.gripper_position, physics.gripper_velocity])
 
-    def achieved_goal(self, physics: mjx.Data) -> jax.Array:
-        return self.gripper_position(physics)
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return physics.gripper_position
 
-    def sample_goal(self, rng: jax.Array, physics: mjx.Data) -> jax.Array:
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
         offset = jax.random.uniform(rng, (3,), minval=-_GOAL_RANGE, maxval=_GOAL_RANGE)
         return self.initial_gripper_position + offset

@@ -5,7 +5,13 @@ import inspect
 
 from envs.base import GoalEnv
 
-TASKS = {"point": "envs.point:Point", "reach": "envs.reach:Reach"}
+TASKS = {
+    "point": "envs.point:Point",
+    "reach": "envs.reach:Reach",
+    "grasp": "envs.grasp:Grasp",
+    "grasp-position": "envs.grasp:GraspPosition",
+    "grasp-aperture": "envs.grasp:GraspAperture",
+}
 """Name of each task that comes with the package, and where its class is."""
 
 
@@ -21,9 +27,9 @@ def make(task: str, **options) -> GoalEnv:
 
     >>> make("point").observation_size
     6
-    >>> make("poke")
+    >>> make("poke")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    ValueError: unknown task 'poke'; choose from point, reach, or name a GoalEnv of your own as 'module:Class'
+    ValueError: unknown task 'poke'; choose from point, reach, grasp, ...
 
     """
     task_class = find_class(task)

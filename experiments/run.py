@@ -199,6 +199,7 @@ def metrics_rows(
     """Returns the rows of metrics.csv for one round, one per seed."""
     columns = {
         "success_rate": metrics.evaluation.success,
+        "success_rate_achieved": metrics.evaluation.achieved,
         "success_rate_l1": metrics.evaluation.success_l1,
         "distance_l1": metrics.evaluation.distance_l1,
         "distance_l2": metrics.evaluation.distance_l2,

@@ -4,9 +4,9 @@ The centre is `train_step`: a pure function from a `TrainState` and a row of `sc
 round measured.
 """
 
-from envs import GoalEnv, make
+from envs import EpisodeMetrics, GoalEnv, make
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
-from hgail_jax.evaluate import EpisodeMetrics, episode_metrics, evaluate
+from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.hindsight import Hindsight, relabel
 from hgail_jax.methods import METHODS, Method
 from hgail_jax.policy import MeanPolicy, load_policy, save_policy
@@ -35,11 +35,11 @@ __all__ = [
     "Trajectory",
     "act",
     "env_steps",
-    "episode_metrics",
     "evaluate",
     "init_state",
     "load_policy",
     "make",
+    "mean_outcome",
     "relabel",
     "rollout",
     "save_policy",

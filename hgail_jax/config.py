@@ -1,8 +1,10 @@
 """What a training run is made of: static sizes, sweepable hyperparameters, and their presets."""
 
 import dataclasses
+from typing import Any
 
 import jax
+import numpy as np
 from flax import struct
 
 from hgail_jax.hindsight import FINAL, FUTURE
@@ -39,6 +41,8 @@ class Config:
     """Passes over the samples of a roll-out in one PPO update."""
     ppo_minibatches: int = 4
     """Minibatches that a roll-out is cut into in one pass."""
+    likelihood_batch: int = 0
+    """Relabelled samples whose likelihood each minibatch of PPO raises as well; 0 leaves this to the pre-training."""
     discriminator_minibatches: int = 50
     """Gradient steps in one discriminator update."""
     discriminator_batch: int = 512
@@ -57,7 +61,7 @@ class Config:
     """Widths of the hidden layers of the discriminator."""
 
     def __post_init__(self):
-        at_least_zero = ("rounds", "policy_phases", "discriminator_phases")
+        at_least_zero = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if field.type is int and value < (field.name not in at_least_zero):
@@ -79,8 +83,10 @@ class Hyperparameters(struct.PyTreeNode):
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
-    action_std: jax.Array | float = 0.3
-    """Standard deviation of the policy, in units of action."""
+    likelihood_weight: jax.Array | float = 1.0
+    """Weight of the likelihood of relabelled samples beside PPO's loss, where the config has a `likelihood_batch`."""
+    action_std: Any = 0.3
+    """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
     discount: jax.Array | float = 0.98
     gae_lambda: jax.Array | float = 0.95
     clip_ratio: jax.Array | float = 0.2
@@ -101,8 +107,11 @@ class Hyperparameters(struct.PyTreeNode):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be from 0 to 1")
         for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
-            if not 0.0 < getattr(self, name) < float("inf"):
+            values = np.asarray(getattr(self, name))
+            if not np.all((values > 0.0) & (values < np.inf)):
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be positive and finite")
+        if not 0.0 <= self.likelihood_weight < np.inf:
+            raise ValueError(f"likelihood_weight is {self.likelihood_weight}; it must be at least 0 and finite")
         return self
 
 

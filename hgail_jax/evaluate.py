@@ -2,41 +2,21 @@
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
-from envs import GoalEnv
+from envs import EpisodeMetrics, GoalEnv
 from hgail_jax.rollout import Policy, Trajectory, rollout
 
 
-class EpisodeMetrics(struct.PyTreeNode):
-    """Where episodes ended, by the last step alone. One number per episode, `[N]`, or their mean, `[]`."""
+def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
+    """Returns the means over a trajectory's episodes, `[]`.
 
-    success: jax.Array | float = 0.0
-    """1 where the last achieved goal satisfies the task, else 0."""
-    success_l1: jax.Array | float = 0.0
-    """1 where the L1 distance is within the task's threshold, as in the paper, else 0."""
-    distance_l1: jax.Array | float = 0.0
-    """Sum of absolute differences between achieved and desired goal, in the goal's unit."""
-    distance_l2: jax.Array | float = 0.0
-    """Euclidean distance between them."""
-
-    def mean(self) -> "EpisodeMetrics":
-        """Returns the mean over episodes."""
-        return jax.tree.map(jnp.mean, self)
-
-
-def episode_metrics(env: GoalEnv, trajectory: Trajectory) -> EpisodeMetrics:
-    """Returns the metrics of each of the `N` episodes of a trajectory."""
-    achieved, desired = trajectory.achieved[-1], trajectory.desired
-    l1 = jnp.sum(jnp.abs(achieved - desired), axis=-1)
-    return EpisodeMetrics(
-        success=env.success(achieved, desired).astype(jnp.float32),
-        success_l1=(l1 <= env.success_threshold).astype(jnp.float32),
-        distance_l1=l1,
-        distance_l2=jnp.linalg.norm(achieved - desired, axis=-1),
-    )
+    An episode whose simulation broke down counts as a failure, and in no distance.
+    """
+    means = jax.tree.map(jnp.mean, trajectory.outcome)
+    sound = jnp.maximum(trajectory.sound.mean(), 1e-8)
+    return means.replace(distance_l1=means.distance_l1 / sound, distance_l2=means.distance_l2 / sound)
 
 
 def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) -> EpisodeMetrics:
-    """Runs `policy` for `num_episodes` fresh episodes and returns their mean metrics; jit it."""
-    return episode_metrics(env, rollout(env, policy, rng, num_episodes)).mean()
+    """Runs `policy` for `num_episodes` fresh episodes, with the task's probe, and returns their means; jit it."""
+    return mean_outcome(rollout(env, policy, rng, num_episodes, probe=True))

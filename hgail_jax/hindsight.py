@@ -26,6 +26,8 @@ def relabel(
     p_ht: jax.Array | float,
     strategy: jax.Array | int = FUTURE,
     include_current: jax.Array | bool = False,
+    kind: jax.Array | None = None,
+    kind_share: jax.Array | None = None,
 ) -> Hindsight:
     """Replaces goals of one trajectory by positions it reached later; `jax.vmap` it over trajectories.
 
@@ -35,16 +37,26 @@ def relabel(
     Args:
       rng: a PRNG key.
       achieved: `[T + 1, goal_size]`, the achieved goals of `s_0` to `s_T`.
-      desired: `[goal_size]`, the goal that the trajectory pursued.
+      desired: `[T, goal_size]`, the goals that the trajectory pursued; `[goal_size]` if it was one.
       p_ht: probability of choosing a step.
       strategy: `FUTURE`, with `l` uniform over `j+1..T`, or `FINAL`, with `l = T`.
       include_current: let "future" draw from `j..T` instead.
+      kind: `[T + 1]` integers below `K`, the kinds of the achieved goals; None is one kind. "future" first draws a kind
+        among those ahead, then `l` uniformly among its steps.
+      kind_share: `[K]`, positive: how often each kind is drawn where all lie ahead.
 
     """
     length = achieved.shape[0] - 1
+    kind = jnp.zeros(length + 1, jnp.int32) if kind is None else kind
+    kind_share = jnp.ones(1) if kind_share is None else kind_share
     chosen_rng, source_rng = jax.random.split(rng)
     chosen = jax.random.bernoulli(chosen_rng, p_ht, (length,))
     first = jnp.arange(length) + jnp.where(include_current, 0, 1)
-    future = jax.random.randint(source_rng, (length,), first, length + 1)
+    ahead = jnp.arange(length + 1) >= first[:, None]
+    of_kind = jax.nn.one_hot(kind, kind_share.shape[0])
+    weight = jnp.where(ahead, kind_share[kind] / jnp.maximum(ahead @ of_kind, 1.0)[:, kind], 0.0)
+    future = jax.vmap(lambda rng, weight: jax.random.choice(rng, length + 1, p=weight))(
+        jax.random.split(source_rng, length), weight
+    )
     source = jnp.where(strategy == FINAL, length, future)
     return Hindsight(jnp.where(chosen[:, None], achieved[source], desired), chosen, source)

@@ -41,22 +41,33 @@ class PolicyLoss(NamedTuple):
 
 
 def policy_loss(
-    log_prob: jax.Array, old_log_prob: jax.Array, advantage: jax.Array, clip_ratio: jax.Array | float
+    log_prob: jax.Array,
+    old_log_prob: jax.Array,
+    advantage: jax.Array,
+    weight: jax.Array,
+    clip_ratio: jax.Array | float,
 ) -> PolicyLoss:
     """Clipped surrogate loss (Schulman et al. 2017, Eq. 7) of a minibatch; every argument but the last is `[B]`.
 
-    There is no entropy bonus: with a fixed covariance the entropy is constant.
+    `weight` is 1 where a sample counts and 0 where it does not. There is no entropy bonus: with a fixed covariance the
+    entropy is constant.
     """
     log_ratio = log_prob - old_log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - clip_ratio, 1.0 + clip_ratio)
     return PolicyLoss(
-        loss=-jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage)),
-        clip_fraction=jnp.mean(jnp.abs(ratio - 1.0) > clip_ratio),
-        kl=jnp.mean(ratio - 1.0 - log_ratio),
+        loss=-weighted_mean(jnp.minimum(ratio * advantage, clipped * advantage), weight),
+        clip_fraction=weighted_mean(jnp.abs(ratio - 1.0) > clip_ratio, weight),
+        kl=weighted_mean(ratio - 1.0 - log_ratio, weight),
     )
 
 
-def standardize(values: jax.Array) -> jax.Array:
-    """Shifts and scales to mean 0 and standard deviation 1 over all entries; constant values become 0."""
-    return (values - values.mean()) / (values.std() + 1e-8)
+def weighted_mean(values: jax.Array, weight: jax.Array) -> jax.Array:
+    """Returns the mean of `values` under `weight`, which has their shape; 0 where no weight is positive."""
+    return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 1e-8)
+
+
+def standardize(values: jax.Array, weight: jax.Array) -> jax.Array:
+    """Shifts and scales to mean 0 and standard deviation 1 under `weight`; constant values become 0."""
+    centred = values - weighted_mean(values, weight)
+    return centred / (jnp.sqrt(weighted_mean(jnp.square(centred), weight)) + 1e-8)

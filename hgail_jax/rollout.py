@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from envs import GoalEnv
+from envs import EpisodeMetrics, GoalEnv
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 """Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
@@ -21,41 +21,89 @@ class Trajectory(struct.PyTreeNode):
     achieved: jax.Array
     """`[T + 1, N, goal_size]`: achieved goals."""
     desired: jax.Array
-    """`[N, goal_size]`: the goals pursued."""
+    """`[T + 1, N, goal_size]`: the goals pursued; constant in time unless the task moves them."""
     action: jax.Array
     """`[T, N, action_size]`: as drawn, not clipped."""
     log_prob: jax.Array
     """`[T, N]`: log-probability of `action` under the policy that drew it."""
     reward: jax.Array
     """`[T, N]`: the environment's reward."""
+    sound: jax.Array
+    """`[N]` booleans: whether the simulation stayed finite; where not, all of the above are 0."""
+    overflow: jax.Array
+    """`[N]` booleans: whether the simulation ran out of room for contacts."""
+    outcome: EpisodeMetrics
+    """`[N]`: how the episodes ended; all 0 where not sound."""
 
     def observation(self, env: GoalEnv) -> jax.Array:
         """Returns the observations under the goals pursued, `[T + 1, N, observation_size]`."""
-        return env.goal_observation(self.features, jnp.broadcast_to(self.desired, self.achieved.shape))
+        return env.goal_observation(self.features, self.desired)
 
 
-def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int) -> Trajectory:
-    """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps."""
+def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: jax.Array | bool = False) -> Trajectory:
+    """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
+
+    Where `probe`, which may be traced, the episodes' outcome takes the task's probe into account: `env.probe_length`
+    further steps, which are no part of the trajectory. Without it a task with a probe counts no success.
+    """
     reset_rng, act_rng = jax.random.split(rng)
     state = _depend_on(reset_rng, jax.vmap(env.reset)(jax.random.split(reset_rng, num_envs)))
+    length = env.episode_length + env.probe_length
 
-    def step(state, rng):
-        action, log_prob = policy(state.obs, rng)
+    def take(carry, rng, time):
+        state, action, end = carry
+        chosen, log_prob = policy(state.obs, rng)
+        action = jnp.where(time < env.episode_length, chosen, jax.vmap(env.probe_action)(action))
         following = jax.vmap(env.step)(state, action)
-        seen = (state.info["observation"], state.info["achieved_goal"], action, log_prob, following.reward)
-        return following, seen
+        end = jax.tree.map(lambda new, old: jnp.where(time < env.episode_length, new, old), following, end)
+        return (following, action, end), (state.info, action, log_prob, following.reward)
 
-    final, (features, achieved, action, log_prob, reward) = jax.lax.scan(
-        step, state, jax.random.split(act_rng, env.episode_length)
-    )
-    return Trajectory(
-        features=jnp.concatenate([features, final.info["observation"][None]]),
-        achieved=jnp.concatenate([achieved, final.info["achieved_goal"][None]]),
-        desired=final.info["desired_goal"],
+    def stay(carry, rng, time):
+        del rng, time
+        state, action, _ = carry
+        return carry, (state.info, action, jnp.zeros(num_envs), state.reward)
+
+    def step(carry, inputs):
+        rng, time = inputs
+        if not env.probe_length:
+            return take(carry, rng, time)
+        return jax.lax.cond(probe | (time < env.episode_length), take, stay, carry, rng, time)
+
+    start = (state, jnp.zeros((num_envs, env.action_size)), state)
+    (probed, _, end), seen = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
+    info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], seen)
+    info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
+    sound = _is_sound(env, info) & jnp.isfinite(action).all(axis=(0, 2))
+    whole = Trajectory(
+        features=info["observation"],
+        achieved=info["achieved_goal"],
+        desired=info["desired_goal"],
         action=action,
         log_prob=log_prob,
         reward=reward,
+        sound=sound,
+        overflow=jax.vmap(env.overflow)(probed.pipeline_state),
+        outcome=jax.vmap(env.outcome)(end, probed),
     )
+    return _blank(whole, ~sound)
+
+
+def _is_sound(env: GoalEnv, info: dict[str, jax.Array]) -> jax.Array:
+    """Returns whether all that was observed in an episode is finite and within bounds, `[N]`."""
+    return jnp.stack([(jnp.abs(values) <= env.observation_limit).all(axis=(0, 2)) for values in info.values()]).all(
+        axis=0
+    )
+
+
+def _blank(trajectory: Trajectory, where: jax.Array) -> Trajectory:
+    """Returns the trajectory with zeros for all that the episodes `where`, `[N]`, hold; no NaN can spread from it."""
+
+    def blank(values: jax.Array) -> jax.Array:
+        mask = where if values.ndim == 1 else where[None, :].reshape(1, -1, *[1] * (values.ndim - 2))
+        return jnp.where(mask, jnp.zeros_like(values), values)
+
+    blanked = jax.tree.map(blank, trajectory)
+    return blanked.replace(overflow=trajectory.overflow)
 
 
 def _depend_on(rng: jax.Array, tree: Any) -> Any:

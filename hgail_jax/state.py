@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from brax.training.acme import running_statistics, specs
 from flax import struct
@@ -34,10 +35,9 @@ class TrainState(struct.PyTreeNode):
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
         return running_statistics.normalize(observation, self.statistics, max_abs_value=_MAX_NORMALIZED)
 
-    def observe(self, observation: jax.Array) -> "TrainState":
-        """Returns the state with observations, `[..., observation_size]`, counted into its statistics."""
-        observation = observation.reshape(-1, observation.shape[-1])
-        return self.replace(statistics=running_statistics.update(self.statistics, observation))
+    def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
+        """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`."""
+        return self.replace(statistics=running_statistics.update(self.statistics, observation, weights=weight))
 
 
 def actor_critic_optimizer(config: Config) -> optax.GradientTransformation:
@@ -65,7 +65,12 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
       hyperparameters: scalars, or tracers where a sweep is vmapped.
       rng: a PRNG key, from `jax.random.key`.
 
+    Raises:
+      ValueError: there are several standard deviations, but not one for each number of an action.
+
     """
+    if np.shape(hyperparameters.action_std) not in ((), (env.action_size,)):
+        raise ValueError(f"action_std is {hyperparameters.action_std}; it must be one number or {env.action_size}")
     policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)
     observation = jnp.zeros(env.observation_size)
     actor_critic = {
@@ -80,6 +85,6 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
         actor_critic_optimizer=actor_critic_optimizer(config).init(actor_critic),
         discriminator_optimizer=discriminator_optimizer().init(discriminator),
         statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
-        hyperparameters=jax.tree.map(jnp.asarray, hyperparameters),
+        hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
         rng=rng,
     )

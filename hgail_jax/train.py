@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from envs import GoalEnv
+from envs import EpisodeMetrics, GoalEnv
 from hgail_jax.config import Config
-from hgail_jax.evaluate import EpisodeMetrics, episode_metrics
+from hgail_jax.evaluate import mean_outcome
 from hgail_jax.rollout import rollout
 from hgail_jax.state import TrainState
 from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
@@ -33,6 +33,10 @@ class RoundMetrics(struct.PyTreeNode):
     training: EpisodeMetrics
     """Episodes under the stochastic policy."""
     update: UpdateMetrics
+    dropped: jax.Array
+    """Share of all episodes whose simulation broke down; nothing was learnt from them."""
+    overflow: jax.Array
+    """Share of all episodes whose simulation ran out of room for contacts: with more than 0 results are wrong."""
 
 
 def schedule(config: Config) -> np.ndarray:
@@ -81,17 +85,22 @@ def train_step(
 
     """
     phases = jnp.asarray(phases)
-    state, (episodes, updates) = jax.lax.scan(functools.partial(_run_phase, env, config), state, phases)
+    state, (episodes, updates, dropped, overflow) = jax.lax.scan(
+        functools.partial(_run_phase, env, config), state, phases
+    )
     return state, RoundMetrics(
         evaluation=jax.tree.map(lambda values: _masked_mean(values, phases >= EVALUATE), episodes),
         training=jax.tree.map(lambda values: _masked_mean(values, (phases != SKIP) & (phases < EVALUATE)), episodes),
         update=UpdateMetrics(**{name: _mean_over(phases, name, values) for name, values in vars(updates).items()}),
+        dropped=_masked_mean(dropped, phases != SKIP),
+        overflow=_masked_mean(overflow, phases != SKIP),
     )
 
 
 _MEASURED_BY = {
     "reward": (POLICY,),
-    "policy_loss": (PRETRAIN, POLICY),
+    "policy_loss": (POLICY,),
+    "likelihood_loss": (PRETRAIN, POLICY),
     "value_loss": (POLICY,),
     "clip_fraction": (POLICY,),
     "kl": (POLICY,),
@@ -107,19 +116,20 @@ def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
 
 def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):
     def skip(state):
-        return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()))
+        return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()), jnp.zeros(()), jnp.zeros(()))
 
     def run(state):
         rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
-        noise = jnp.where(phase >= EVALUATE, 0.0, 1.0)
-        trajectory = rollout(
-            env.accurate(phase == EVALUATE_ACCURATELY), act(env, config, state, noise), rollout_rng, config.num_envs
-        )
+        evaluating = phase >= EVALUATE
+        task = env.exploring(~evaluating).accurate(phase == EVALUATE_ACCURATELY)
+        policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0))
+        trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating)
         updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
-        state, metrics = jax.lax.switch(
-            phase - PRETRAIN, [*updates, _leave, _leave], state.replace(rng=rng), trajectory, update_rng
-        )
-        return state, (episode_metrics(env, trajectory).mean(), _as_arrays(metrics))
+        before = state.replace(rng=None)
+        after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave, _leave], before, trajectory, update_rng)
+        after = jax.tree.map(lambda new, old: jnp.where(trajectory.sound.any(), new, old), after, before)
+        broken = 1.0 - trajectory.sound.mean()
+        return after.replace(rng=rng), (mean_outcome(trajectory), _as_arrays(metrics), broken, trajectory.overflow.mean())
 
     return jax.lax.cond(phase == SKIP, skip, run, state)
 

@@ -16,10 +16,12 @@ from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
 from hgail_jax.hindsight import relabel
 from hgail_jax.networks import apply, discriminator_network, gaussian_log_prob, policy_network, value_network
-from hgail_jax.ppo import generalized_advantages, policy_loss, standardize
+from hgail_jax.ppo import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.rewards import imitation_reward
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
+
+_LEAST_SHARE = 1e-6  # of a kind of goal that does not occur: it is drawn only where there is no other
 
 
 class UpdateMetrics(struct.PyTreeNode):
@@ -31,6 +33,8 @@ class UpdateMetrics(struct.PyTreeNode):
     value_loss: jax.Array | float = 0.0
     clip_fraction: jax.Array | float = 0.0
     kl: jax.Array | float = 0.0
+    likelihood_loss: jax.Array | float = 0.0
+    """Mean negative log-likelihood of relabelled samples, nats."""
     discriminator_loss: jax.Array | float = 0.0
     discriminator_accuracy: jax.Array | float = 0.0
 
@@ -42,11 +46,17 @@ class Samples(struct.PyTreeNode):
     """`[S, observation_size]`, not normalised."""
     action: jax.Array
     """`[S, action_size]`, not clipped."""
+    weight: jax.Array
+    """`[S]`: how often to draw each, relative to the others; 0 for what the simulation spoilt."""
+
+    def draw(self, rng: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Returns indices of samples, drawn with replacement by their weights."""
+        return jax.random.choice(rng, self.weight.shape[0], shape, p=self.weight)
 
 
 def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float) -> Policy:
     """The policy of `state`, to be rolled out: with noise 1 it explores, with noise 0 it takes the mean action."""
-    std = state.hyperparameters.action_std
+    std = jnp.asarray(state.hyperparameters.action_std)
     network = policy_network(config, env.action_size)
 
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -59,18 +69,36 @@ def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | floa
 
 def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
     """Returns the samples of a trajectory under the goals it pursued."""
-    return _flatten(Samples(trajectory.observation(env)[:-1], trajectory.action))
+    return _flatten(Samples(trajectory.observation(env)[:-1], trajectory.action, _step_weight(trajectory)))
 
 
 def expert_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
-    """Returns the samples of a trajectory under goals replaced in hindsight."""
+    """Returns the samples of a trajectory under goals replaced in hindsight.
+
+    Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`.
+    """
+    desired, weight = trajectory.desired[:-1], _step_weight(trajectory)
+    share = _kind_share(env, desired, weight)
 
     def relabel_one(rng, achieved, desired):
-        return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current).goal
+        kind = env.goal_kind(achieved)
+        return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current, kind, share).goal
 
-    rngs = jax.random.split(rng, trajectory.desired.shape[0])
-    goal = jax.vmap(relabel_one, in_axes=(0, 1, 0), out_axes=1)(rngs, trajectory.achieved, trajectory.desired)
-    return _flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action))
+    rngs = jax.random.split(rng, desired.shape[1])
+    goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
+    weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
+    return _flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action, weight))
+
+
+def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
+    """Share of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
+    of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)
+    return jnp.einsum("tnk,tn->k", of_kind, weight) / jnp.maximum(weight.sum(), 1.0) + _LEAST_SHARE
+
+
+def _step_weight(trajectory: Trajectory) -> jax.Array:
+    """1 for the steps of sound episodes, else 0: `[T, N]`."""
+    return jnp.broadcast_to(trajectory.sound, trajectory.reward.shape).astype(jnp.float32)
 
 
 def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
@@ -82,12 +110,12 @@ def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajec
     relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
     expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
-    state = state.observe(policy.observation).observe(expert.observation)
+    state = _observe(state, policy, expert)
     state, policy_metrics = _maximize_likelihood(env, config, state, expert, policy_rng)
     state, metrics = _fit_discriminator(
         config, state, expert, policy, config.pretrain_discriminator_minibatches, discriminator_rng
     )
-    return state, metrics.replace(policy_loss=policy_metrics.policy_loss)
+    return state, metrics.replace(likelihood_loss=policy_metrics.likelihood_loss)
 
 
 def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
@@ -95,13 +123,41 @@ def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajec
     relabel_rng, fit_rng = jax.random.split(rng)
     expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
-    state = state.observe(policy.observation).observe(expert.observation)
+    state = _observe(state, policy, expert)
     return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
 
 def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
-    """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps)."""
+    """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps).
+
+    With a `likelihood_batch` each gradient also follows the likelihood of that many relabelled samples.
+    """
     hyper = state.hyperparameters
+    relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
+    batch, metrics = _ppo_batch(env, config, state, trajectory)
+    indices: dict[str, jax.Array] = {
+        "ppo": _minibatches(order_rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
+    }
+    if config.likelihood_batch:
+        expert = expert_samples(env, hyper, trajectory, relabel_rng)
+        negative_log_likelihood = _negative_log_likelihood(env, config, state, expert)
+        indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), config.likelihood_batch))
+
+    def loss(params, indices):
+        value, metrics = _ppo_loss(env, config, hyper, params, jax.tree.map(lambda array: array[indices["ppo"]], batch))
+        if config.likelihood_batch:
+            likelihood = negative_log_likelihood(params, indices["expert"])
+            value += hyper.likelihood_weight * likelihood
+            metrics = metrics.replace(likelihood_loss=likelihood)
+        return value, metrics
+
+    state, updates = _improve_actor_critic(config, state, loss, indices)
+    return _observe(state, policy_samples(env, trajectory)), updates.replace(reward=metrics.reward)
+
+
+def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory):
+    """Returns what PPO learns from a trajectory, a dict of arrays `[S, ...]`, and the mean reward as metrics."""
+    hyper, weight = state.hyperparameters, _step_weight(trajectory)
     observation = state.normalize(trajectory.observation(env))
     value = apply(value_network(config), state.actor_critic["value"], observation)[..., 0]
     logits = _discriminate(config, state.discriminator, observation[:-1], trajectory.action)
@@ -109,44 +165,50 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     reward = (1.0 - hyper.environment_reward) * imitation + hyper.environment_reward * trajectory.reward
     # Episodes have a fixed length, so shifting and scaling the reward ranks no policy above another. Standardised it
     # keeps returns of order one while the discriminator, and with it the reward, drifts: the value function can follow.
-    scaled = standardize(reward) / env.episode_length
+    scaled = standardize(reward, weight) / env.episode_length
     advantage = generalized_advantages(scaled, value, hyper.discount, hyper.gae_lambda)
-    batch = _flatten(
-        {
-            "observation": observation[:-1],
-            "action": trajectory.action,
-            "log_prob": trajectory.log_prob,
-            "advantage": standardize(advantage),
-            "return": advantage + value[:-1],
-        }
+    batch = {
+        "observation": observation[:-1],
+        "action": trajectory.action,
+        "log_prob": trajectory.log_prob,
+        "advantage": standardize(advantage, weight),
+        "return": advantage + value[:-1],
+        "weight": weight,
+    }
+    return _flatten(batch), UpdateMetrics(reward=weighted_mean(reward, weight))
+
+
+def _ppo_loss(env: GoalEnv, config: Config, hyper: Hyperparameters, params: Params, part: dict[str, jax.Array]):
+    mean = apply(policy_network(config, env.action_size), params["policy"], part["observation"])
+    log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
+    policy = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
+    predicted = apply(value_network(config), params["value"], part["observation"])[..., 0]
+    value_loss = 0.5 * weighted_mean(jnp.square(predicted - part["return"]), part["weight"])
+    return policy.loss + value_loss, UpdateMetrics(
+        policy_loss=policy.loss, value_loss=value_loss, clip_fraction=policy.clip_fraction, kl=policy.kl
     )
 
-    def loss(params, indices):
-        part = jax.tree.map(lambda array: array[indices], batch)
-        mean = apply(policy_network(config, env.action_size), params["policy"], part["observation"])
-        log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
-        policy = policy_loss(log_prob, part["log_prob"], part["advantage"], hyper.clip_ratio)
-        predicted = apply(value_network(config), params["value"], part["observation"])[..., 0]
-        value_loss = 0.5 * jnp.mean(jnp.square(predicted - part["return"]))
-        return policy.loss + value_loss, UpdateMetrics(
-            policy_loss=policy.loss, value_loss=value_loss, clip_fraction=policy.clip_fraction, kl=policy.kl
-        )
 
-    indices = _minibatches(rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
-    state, metrics = _improve_actor_critic(config, state, loss, indices)
-    return state.observe(trajectory.observation(env)[:-1]), metrics.replace(reward=reward.mean())
-
-
-def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array):
+def _negative_log_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples) -> Callable:
+    """Returns a function of parameters and indices `[B]` of `samples` to their mean negative log-likelihood, `[]`."""
     observation = state.normalize(samples.observation)
 
     def loss(params, indices):
         mean = apply(policy_network(config, env.action_size), params["policy"], observation[indices])
-        log_prob = gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std)
-        return -log_prob.mean(), UpdateMetrics(policy_loss=-log_prob.mean())
+        return -gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std).mean()
+
+    return loss
+
+
+def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array):
+    negative_log_likelihood = _negative_log_likelihood(env, config, state, samples)
+
+    def loss(params, indices):
+        value = negative_log_likelihood(params, indices)
+        return value, UpdateMetrics(likelihood_loss=value)
 
     shape = (config.pretrain_policy_minibatches, config.pretrain_policy_batch)
-    return _improve_actor_critic(config, state, loss, jax.random.randint(rng, shape, 0, observation.shape[0]))
+    return _improve_actor_critic(config, state, loss, samples.draw(rng, shape))
 
 
 def _fit_discriminator(
@@ -163,15 +225,16 @@ def _fit_discriminator(
             discriminator_loss=value, discriminator_accuracy=discriminator_accuracy(expert_logits, policy_logits)
         )
 
-    shape = (2, minibatches, config.discriminator_batch)
-    indices = jax.random.randint(rng, shape, 0, policy.action.shape[0])
+    expert_rng, policy_rng = jax.random.split(rng)
+    shape = (minibatches, config.discriminator_batch)
+    indices = expert.draw(expert_rng, shape), policy.draw(policy_rng, shape)
     params, optimizer, metrics = _descend(
         discriminator_optimizer(),
         loss,
         state.discriminator,
         state.discriminator_optimizer,
         state.hyperparameters.discriminator_learning_rate,
-        (indices[0], indices[1]),
+        indices,
     )
     return state.replace(discriminator=params, discriminator_optimizer=optimizer), metrics
 
@@ -182,7 +245,7 @@ def _discriminate(config: Config, params: Params, observation: jax.Array, action
     return apply(discriminator_network(config), params, inputs)[..., 0]
 
 
-def _improve_actor_critic(config: Config, state: TrainState, loss: Callable, indices: jax.Array):
+def _improve_actor_critic(config: Config, state: TrainState, loss: Callable, indices: Any):
     params, optimizer, metrics = _descend(
         actor_critic_optimizer(config),
         loss,
@@ -220,6 +283,13 @@ def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) ->
     size = samples // minibatches
     orders = jax.vmap(lambda rng: jax.random.permutation(rng, samples))(jax.random.split(rng, epochs))
     return orders[:, : size * minibatches].reshape(epochs * minibatches, size)
+
+
+def _observe(state: TrainState, *samples: Samples) -> TrainState:
+    """Counts samples into the state's statistics; how often they are to be drawn does not matter here."""
+    for part in samples:
+        state = state.observe(part.observation, (part.weight > 0).astype(jnp.float32))
+    return state
 
 
 def _flatten(tree):

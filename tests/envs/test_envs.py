@@ -79,7 +79,7 @@ def test_pictures_change_no_dynamics():
         ("point", {"substeps": 4}, "no option 'substeps'"),
         ("reach", {"substeps": 3}, "from 4 to 20"),
         ("reach", {"substeps": 21}, "from 4 to 20"),
-        ("reach", {"impl": "warp"}, "not yet"),
+        ("reach", {"impl": "warp"}, "needs warp-lang and an NVIDIA GPU"),
         ("reach", {"impl": "cuda"}, "choose from auto, jax, warp"),
     ],
 )

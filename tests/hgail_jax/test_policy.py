@@ -1,4 +1,5 @@
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from hgail_jax.updates import act
 def test_a_saved_policy_is_the_mean_action(tmp_path):
     env = envs.make("point")
     state = init_state(env, Config(), Hyperparameters(), jax.random.key(0))
-    state = state.observe(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1)
+    state = state.observe(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
     # weights large enough that some actions are clipped
     state = state.replace(actor_critic=jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.actor_critic))
     observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2

@@ -39,7 +39,7 @@ def test_policy_loss_by_hand():
     old = jnp.log(jnp.array([0.5, 0.5, 0.5, 0.5]))
     new = jnp.log(jnp.array([0.5, 1.0, 0.55, 0.1]))  # ratios 1, 2, 1.1, 0.2
     advantage = jnp.array([1.0, 1.0, -1.0, -1.0])
-    result = policy_loss(new, old, advantage, 0.2)
+    result = policy_loss(new, old, advantage, jnp.ones(4), 0.2)
     assert result.loss == pytest.approx(-(1.0 + 1.2 - 1.1 - 0.8) / 4, rel=1e-5)
     assert result.clip_fraction == pytest.approx(0.5)
     ratio = np.array([1, 2, 1.1, 0.2])
@@ -53,7 +53,7 @@ def test_log_prob_is_the_normal_density():
 
 
 def test_standardize():
-    values = np.asarray(standardize(jnp.asarray(REWARD)))
+    values = np.asarray(standardize(jnp.asarray(REWARD), jnp.ones_like(REWARD)))
     assert values.mean() == pytest.approx(0, abs=1e-6)
     assert values.std() == pytest.approx(1, rel=1e-4)
-    np.testing.assert_array_equal(standardize(jnp.full((4,), 3.0)), 0.0)
+    np.testing.assert_array_equal(standardize(jnp.full((4,), 3.0), jnp.ones(4)), 0.0)

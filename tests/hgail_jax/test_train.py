@@ -67,7 +67,7 @@ def test_one_seed_is_bit_equal_twice_and_two_seeds_differ():
 def test_every_episode_has_goals_of_its_own():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     policy = act(ENV, TINY, state, noise=1.0)
-    goals = np.concatenate([rollout(ENV, policy, jax.random.key(seed), 4).desired for seed in range(3)])
+    goals = np.concatenate([rollout(ENV, policy, jax.random.key(seed), 4).desired[0] for seed in range(3)])
     assert len(np.unique(goals[:, 0])) == 12
 
 
