@@ -83,6 +83,8 @@ class Hyperparameters(struct.PyTreeNode):
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
+    ppo_weight: jax.Array | float = 1.0
+    """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
     likelihood_weight: jax.Array | float = 1.0
     """Weight of the likelihood of relabelled samples beside PPO's loss, where the config has a `likelihood_batch`."""
     action_std: Any = 0.3
@@ -110,8 +112,9 @@ class Hyperparameters(struct.PyTreeNode):
             values = np.asarray(getattr(self, name))
             if not np.all((values > 0.0) & (values < np.inf)):
                 raise ValueError(f"{name} is {getattr(self, name)}; it must be positive and finite")
-        if not 0.0 <= self.likelihood_weight < np.inf:
-            raise ValueError(f"likelihood_weight is {self.likelihood_weight}; it must be at least 0 and finite")
+        for name in ("ppo_weight", "likelihood_weight"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 0 and finite")
         return self
 
 

@@ -129,7 +129,12 @@ def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array
         after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave, _leave], before, trajectory, update_rng)
         after = jax.tree.map(lambda new, old: jnp.where(trajectory.sound.any(), new, old), after, before)
         broken = 1.0 - trajectory.sound.mean()
-        return after.replace(rng=rng), (mean_outcome(trajectory), _as_arrays(metrics), broken, trajectory.overflow.mean())
+        return after.replace(rng=rng), (
+            mean_outcome(trajectory),
+            _as_arrays(metrics),
+            broken,
+            trajectory.overflow.mean(),
+        )
 
     return jax.lax.cond(phase == SKIP, skip, run, state)
 

@@ -184,7 +184,7 @@ def _ppo_loss(env: GoalEnv, config: Config, hyper: Hyperparameters, params: Para
     policy = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
     predicted = apply(value_network(config), params["value"], part["observation"])[..., 0]
     value_loss = 0.5 * weighted_mean(jnp.square(predicted - part["return"]), part["weight"])
-    return policy.loss + value_loss, UpdateMetrics(
+    return hyper.ppo_weight * policy.loss + value_loss, UpdateMetrics(
         policy_loss=policy.loss, value_loss=value_loss, clip_fraction=policy.clip_fraction, kl=policy.kl
     )
 
