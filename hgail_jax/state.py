@@ -65,7 +65,12 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
       hyperparameters: scalars, or tracers where a sweep is vmapped.
       rng: a PRNG key, from `jax.random.key`.
 
+    Raises:
+      ValueError: see `Config.validate` and `Hyperparameters.validate`.
+
     """
+    config.validate(env)
+    hyperparameters.validate()
     policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)
     observation = jnp.zeros(env.observation_size)
     actor_critic = {
