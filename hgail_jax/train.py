@@ -89,7 +89,7 @@ def train_step(
     )
 
 
-_MEASURED_BY = {
+MEASURED_BY = {
     "reward": (POLICY,),
     "policy_loss": (PRETRAIN, POLICY),
     "value_loss": (POLICY,),
@@ -102,7 +102,7 @@ _MEASURED_BY = {
 
 
 def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
-    return _masked_mean(values, jnp.isin(phases, jnp.array(_MEASURED_BY[name])))
+    return _masked_mean(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
 
 
 def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):
