@@ -1,7 +1,5 @@
-import contextlib
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_train import ENV, PHASES, TINY
+from support import TINY, small_files_only
 
-from hgail_jax import Checkpoints, Hyperparameters
+import envs
+from hgail_jax import Checkpoints, Hyperparameters, schedule
 from hgail_jax.checkpoint import KEPT, SCHEMA
 from hgail_jax.parallel import compile_train_step, init_seeds, seed_keys
 
@@ -168,7 +167,7 @@ def test_where_all_are_damaged_it_says_so(tmp_path):
     save_small(tmp_path, 2)
     for rounds in ("1", "2"):
         os.truncate(tmp_path / rounds / "record" / "metadata", 10)
-    with pytest.raises(ValueError, match="no checkpoint can be read: checkpoint 2 .*; checkpoint 1"):
+    with pytest.raises(ValueError, match=r"no checkpoint can be read: checkpoint 2 .*; checkpoint 1"):
         Checkpoints(tmp_path, RUN).restore(small_state())
 
 
@@ -186,17 +185,6 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path):
     with Checkpoints(tmp_path, RUN) as checkpoints, pytest.raises(FloatingPointError, match="weights is not finite"):
         checkpoints.save(1, small_state(float("nan")), {}, (0.0,))
     assert folders(tmp_path) == []
-
-
-@contextlib.contextmanager
-def small_files_only(size):
-    """No file may grow beyond `size`: to whoever writes it, a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
@@ -260,21 +248,23 @@ def test_a_state_is_restored_onto_more_devices_and_onto_fewer(tmp_path):
 
 
 def test_eight_seeds_train_on_from_a_checkpoint_as_if_nothing_had_happened(tmp_path):
-    def init():
-        return init_seeds(ENV, TINY, Hyperparameters(), seed_keys(0, 8))
+    env, schedule_rows = envs.make("point"), schedule(TINY)
 
-    step = compile_train_step(ENV, TINY, jax.eval_shape(init), PHASES[0])
+    def init():
+        return init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 8))
+
+    step = compile_train_step(env, TINY, jax.eval_shape(init), schedule_rows[0])
     states = init()
     with Checkpoints(tmp_path, RUN) as checkpoints:
-        for rounds, phases in enumerate(PHASES, start=1):
+        for rounds, phases in enumerate(schedule_rows, start=1):
             states, _ = step(states, phases)
             if rounds == 1:
                 checkpoints.save(rounds, states, {}, (0.0,))
     read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(init))
+    assert (read.rounds, len(schedule_rows)) == (1, 3)
     resumed = read.state
-    for phases in PHASES[read.rounds :]:
+    for phases in schedule_rows[read.rounds :]:
         resumed, _ = step(resumed, phases)
-    assert len(PHASES) == 3
     assert_same(states, resumed)
 
 

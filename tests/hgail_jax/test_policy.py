@@ -76,7 +76,7 @@ def test_other_files_are_refused(tmp_path, content):
 
 def test_pickles_are_refused(tmp_path):
     np.savez(tmp_path / "p.npz", header=np.array([{"format": "hgail_jax policy 2"}], dtype=object))
-    with pytest.raises(ValueError, match="is not a policy file.*pickle"):
+    with pytest.raises(ValueError, match=r"is not a policy file.*pickle"):
         load_policy(tmp_path / "p.npz")
 
 
