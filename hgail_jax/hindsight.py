@@ -5,6 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from hgail_jax.validation import check_share
+
 FUTURE, FINAL = range(2)
 
 
@@ -40,7 +42,16 @@ def relabel(
       strategy: `FUTURE`, with `l` uniform over `j+1..T`, or `FINAL`, with `l = T`.
       include_current: let "future" draw from `j..T` instead.
 
+    Raises:
+      ValueError: the shapes do not fit, or `p_ht` is no probability.
+
     """
+    if achieved.ndim != 2 or len(achieved) < 2 or desired.shape != achieved.shape[1:]:
+        raise ValueError(
+            f"achieved and desired have the shapes {achieved.shape} and {desired.shape}; they must be"
+            " [T + 1, goal_size] and [goal_size], with T at least 1"
+        )
+    check_share("p_ht", p_ht)
     length = achieved.shape[0] - 1
     chosen_rng, source_rng = jax.random.split(rng)
     chosen = jax.random.bernoulli(chosen_rng, p_ht, (length,))

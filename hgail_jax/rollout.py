@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs import GoalEnv
+from hgail_jax.validation import check_count
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 """Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
@@ -35,7 +36,13 @@ class Trajectory(struct.PyTreeNode):
 
 
 def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int) -> Trajectory:
-    """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps."""
+    """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
+
+    Raises:
+      ValueError: `num_envs` is no count from 1.
+
+    """
+    check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)
     state = _depend_on(reset_rng, jax.vmap(env.reset)(jax.random.split(reset_rng, num_envs)))
 

@@ -8,6 +8,8 @@ import numpy as np
 MOST = 1_000_000
 """The largest count that is taken for one: more of anything fits no machine."""
 
+_SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+
 
 def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
     """Refuses what is not an integer from `least` to `most`.
@@ -37,7 +39,7 @@ def check_share(name: str, value: Any) -> None:
 
 def check_positive(name: str, value: Any) -> None:
     """Refuses numbers, or arrays of them, that are not positive and finite in single precision; lets tracers pass."""
-    if not _all(value, lambda array: (array > 0.0) & np.isfinite(array)):
+    if not _all(value, lambda array: (array >= _SMALLEST) & (array <= _LARGEST)):
         raise ValueError(f"{name} is {value!r}; it must be positive and finite")
 
 
@@ -57,5 +59,4 @@ def _all(value: Any, test) -> bool:
         return False
     if array.dtype.kind not in "biuf":
         return False
-    with np.errstate(over="ignore"):
-        return bool(np.all(test(array.astype(np.float32))))
+    return bool(np.all(test(array.astype(np.float64))))
