@@ -12,7 +12,7 @@ from typing import Any, Literal, NoReturn
 
 import jax
 import tyro
-from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, write_json
+from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
 from signals import stop_on_signal
 from training import Run, train
 from video import film
@@ -150,8 +150,10 @@ def choose_folder(options: Options) -> tuple[Path, bool]:
     return options.out or next_folder(Path("runs"), stem), False
 
 
-def open_folder(options: Options, run: Run) -> tuple[Path, Checkpoints, Checkpoint | None]:
+def open_folder(options: Options, run: Run, held: contextlib.ExitStack) -> tuple[Path, Checkpoints, Checkpoint | None]:
     """Makes the run's folder, or finds what to go on with; a folder of another run is left as it is.
+
+    Until `held` is left, no other process can open the folder.
 
     Raises:
       ValueError: the folder, or its checkpoints, cannot be used.
@@ -161,8 +163,10 @@ def open_folder(options: Options, run: Run) -> tuple[Path, Checkpoints, Checkpoi
     checkpoints = Checkpoints(folder / "checkpoints", run.identity())
     if not resumed:
         create_folder(folder)
+        held.enter_context(sole_user(folder))
         return folder, checkpoints, None
     reopen_folder(folder, run.identity())
+    held.enter_context(sole_user(folder))
     restored = checkpoints.restore(jax.eval_shape(run.init))
     for line in restored.damaged if restored else ():
         print(line, file=sys.stderr)
@@ -178,12 +182,30 @@ def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(arguments)
     started = time.perf_counter()
-    try:
-        run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
-        folder, checkpoints, restored = open_folder(options, run)
-    except ValueError as error:
-        fail(error, 2)
-    print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
+    with contextlib.ExitStack() as held:
+        try:
+            run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
+            folder, checkpoints, restored = open_folder(options, run, held)
+        except ValueError as error:
+            fail(error, 2)
+        print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
+        summary = carry_out(options, run, folder, checkpoints, restored, started)
+    if summary is None:
+        rounds = len(schedule(run.config))
+        print(f"stopped after {checkpoints.saved} of {rounds} rounds; go on with --resume {folder}")
+        return
+    report(summary, folder)
+    if options.video:
+        film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
+
+
+def carry_out(
+    options: Options, run: Run, folder: Path, checkpoints: Checkpoints, restored: Checkpoint | None, started: float
+) -> dict | None:
+    """Trains, writes everything into the folder and returns the summary, or None if a signal stopped it.
+
+    Ends the process with one line if the training diverges or something cannot be written.
+    """
     try:
         made_by = provenance()
         remove_partial_files(folder)
@@ -191,21 +213,15 @@ def main(arguments: list[str] | None = None) -> None:
             write_json(folder / "config.json", {"options": dataclasses.asdict(options)} | run.identity() | made_by)
         with stop_on_signal() as stop:
             summary = train(run, folder, checkpoints, restored, stop)
-        if summary is None:
-            print(
-                f"stopped after {checkpoints.saved} of {len(schedule(run.config))} rounds; go on with --resume {folder}"
-            )
-            return
-        summary["wall_seconds"]["total"] = time.perf_counter() - started
-        write_json(folder / "summary.json", summary | made_by)
+            if summary is not None:
+                summary["wall_seconds"]["total"] = time.perf_counter() - started
+                write_json(folder / "summary.json", summary | made_by)
+        return summary
     except FloatingPointError as error:
-        last = "none" if checkpoints.saved is None else f"{checkpoints.folder / str(checkpoints.saved)}"
+        last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
         fail(f"the training diverged: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
-        fail(f"cannot write the run: {error}", 1)
-    report(summary, folder)
-    if options.video:
-        film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
+        fail(f"the run stops: {error}; go on with --resume {folder}", 1)
 
 
 def fail(message: object, code: int) -> NoReturn:

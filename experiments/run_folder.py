@@ -1,10 +1,14 @@
 """The folder of a run: where it is, and the tables and records in it."""
 
+import contextlib
 import csv
+import fcntl
 import json
+import os
 import platform
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -65,6 +69,27 @@ def reopen_folder(path: Path, identity: dict) -> None:
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is not the folder of a run that can be resumed: {error}") from None
     refuse_another_run(path, there, identity)
+
+
+@contextlib.contextmanager
+def sole_user(path: Path) -> Iterator[None]:
+    """Holds a folder for this process; the system lets go of it however the process ends.
+
+    Raises:
+      ValueError: another process holds it.
+
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{path} is in use by another process") from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def provenance() -> dict:

@@ -3,6 +3,9 @@
 import contextlib
 import hashlib
 import json
+import logging
+import os
+import re
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +19,14 @@ SCHEMA = 1
 """Version of what a checkpoint holds; one of another schema is refused."""
 KEPT = 3
 """The last checkpoints that are kept, besides the best."""
+
+
+# Orbax logs, over hundreds of lines, each error that it then raises, and which here is said in one.
+logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
+
+
+class AnotherRunError(ValueError):
+    """What is there belongs to another run; the message says in what they differ."""
 
 
 class Checkpoint(NamedTuple):
@@ -100,21 +111,20 @@ class Checkpoints:
           template: a pytree of arrays, or of `jax.ShapeDtypeStruct`, like the state that was saved.
 
         Raises:
-          ValueError: the checkpoint is of another run or schema, or there are some and none can be read.
+          AnotherRunError: the checkpoint is of another run or schema.
+          ValueError: there are checkpoints, and none can be read.
 
         """
         damaged: list[str] = []
         for rounds in self._rounds_on_disk():
             try:
                 body = self._read_body(rounds)
-            except Exception as error:  # json, orbax and tensorstore raise what they like
-                damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_first_line(error)}")
-                continue
-            self._refuse_others(body, template)
-            try:
+                self._refuse_others(body, template)
                 arrays = self._read_arrays(rounds, body["arrays"])
-            except Exception as error:
-                damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_first_line(error)}")
+            except AnotherRunError:
+                raise
+            except Exception as error:  # json, orbax and tensorstore raise what they like
+                damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_reason(error)}")
                 continue
             self._scores, self.saved = body["scores"], rounds
             return Checkpoint(rounds, _from_arrays(arrays, template), body["record"], tuple(damaged))
@@ -146,7 +156,9 @@ class Checkpoints:
 
     def _refuse_others(self, body: dict, template: Any) -> None:
         if body["schema"] != SCHEMA:
-            raise ValueError(f"{self.folder} has checkpoints of schema {body['schema']}; this version reads {SCHEMA}")
+            raise AnotherRunError(
+                f"{self.folder} has checkpoints of schema {body['schema']}; this version reads {SCHEMA}"
+            )
         refuse_another_run(self.folder, body["run"], self._run)
         there = {name: [described["dtype"], described["shape"]] for name, described in body["arrays"].items()}
         here = {name: [str(leaf.dtype), list(leaf.shape)] for name, leaf in _named(jax.eval_shape(_raw, template))}
@@ -176,7 +188,7 @@ class Checkpoints:
         except Exception as error:
             for path in self.folder.glob("*orbax-checkpoint-tmp*"):
                 shutil.rmtree(path, ignore_errors=True)
-            raise OSError(f"cannot write a checkpoint to {self.folder}: {_first_line(error)}") from error
+            raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 
 
 class _LastAndBest:
@@ -194,11 +206,11 @@ class _LastAndBest:
 
 
 def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
-    """Raises a ValueError that names the first entry in which two nested dicts, of JSON's types, differ."""
+    """Raises an AnotherRunError that names the first entry in which two nested dicts, of JSON's types, differ."""
     difference = _difference(there, _plain(here))
     if difference is not None:
         name, of_there, of_here = difference
-        raise ValueError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
+        raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
 
 
 def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
@@ -254,5 +266,11 @@ def _plain(content: Any) -> Any:
     return json.loads(json.dumps(content))
 
 
-def _first_line(error: BaseException) -> str:
+def _reason(error: BaseException) -> str:
+    """What an error says, in one line; what the operating system said, where tensorstore quotes it."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    quoted = re.search(r"os_error_code='(\d+)'", str(error))
+    if quoted:
+        return os.strerror(int(quoted[1]))
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

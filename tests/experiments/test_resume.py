@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import run
 import training
+from run_folder import sole_user
 from support import TINY, small_files_only
 
 from hgail_jax import Hyperparameters, Preset
@@ -206,6 +207,15 @@ def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whol
     assert outcome(tmp_path / "runs" / "point-hgail-1") == whole("hgail")
 
 
+def test_a_folder_is_trained_in_by_one_process_at_a_time(tmp_path, capsys):
+    start("--out", "run")
+    with sole_user(tmp_path / "run"), pytest.raises(SystemExit) as exit_info:
+        start("--resume", "run")
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "run.py: run is in use by another process"
+    start("--resume", "run")
+
+
 def test_auto_begins_a_run_where_there_is_none(tmp_path):
     start("--resume", "auto", method="ppo")
     assert [path.name for path in Path("runs").iterdir()] == ["point-ppo-1"]
@@ -295,7 +305,7 @@ def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, 
         finally:
             full.__exit__(None, None, None)
     assert exit_info.value.code == 1
-    assert "run.py: cannot write" in capsys.readouterr().err
+    assert "run.py: the run stops: " in capsys.readouterr().err
     left = {str(path.relative_to("run")) for path in Path("run").rglob("*") if path.is_file()}
     assert {name for name in left if not name.startswith("checkpoints/")} == {"config.json", "metrics.csv"}
     assert all(name.isdecimal() for name in os.listdir("run/checkpoints"))

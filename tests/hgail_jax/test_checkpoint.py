@@ -1,3 +1,4 @@
+import hashlib
 import json
 import os
 import subprocess
@@ -133,6 +134,11 @@ def flip(path):
     path.write_bytes(content)
 
 
+def forge(body):
+    """A record whose hash is right."""
+    return json.dumps({"body": body, "sha256": hashlib.sha256(json.dumps(body).encode()).hexdigest()})
+
+
 DAMAGE = {
     "truncated record": lambda folder: os.truncate(folder / "record" / "metadata", 200),
     "a bit of the record": lambda folder: flip(folder / "record" / "metadata"),
@@ -142,6 +148,8 @@ DAMAGE = {
     "no arrays": lambda folder: arrays_of(folder).unlink(),
     "empty manifest": lambda folder: (folder / "state" / "manifest.ocdbt").write_bytes(b""),
     "a pickle": lambda folder: (folder / "record" / "metadata").write_bytes(b"\x80\x04cos\nsystem\n."),
+    "another form": lambda folder: (folder / "record" / "metadata").write_text(forge({"schema": SCHEMA})),
+    "no list": lambda folder: (folder / "record" / "metadata").write_text("7"),
     "deep nesting": lambda folder: (folder / "record" / "metadata").write_text("[" * 100_000),
 }
 
@@ -193,7 +201,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
     template = small_state() | {"weights": jnp.zeros((2, 3))}
     checkpoints.restore(template)
     with (
-        pytest.raises(OSError, match=f"cannot write a checkpoint to {tmp_path}"),
+        pytest.raises(OSError, match=f"cannot write a checkpoint to {tmp_path}: File too large"),
         small_files_only(1_000),
         checkpoints,
     ):
