@@ -238,7 +238,7 @@ def _named(tree: Any) -> list[tuple[str, Any]]:
 
 
 def _to_arrays(state: Any) -> dict[str, np.ndarray]:
-    # NumPy's view of an array on the CPU shares its memory, which the next step takes over.
+    # Copied, as the arrays may be donated to the next step while they are being written.
     return {name: np.array(leaf, copy=True) for name, leaf in _named(_raw(state))}
 
 
