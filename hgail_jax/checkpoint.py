@@ -82,8 +82,11 @@ class Checkpoints:
         Raises:
           FloatingPointError: the state is not finite. Nothing is written.
           OSError: this checkpoint, or the one before it, cannot be written. Nothing of it is left.
+          ValueError: the folder holds checkpoints already and none was restored.
 
         """
+        if self.saved is None and self._rounds_on_disk():
+            raise ValueError(f"{self.folder} holds checkpoints; restore one before saving more")
         arrays = _to_arrays(state)
         for name, array in arrays.items():
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
@@ -135,11 +138,11 @@ class Checkpoints:
     def _rounds_on_disk(self) -> list[int]:
         """Rounds done in the checkpoints that have their name, latest first."""
         names = [path.name for path in self.folder.iterdir()] if self.folder.is_dir() else []
-        return sorted((int(name) for name in names if name.isdecimal() and name.isascii()), reverse=True)
+        return sorted((int(name) for name in names if re.fullmatch("0|[1-9][0-9]*", name)), reverse=True)
 
     def _open(self) -> ocp.CheckpointManager:
         for rounds in self._rounds_on_disk():
-            if rounds > (-1 if self.saved is None else self.saved):  # damaged; training will come by again
+            if self.saved is not None and rounds > self.saved:  # damaged; training comes by again
                 shutil.rmtree(self.folder / str(rounds))
         options = ocp.CheckpointManagerOptions(
             preservation_policy=_LastAndBest(self), cleanup_tmp_directories=True, enable_background_delete=False

@@ -189,6 +189,13 @@ def test_what_a_killed_process_left_is_no_checkpoint_and_is_removed(tmp_path):
     assert folders(tmp_path) == ["1", "2", "3"]
 
 
+def test_checkpoints_are_never_overwritten_unread(tmp_path):
+    save_small(tmp_path, 2)
+    with pytest.raises(ValueError, match="restore one before saving more"):
+        save_small(tmp_path, 1)
+    assert folders(tmp_path) == ["1", "2"]
+
+
 def test_a_state_that_is_not_finite_is_not_saved(tmp_path):
     with Checkpoints(tmp_path, RUN) as checkpoints, pytest.raises(FloatingPointError, match="weights is not finite"):
         checkpoints.save(1, small_state(float("nan")), {}, (0.0,))
