@@ -1,4 +1,4 @@
-"""Trains several seeds of a method on a task, side by side, and writes what came of it to a new folder."""
+"""Trains several seeds of a method on a task, side by side, and writes what came of it to a folder."""
 
 import contextlib
 import dataclasses
@@ -8,24 +8,25 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import jax
-import numpy as np
 import tyro
-from curves import draw_curves
-from run_folder import MetricsFile, create_folder, next_folder, provenance, write_json
-from tqdm import tqdm
+from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
+from signals import stop_on_signal
+from training import Run, train
 from video import film
 
 import envs
 from envs.fetch import FAST_SUBSTEPS, FetchEnv
-from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
-from hgail_jax.evaluate import EpisodeMetrics
+from hgail_jax.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Preset
+from hgail_jax.files import remove_partial_files
 from hgail_jax.methods import METHODS
-from hgail_jax.parallel import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
-from hgail_jax.policy import MeanPolicy, from_state, load_policy, save_policy
-from hgail_jax.train import RoundMetrics, env_steps, schedule
+from hgail_jax.parallel import check_seeds
+from hgail_jax.policy import MeanPolicy, load_policy
+from hgail_jax.train import schedule
+from hgail_jax.validation import check_count
 
 AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 4}}
 """What `--num-envs` and `--iterations` are by default under the preset `parallel`."""
@@ -65,19 +66,12 @@ class Options:
     """How the discriminator's logit becomes a reward."""
     out: Path | None = None
     """Folder to write, which must not exist; by default runs/<task>-<method>-<number>."""
+    resume: str | None = None
+    """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
+    checkpoint_every: int = 1
+    """Rounds from one checkpoint to the next."""
     video: bool = False
     """Film the policy of the first seed after training (Fetch tasks)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """Options, checked and worked out."""
-
-    env: envs.GoalEnv
-    config: Config
-    hyperparameters: Hyperparameters
-    evaluation_episodes: int
-    """Episodes per seed that the final evaluation has at least."""
 
 
 def prepare(options: Options, platform: str) -> Run:
@@ -87,8 +81,10 @@ def prepare(options: Options, platform: str) -> Run:
       ValueError: an option has a value that it cannot have.
 
     """
-    if options.seeds < 1:
-        raise ValueError(f"--seeds is {options.seeds}; it must be at least 1")
+    check_seeds(options.first_seed, options.seeds)
+    check_count("checkpoint_every", options.checkpoint_every)
+    if options.resume is not None and options.out is not None:
+        raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
     preset = PRESETS[options.preset]
     sizes: dict[str, Any] = dict(AUTO_SIZES[platform]) if options.preset == "parallel" else {}
     given = {"num_envs": options.num_envs, "rounds": options.iterations}
@@ -100,16 +96,28 @@ def prepare(options: Options, platform: str) -> Run:
     )
     if options.p_ht is not None:
         hyperparameters = hyperparameters.replace(p_ht=options.p_ht)
+    env = _make(options)
     return Run(
-        env=_make(options),
-        config=preset.config,
+        task=options.task,
+        method=options.method,
+        seeds=options.seeds,
+        first_seed=options.first_seed,
+        env=env,
+        config=preset.config.validate(env),
         hyperparameters=hyperparameters.validate(),
         evaluation_episodes=EVALUATION_EPISODES[platform],
+        checkpoint_every=options.checkpoint_every,
     )
 
 
 def _make(options: Options) -> envs.GoalEnv:
-    if issubclass(envs.find_class(options.task), FetchEnv):
+    try:
+        task_class = envs.find_class(options.task)
+    except ValueError:
+        raise
+    except Exception as error:  # a module of the user's own raises what it likes
+        raise ValueError(f"cannot load task {options.task!r}: {error}") from error
+    if issubclass(task_class, FetchEnv):
         return envs.make(
             options.task, impl=options.impl, substeps=FAST_SUBSTEPS if options.substeps is None else options.substeps
         )
@@ -133,102 +141,93 @@ def parse(arguments: list[str] | None) -> Options:
         raise
 
 
+def choose_folder(options: Options) -> tuple[Path, bool]:
+    """Returns the run's folder, and whether it is there already, to be gone on with."""
+    stem = f"{options.task.split(':')[-1]}-{options.method}"
+    resumed = newest_folder(Path("runs"), stem) if options.resume == "auto" else options.resume
+    if resumed is not None:
+        return Path(resumed), True
+    return options.out or next_folder(Path("runs"), stem), False
+
+
+def open_folder(options: Options, run: Run, held: contextlib.ExitStack) -> tuple[Path, Checkpoints, Checkpoint | None]:
+    """Makes the run's folder, or finds what to go on with; a folder of another run is left as it is.
+
+    Until `held` is left, no other process can open the folder.
+
+    Raises:
+      ValueError: the folder, or its checkpoints, cannot be used.
+
+    """
+    folder, resumed = choose_folder(options)
+    checkpoints = Checkpoints(folder / "checkpoints", run.identity())
+    if not resumed:
+        create_folder(folder)
+        held.enter_context(sole_user(folder))
+        return folder, checkpoints, None
+    reopen_folder(folder, run.identity())
+    held.enter_context(sole_user(folder))
+    restored = checkpoints.restore(jax.eval_shape(run.init))
+    for line in restored.damaged if restored else ():
+        print(line, file=sys.stderr)
+    rounds, total = restored.rounds if restored else 0, len(schedule(run.config))
+    if rounds == total:
+        print(f"{folder} is complete; its results are written again")
+    else:
+        print(f"{folder} goes on after {rounds} of {total} rounds")
+    return folder, checkpoints, restored
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(arguments)
     started = time.perf_counter()
-    try:
-        run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
-        folder = options.out or next_folder(Path("runs"), f"{options.task.split(':')[-1]}-{options.method}")
-        create_folder(folder)
-    except ValueError as error:
-        print(f"run.py: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
-    made_by = provenance()
-    settings = {"config": dataclasses.asdict(run.config), "hyperparameters": dataclasses.asdict(run.hyperparameters)}
-    write_json(folder / "config.json", {"options": dataclasses.asdict(options), **settings, **made_by})
-    summary = train(options, run, folder)
-    summary["wall_seconds"]["total"] = time.perf_counter() - started
-    write_json(folder / "summary.json", summary | made_by)
+    with contextlib.ExitStack() as held:
+        try:
+            run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
+            folder, checkpoints, restored = open_folder(options, run, held)
+        except ValueError as error:
+            fail(error, 2)
+        print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
+        summary = carry_out(options, run, folder, checkpoints, restored, started)
+    if summary is None:
+        rounds = len(schedule(run.config))
+        print(f"stopped after {checkpoints.saved} of {rounds} rounds; go on with --resume {folder}")
+        return
     report(summary, folder)
     if options.video:
         film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
 
 
-def train(options: Options, run: Run, folder: Path) -> dict:
-    """Trains and evaluates all seeds, writes every file but the summary into `folder`, and returns the summary."""
-    phases = schedule(run.config)
-    steps = env_steps(run.env, run.config, phases).cumsum()
-    keys = seed_keys(options.first_seed, options.seeds)
-    states = init_seeds(run.env, run.config, run.hyperparameters, keys)
+def carry_out(
+    options: Options, run: Run, folder: Path, checkpoints: Checkpoints, restored: Checkpoint | None, started: float
+) -> dict | None:
+    """Trains, writes everything into the folder and returns the summary, or None if a signal stopped it.
 
-    compile_started = time.perf_counter()
-    print("compiling ...", flush=True)
-    train_step = compile_train_step(run.env, run.config, states, phases[0])
-    train_started = time.perf_counter()
-
-    metrics_file, history = MetricsFile(folder / "metrics.csv"), []
-    bar = tqdm(zip(phases, steps, strict=True), total=len(phases), unit="round", desc="training")
-    for row, total_steps in bar:
-        states, metrics = train_step(states, row)
-        history.append(jax.tree.map(np.asarray, metrics))
-        seconds = time.perf_counter() - train_started
-        metrics_file.append(metrics_rows(options, len(history) - 1, total_steps, seconds, history[-1]))
-        reached = history[-1].evaluation
-        bar.set_postfix_str(
-            f"success {reached.success.mean():.3f}, distance {reached.distance_l2.mean():.3f} m,"
-            f" {total_steps * options.seeds / seconds:,.0f} env steps/s"
-        )
-    trained = time.perf_counter()
-    states, final = evaluate_seeds(train_step, run.config, states, run.evaluation_episodes)
-    evaluated = time.perf_counter()
-
-    write_results(options, run, folder, states, steps, history)
-    timing = {
-        "compile": train_started - compile_started,
-        "train": trained - train_started,
-        "evaluation": evaluated - trained,
-    }
-    return summarize(options, run, final, int(steps[-1]), timing)
+    Ends the process with one line if the training diverges or something cannot be written.
+    """
+    try:
+        made_by = provenance()
+        remove_partial_files(folder)
+        if not (folder / "config.json").exists():
+            write_json(folder / "config.json", {"options": dataclasses.asdict(options)} | run.identity() | made_by)
+        with stop_on_signal() as stop:
+            summary = train(run, folder, checkpoints, restored, stop)
+            if summary is not None:
+                summary["wall_seconds"]["total"] = time.perf_counter() - started
+                write_json(folder / "summary.json", summary | made_by)
+        return summary
+    except FloatingPointError as error:
+        last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
+        fail(f"the training diverged: {error}; the last good checkpoint: {last}", 1)
+    except OSError as error:
+        fail(f"the run stops: {error}; go on with --resume {folder}", 1)
 
 
-def metrics_rows(
-    options: Options, round_index: int, steps: int, seconds: float, metrics: RoundMetrics
-) -> list[dict[str, float]]:
-    """Returns the rows of metrics.csv for one round, one per seed."""
-    columns = {
-        "success_rate": metrics.evaluation.success,
-        "success_rate_achieved": metrics.evaluation.achieved,
-        "success_rate_l1": metrics.evaluation.success_l1,
-        "distance_l1": metrics.evaluation.distance_l1,
-        "distance_l2": metrics.evaluation.distance_l2,
-        "training_success_rate": metrics.training.success,
-        **vars(metrics.update),
-    }
-    first = options.first_seed
-    return [
-        {"seed": first + index, "round": round_index, "env_steps": int(steps), "seconds": round(seconds, 3)}
-        | {name: float(values[index]) for name, values in columns.items()}
-        for index in range(options.seeds)
-    ]
-
-
-def write_results(
-    options: Options, run: Run, folder: Path, states, steps: np.ndarray, history: list[RoundMetrics]
-) -> None:
-    """Writes the policies and the curves."""
-    (folder / "policies").mkdir()
-    policies = [
-        from_state(options.task, jax.tree.map(lambda leaf, i=index: leaf[i], states)) for index in range(options.seeds)
-    ]
-    for index, policy in enumerate(policies):
-        save_policy(folder / "policies" / f"seed-{options.first_seed + index}.npz", policy)
-    title = f"{options.method} on {options.task}: {options.seeds} seeds, {run.config.num_envs} environments each"
-    success, distance = (
-        np.stack([getattr(metrics.evaluation, name) for metrics in history]) for name in ("success", "distance_l1")
-    )
-    draw_curves(folder / "curves.png", title, steps, success, distance)
+def fail(message: object, code: int) -> NoReturn:
+    """Ends the process with one line."""
+    print(f"run.py: {' '.join(str(message).split())}", file=sys.stderr)
+    raise SystemExit(code)
 
 
 def film_policy(run: Run, folder: Path, policy: MeanPolicy) -> None:
@@ -239,28 +238,6 @@ def film_policy(run: Run, folder: Path, policy: MeanPolicy) -> None:
         film(folder / "rollout.mp4", run.env.accurate(), policy)
     except Exception as error:  # whatever rendering or encoding raises, the results are written
         print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
-
-
-def summarize(options: Options, run: Run, final: EpisodeMetrics, steps: int, timing: dict) -> dict:
-    """Returns summary.json's content, less what made it and the total time."""
-
-    def over_seeds(measured: jax.Array | float) -> dict:
-        values = np.asarray(measured)
-        return {"mean": float(values.mean()), "std": float(values.std()), "per_seed": values.tolist()}
-
-    return {
-        "task": options.task,
-        "method": options.method,
-        "seeds": options.seeds,
-        "success_rate": over_seeds(final.success),
-        "success_rate_l1": over_seeds(final.success_l1),
-        "distance_l1": over_seeds(final.distance_l1),
-        "distance_l2": over_seeds(final.distance_l2),
-        "evaluation_episodes_per_seed": evaluation_episodes(run.config, run.evaluation_episodes),
-        "env_steps_per_seed": steps,
-        "env_steps_per_second": steps * options.seeds / timing["train"],
-        "wall_seconds": timing,
-    }
 
 
 def report(summary: dict, folder: Path) -> None:

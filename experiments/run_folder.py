@@ -1,25 +1,40 @@
-"""The folder that a run writes: what stands in it, and that nothing in it is ever overwritten."""
+"""The folder of a run: where it is, and the tables and records in it."""
 
+import contextlib
 import csv
-import importlib.metadata
+import fcntl
 import json
+import os
 import platform
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from hgail_jax.checkpoint import refuse_another_run
 from hgail_jax.files import replace_file
+from hgail_jax.versions import installed
 
-_PACKAGES = ("hgail-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "numpy")
+_PACKAGES = ("hgail-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy")
 
 
 def next_folder(parent: Path, stem: str) -> Path:
     """Returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
-    taken = [path.name.removeprefix(f"{stem}-") for path in parent.glob(f"{stem}-*")]
-    return parent / f"{stem}-{1 + max((int(number) for number in taken if number.isdecimal()), default=0)}"
+    return parent / f"{stem}-{1 + max(_numbers(parent, stem), default=0)}"
+
+
+def newest_folder(parent: Path, stem: str) -> Path | None:
+    """Returns `parent/stem-N` for the largest N there is, or None."""
+    numbers = _numbers(parent, stem)
+    return parent / f"{stem}-{max(numbers)}" if numbers else None
+
+
+def _numbers(parent: Path, stem: str) -> list[int]:
+    endings = [path.name.removeprefix(f"{stem}-") for path in parent.glob(f"{stem}-*")]
+    return [int(ending) for ending in endings if ending.isdecimal()]
 
 
 def create_folder(path: Path) -> None:
@@ -37,6 +52,46 @@ def create_folder(path: Path) -> None:
         raise ValueError(f"cannot make the folder {path}: {error.strerror}") from None
 
 
+def reopen_folder(path: Path, identity: dict) -> None:
+    """Checks that a folder is that of the run which has this identity, or empty; writes nothing.
+
+    Raises:
+      ValueError: it is neither.
+
+    """
+    if not path.is_dir():
+        raise ValueError(f"there is no folder {path} to resume")
+    if not any(path.iterdir()):
+        return
+    try:
+        content = json.loads((path / "config.json").read_text())
+        there = {name: content[name] for name in identity}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path} is not the folder of a run that can be resumed: {error}") from None
+    refuse_another_run(path, there, identity)
+
+
+@contextlib.contextmanager
+def sole_user(path: Path) -> Iterator[None]:
+    """Holds a folder for this process; the system lets go of it however the process ends.
+
+    Raises:
+      ValueError: another process holds it.
+
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{path} is in use by another process") from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def provenance() -> dict:
     """Returns what made a result: command, device and versions."""
     device = jax.devices()[0]
@@ -44,7 +99,7 @@ def provenance() -> dict:
     return {
         "command": shlex.join(["python", *sys.argv]),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
-        "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+        "versions": {"python": platform.python_version()} | installed(*_PACKAGES),
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
     }
 
@@ -56,28 +111,13 @@ def write_json(path: Path, content: dict) -> None:
         file.write("\n")
 
 
-class MetricsFile:
-    """metrics.csv: a row per seed and round, written as the rounds end."""
-
-    def __init__(self, path: Path):
-        self._path = path
-        self._columns: list[str] = []
-
-    def append(self, rows: list[dict]) -> None:
-        """Adds rows, all with the columns of the first."""
-        with self._path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, self._columns or list(rows[0]))
-            if not self._columns:
-                self._columns = list(rows[0])
-                writer.writeheader()
-            writer.writerows({key: "" if value != value else value for key, value in row.items()} for row in rows)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+def write_metrics(path: Path, rows: list[dict]) -> None:
+    """Writes metrics.csv: a row per seed and round, all with the columns of the first; None is left empty."""
+    with replace_file(path) as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+        if rows:
+            writer.writeheader()
+        writer.writerows(rows)
 
 
 def _plain(value):

@@ -5,8 +5,10 @@ round measured.
 """
 
 from envs import EpisodeMetrics, GoalEnv, make
+from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
 from hgail_jax.evaluate import evaluate, mean_outcome
+from hgail_jax.export import export_policy
 from hgail_jax.hindsight import Hindsight, relabel
 from hgail_jax.methods import METHODS, Method
 from hgail_jax.policy import MeanPolicy, load_policy, save_policy
@@ -22,6 +24,8 @@ __all__ = [
     "PRESETS",
     "REWARDS",
     "STRATEGIES",
+    "Checkpoint",
+    "Checkpoints",
     "Config",
     "EpisodeMetrics",
     "GoalEnv",
@@ -36,6 +40,7 @@ __all__ = [
     "act",
     "env_steps",
     "evaluate",
+    "export_policy",
     "init_state",
     "load_policy",
     "make",

@@ -4,16 +4,20 @@ import dataclasses
 from typing import Any
 
 import jax
-import numpy as np
 from flax import struct
 
+from envs import GoalEnv
 from hgail_jax.hindsight import FINAL, FUTURE
 from hgail_jax.rewards import R1, R2, R3, R4
+from hgail_jax.validation import check_choice, check_count, check_not_negative, check_positive, check_share
 
 STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
 REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
 """Reward forms by name."""
+
+_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
+_MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Config:
     A sample is one step of one episode; a roll-out holds `num_envs` episodes.
 
     Raises:
-      ValueError: a count is out of its range.
+      ValueError: a value is out of its range.
 
     """
 
@@ -61,13 +65,32 @@ class Config:
     """Widths of the hidden layers of the discriminator."""
 
     def __post_init__(self):
-        at_least_zero = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.type is int and value < (field.name not in at_least_zero):
-                raise ValueError(f"{field.name} is {value}; it must be at least {int(field.name not in at_least_zero)}")
-        if not 0.0 <= self.final_learning_rate <= 1.0:
-            raise ValueError(f"final_learning_rate is {self.final_learning_rate}; it must be from 0 to 1")
+            if field.type is int:
+                check_count(field.name, value, least=int(field.name not in _MAY_BE_ZERO))
+            elif field.type is bool and not isinstance(value, bool):
+                raise ValueError(f"{field.name} is {value!r}; it must be True or False")
+        check_share("final_learning_rate", self.final_learning_rate)
+        for name in ("policy_hidden", "discriminator_hidden"):
+            if not isinstance(getattr(self, name), tuple):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a tuple of widths")
+            for width in getattr(self, name):
+                check_count(f"a width in {name}", width)
+
+    def validate(self, env: GoalEnv) -> "Config":
+        """Returns itself.
+
+        Raises:
+          ValueError: a roll-out on `env` has fewer samples than PPO has minibatches, or more than an index can count.
+
+        """
+        if not isinstance(env, GoalEnv):
+            raise ValueError(f"{env!r} is not a GoalEnv")
+        samples = self.num_envs * env.episode_length
+        check_count("ppo_minibatches", self.ppo_minibatches, most=samples)
+        check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
+        return self
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -102,19 +125,17 @@ class Hyperparameters(struct.PyTreeNode):
         """Returns itself.
 
         Raises:
-          ValueError: a value is out of its range. Call it before tracing: it needs concrete numbers.
+          ValueError: a value is out of its range. Values that are being traced pass unseen.
 
         """
-        for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be from 0 to 1")
+        for name in ("p_ht", "include_current", "environment_reward", "discount", "gae_lambda"):
+            check_share(name, getattr(self, name))
         for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
-            values = np.asarray(getattr(self, name))
-            if not np.all((values > 0.0) & (values < np.inf)):
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive and finite")
+            check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "likelihood_weight"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be at least 0 and finite")
+            check_not_negative(name, getattr(self, name))
+        check_choice("strategy", self.strategy, STRATEGIES)
+        check_choice("reward", self.reward, REWARDS)
         return self
 
 

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from hgail_jax.validation import check_share
+
 FUTURE, FINAL = range(2)
 
 
@@ -45,7 +47,16 @@ def relabel(
         among those ahead, then `l` uniformly among its steps.
       kind_share: `[K]`, positive: how often each kind is drawn where all lie ahead.
 
+    Raises:
+      ValueError: the shapes do not fit, or `p_ht` is no probability.
+
     """
+    if achieved.ndim != 2 or len(achieved) < 2 or desired.shape != achieved.shape[1:]:
+        raise ValueError(
+            f"achieved and desired have the shapes {achieved.shape} and {desired.shape}; they must be"
+            " [T + 1, goal_size] and [goal_size], with T at least 1"
+        )
+    check_share("p_ht", p_ht)
     length = achieved.shape[0] - 1
     kind = jnp.zeros(length + 1, jnp.int32) if kind is None else kind
     kind_share = jnp.ones(1) if kind_share is None else kind_share

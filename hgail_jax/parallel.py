@@ -13,13 +13,28 @@ from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.evaluate import EpisodeMetrics
 from hgail_jax.state import TrainState, init_state
 from hgail_jax.train import RoundMetrics, final_evaluation, train_step
+from hgail_jax.validation import check_count
+
+_MOST_SEEDS = 2**31 - 1
 
 SeedsStep = Callable[[TrainState, np.ndarray], tuple[TrainState, RoundMetrics]]
 """A compiled function of states and a row of phases to new states and metrics, all with an axis over seeds."""
 
 
+def check_seeds(first: int, count: int) -> None:
+    """Raises a ValueError if there are no seeds, or some are negative or wider than 31 bits."""
+    check_count("seeds", count)
+    check_count("first_seed", first, least=0, most=_MOST_SEEDS - count)
+
+
 def seed_keys(first: int, count: int) -> jax.Array:
-    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others."""
+    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others.
+
+    Raises:
+      ValueError: see `check_seeds`.
+
+    """
+    check_seeds(first, count)
     return jax.vmap(jax.random.key)(jnp.arange(first, first + count))
 
 

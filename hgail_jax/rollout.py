@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs import EpisodeMetrics, GoalEnv
+from hgail_jax.validation import check_count
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 """Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
@@ -45,7 +46,12 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
 
     Where `probe`, which may be traced, the episodes' outcome takes the task's probe into account: `env.probe_length`
     further steps, which are no part of the trajectory. Without it a task with a probe counts no success.
+
+    Raises:
+      ValueError: `num_envs` is no count from 1.
+
     """
+    check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)
     state = _depend_on(reset_rng, jax.vmap(env.reset)(jax.random.split(reset_rng, num_envs)))
     length = env.episode_length + env.probe_length

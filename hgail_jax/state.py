@@ -66,9 +66,12 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
       rng: a PRNG key, from `jax.random.key`.
 
     Raises:
-      ValueError: there are several standard deviations, but not one for each number of an action.
+      ValueError: see `Config.validate` and `Hyperparameters.validate`; or there are several standard deviations, but
+        not one for each number of an action.
 
     """
+    config.validate(env)
+    hyperparameters.validate()
     if np.shape(hyperparameters.action_std) not in ((), (env.action_size,)):
         raise ValueError(f"action_std is {hyperparameters.action_std}; it must be one number or {env.action_size}")
     policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)

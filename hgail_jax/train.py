@@ -19,6 +19,7 @@ from hgail_jax.evaluate import mean_outcome
 from hgail_jax.rollout import rollout
 from hgail_jax.state import TrainState
 from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
+from hgail_jax.validation import check_count
 
 SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE, EVALUATE_ACCURATELY = range(6)
 """Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action, in the physics
@@ -53,7 +54,12 @@ def final_evaluation(config: Config, num_episodes: int) -> np.ndarray:
     """Returns phases, `[rows, phases]` as in `schedule`, that evaluate accurately in at least `num_episodes` episodes.
 
     Every row has the length of a schedule's rows, so that the same compiled `train_step` runs it.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1.
+
     """
+    check_count("num_episodes", num_episodes)
     width = schedule(config).shape[1]
     rollouts = -(-num_episodes // config.num_envs)
     rows = -(-rollouts // width)
@@ -97,7 +103,7 @@ def train_step(
     )
 
 
-_MEASURED_BY = {
+MEASURED_BY = {
     "reward": (POLICY,),
     "policy_loss": (POLICY,),
     "likelihood_loss": (PRETRAIN, POLICY),
@@ -111,7 +117,7 @@ _MEASURED_BY = {
 
 
 def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
-    return _masked_mean(values, jnp.isin(phases, jnp.array(_MEASURED_BY[name])))
+    return _masked_mean(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
 
 
 def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import run
-from run_folder import MetricsFile, next_folder, write_json
+from run_folder import newest_folder, next_folder, write_json, write_metrics
 
 from hgail_jax import load_policy
 
@@ -33,9 +33,11 @@ def reach_run(tmp_path_factory):
 
 def test_a_run_writes_everything(reach_run):
     names = {str(path.relative_to(reach_run)) for path in reach_run.rglob("*") if path.is_file()}
+    names = {name for name in names if not name.startswith("checkpoints/")}
     policies = {f"policies/seed-{seed}.npz" for seed in range(2)}
     assert names - {"rollout.mp4"} == {"config.json", "metrics.csv", "summary.json", "curves.png"} | policies
     assert (reach_run / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in (reach_run / "checkpoints").iterdir()} == {"1", "2"}
 
 
 def test_summary_says_what_was_reached_and_what_made_it(reach_run):
@@ -97,7 +99,7 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
     ("arguments", "message"),
     [
         (["--task", "poke"], "unknown task 'poke'; choose from point, reach"),
-        (["--seeds", "-1"], "--seeds is -1; it must be at least 1"),
+        (["--seeds", "-1"], "seeds is -1; it must be at least 1"),
         (["--num-envs", "-4"], "num_envs is -4; it must be at least 1"),
         (["--iterations", "-1"], "rounds is -1; it must be at least 0"),
         (["--p-ht", "1.5"], "p_ht is 1.5; it must be from 0 to 1"),
@@ -109,6 +111,13 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--method", "magic"], "invalid choice 'magic'"),
         (["--seeds", "many"], "invalid literal for int()"),
         (["--sed", "8"], "Unrecognized options: --sed"),
+        (["--first-seed", "-1"], "first_seed is -1; it must be at least 0"),
+        (["--first-seed", "2147483640"], "first_seed is 2147483640; it must be at most 2147483639"),
+        (["--checkpoint-every", "0"], "checkpoint_every is 0; it must be at least 1"),
+        (["--task", ".a:B"], "cannot load task '.a:B'"),
+        (["--resume", "missing"], "there is no folder missing to resume"),
+        (["--resume", "file"], "there is no folder file to resume"),
+        (["--resume", "there", "--out", "here"], "--resume and --out exclude each other"),
         (["--out", "there"], "there exists already"),
         (["--out", "file/run"], "cannot make the folder file/run"),
     ],
@@ -146,16 +155,18 @@ def test_every_option_has_a_help_line(capsys):
 
 
 def test_next_folder_counts_on(tmp_path):
+    assert newest_folder(tmp_path, "reach-hgail") is None
     assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-1"
     for name in ("reach-hgail-2", "reach-hgail-10", "reach-hgail-no-30", "reach-hgail-x"):
         (tmp_path / name).mkdir()
     assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-11"
+    assert newest_folder(tmp_path, "reach-hgail").name == "reach-hgail-10"
 
 
 def test_what_is_not_a_number_is_left_out(tmp_path):
     write_json(tmp_path / "a.json", {"x": float("nan"), "y": np.float32([1, 2]), "z": Path("p")})
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": None, "y": [1, 2], "z": "p"}
-    MetricsFile(tmp_path / "a.csv").append([{"x": float("nan"), "y": 1.5}])
+    write_metrics(tmp_path / "a.csv", [{"x": None, "y": 1.5}])
     assert (tmp_path / "a.csv").read_text().split() == ["x,y", ",1.5"]
 
 

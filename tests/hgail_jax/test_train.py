@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import TINY
 
 import envs
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
@@ -21,18 +22,6 @@ from hgail_jax.train import (
 from hgail_jax.updates import act, expert_samples
 
 ENV = envs.make("point")
-TINY = Config(
-    num_envs=4,
-    rounds=2,
-    policy_phases=2,
-    discriminator_phases=1,
-    ppo_minibatches=2,
-    discriminator_minibatches=3,
-    discriminator_batch=8,
-    pretrain_policy_minibatches=3,
-    pretrain_policy_batch=8,
-    pretrain_discriminator_minibatches=3,
-)
 PHASES = schedule(TINY)
 tiny_step = jax.jit(functools.partial(train_step, ENV, TINY))
 seeds_step = jax.jit(jax.vmap(functools.partial(train_step, ENV, TINY), in_axes=(0, None)))

@@ -1,0 +1,68 @@
+"""The checks of values that come from outside; each raises a ValueError that names the value and what it may be."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+MOST = 1_000_000
+"""The largest count that is taken for one: more of anything fits no machine."""
+
+_SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+
+
+def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
+    """Refuses what is not an integer from `least` to `most`.
+
+    >>> check_count("rounds", 2.5, least=0)
+    Traceback (most recent call last):
+    ValueError: rounds is 2.5; it must be an integer
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name} is {value!r}; it must be an integer")
+    if value < least:
+        raise ValueError(f"{name} is {value}; it must be at least {least}")
+    if value > most:
+        raise ValueError(f"{name} is {value}; it must be at most {most}")
+
+
+def check_share(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are not from 0 to 1; lets tracers pass.
+
+    >>> check_share("p_ht", float("nan"))
+    Traceback (most recent call last):
+    ValueError: p_ht is nan; it must be from 0 to 1
+    """
+    if not _all(value, lambda array: (array >= 0.0) & (array <= 1.0)):
+        raise ValueError(f"{name} is {value!r}; it must be from 0 to 1")
+
+
+def check_positive(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are not positive and finite in single precision; lets tracers pass."""
+    if not _all(value, lambda array: (array >= _SMALLEST) & (array <= _LARGEST)):
+        raise ValueError(f"{name} is {value!r}; it must be positive and finite")
+
+
+def check_not_negative(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are negative or not finite; lets tracers pass."""
+    if not _all(value, lambda array: (array >= 0.0) & (array <= _LARGEST)):
+        raise ValueError(f"{name} is {value!r}; it must be at least 0 and finite")
+
+
+def check_choice(name: str, value: Any, choices: dict[str, int]) -> None:
+    """Refuses numbers, or arrays of them, that are no value of `choices`; lets tracers pass."""
+    if not _all(value, lambda array: np.isin(array, list(choices.values()))):
+        known = ", ".join(f"{number} ({choice})" for choice, number in choices.items())
+        raise ValueError(f"{name} is {value!r}; it must be one of {known}")
+
+
+def _all(value: Any, test) -> bool:
+    if isinstance(value, jax.core.Tracer):
+        return True
+    try:
+        array = np.asarray(value)
+    except ValueError:  # a ragged list
+        return False
+    if array.dtype.kind not in "biuf":
+        return False
+    return bool(np.all(test(array.astype(np.float64))))

@@ -1,0 +1,19 @@
+"""The versions that a file names, of what made it."""
+
+import importlib.metadata
+
+
+def installed(*packages: str) -> dict[str, str | None]:
+    """Returns the version of each distribution, None where it is not installed.
+
+    >>> installed("no-such-package")
+    {'no-such-package': None}
+    """
+    return {package: _version(package) for package in packages}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
