@@ -51,13 +51,14 @@ def relabel(
       ValueError: the shapes do not fit, or `p_ht` is no probability.
 
     """
-    if achieved.ndim != 2 or len(achieved) < 2 or desired.shape != achieved.shape[1:]:
+    length = len(achieved) - 1
+    fitting = (achieved.shape[1:], (length, *achieved.shape[1:]))
+    if achieved.ndim != 2 or length < 1 or desired.shape not in fitting:
         raise ValueError(
             f"achieved and desired have the shapes {achieved.shape} and {desired.shape}; they must be"
-            " [T + 1, goal_size] and [goal_size], with T at least 1"
+            " [T + 1, goal_size] and [T, goal_size] or [goal_size], with T at least 1"
         )
     check_share("p_ht", p_ht)
-    length = achieved.shape[0] - 1
     kind = jnp.zeros(length + 1, jnp.int32) if kind is None else kind
     kind_share = jnp.ones(1) if kind_share is None else kind_share
     chosen_rng, source_rng = jax.random.split(rng)
