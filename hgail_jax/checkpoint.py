@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -81,7 +82,8 @@ class Checkpoints:
 
         Raises:
           FloatingPointError: the state is not finite. Nothing is written.
-          OSError: this checkpoint, or the one before it, cannot be written. Nothing of it is left.
+          OSError: this checkpoint, or the one before it, cannot be written. Nothing has its name, and what was written
+            of it is removed, now or with the next checkpoint.
           ValueError: the folder holds checkpoints already and none was restored.
 
         """
@@ -189,9 +191,20 @@ class Checkpoints:
         try:
             yield
         except Exception as error:
-            for path in self.folder.glob("*orbax-checkpoint-tmp*"):
-                shutil.rmtree(path, ignore_errors=True)
+            self._remove_unfinished()
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
+
+    def _remove_unfinished(self) -> None:
+        """Removes what has no name yet until nothing comes any more: one array failed, others are on their way."""
+        quiet = 0
+        for _ in range(100):
+            unfinished = list(self.folder.glob("*orbax-checkpoint-tmp*"))
+            for path in unfinished:
+                shutil.rmtree(path, ignore_errors=True)
+            quiet = 0 if unfinished else quiet + 1
+            if quiet == 10:
+                break
+            time.sleep(0.05)
 
 
 class _LastAndBest:

@@ -308,9 +308,10 @@ def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, 
     assert "run.py: the run stops: " in capsys.readouterr().err
     left = {str(path.relative_to("run")) for path in Path("run").rglob("*") if path.is_file()}
     assert {name for name in left if not name.startswith("checkpoints/")} == {"config.json", "metrics.csv"}
-    assert all(name.isdecimal() for name in os.listdir("run/checkpoints"))
+    assert latest_checkpoint(Path("run")) in (2, 3)  # the third may be on its way when the disk is full
     start("--resume", "run")
     assert outcome(tmp_path / "run") == whole("hgail")
+    assert all(name.isdecimal() for name in os.listdir("run/checkpoints"))
 
 
 def latest_checkpoint(folder):

@@ -202,7 +202,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path):
     assert folders(tmp_path) == []
 
 
-def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
+def test_a_full_disk_is_an_error_and_leaves_no_checkpoint(tmp_path):
     save_small(tmp_path, 1)
     checkpoints = Checkpoints(tmp_path, RUN)
     template = small_state() | {"weights": jnp.zeros((2, 3))}
@@ -213,8 +213,12 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
         checkpoints,
     ):
         checkpoints.save(2, template, {"text": "x" * 10_000}, (0.0,))
-    assert folders(tmp_path) == ["1"]
-    assert Checkpoints(tmp_path, RUN).restore(template).rounds == 1
+    assert [name for name in folders(tmp_path) if name.isdecimal()] == ["1"]
+    checkpoints = Checkpoints(tmp_path, RUN)
+    assert checkpoints.restore(template).rounds == 1
+    with checkpoints:
+        checkpoints.save(2, template, {}, (0.0,))
+    assert folders(tmp_path) == ["1", "2"]
 
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
