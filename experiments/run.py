@@ -2,23 +2,23 @@
 
 import contextlib
 import dataclasses
-import io
-import itertools
+import json
 import os
 import sys
 import time
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
 import jax
-import tyro
+from command_line import fail, parse
+from defaults import Defaults, defaults
 from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
 from signals import stop_on_signal
 from training import Run, train
 from video import film
 
 import envs
-from envs.fetch import FAST_SUBSTEPS, FetchEnv
+from envs.fetch import FetchEnv
 from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Preset
 from hgail_jax.files import remove_partial_files
@@ -28,8 +28,8 @@ from hgail_jax.policy import MeanPolicy, load_policy
 from hgail_jax.train import schedule
 from hgail_jax.validation import check_count
 
-AUTO_SIZES = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 4}}
-"""What `--num-envs` and `--iterations` are by default under the preset `parallel`."""
+LIKELIHOOD_BATCH = 512
+"""Relabelled samples beside a minibatch of PPO where `--likelihood` asks for it and the task has no size of its own."""
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Episodes per seed in the final evaluation."""
 
@@ -47,9 +47,9 @@ class Options:
     first_seed: int = 0
     """The first seed; the others count up from it."""
     num_envs: int | None = None
-    """Environments per seed, that is episodes per roll-out; by default chosen for the platform."""
+    """Environments per seed, that is episodes per roll-out; by default chosen for the task and the platform."""
     iterations: int | None = None
-    """Rounds of the adversarial training; by default chosen for the platform. 0 leaves the pre-training alone."""
+    """Rounds of the adversarial training; by default chosen likewise. 0 leaves the pre-training alone."""
     preset: Literal["parallel", "paper"] = "parallel"
     """Sizes and schedule: wide roll-outs with few updates, or the paper's."""
     pretrain: bool = True
@@ -57,13 +57,19 @@ class Options:
     impl: Literal["auto", "jax", "warp"] = "auto"
     """Physics implementation of the Fetch tasks; auto takes the best available."""
     substeps: int | None = None
-    """Physics steps per action in training, 4 to 20; by default 4 of 10 ms. The final evaluation takes 20 of 2 ms."""
+    """Physics steps per action in training, 4 to 20; by default 4 (reach) or 8 (grasp). The final evaluation has 20."""
+    task_options: tuple[str, ...] = ()
+    """Further options of the task, as name=value, e.g. track_cube=true."""
     p_ht: float | None = None
     """Probability that hindsight replaces a step's goal, 0 to 1; by default the method's."""
     strategy: Literal["future", "final"] = "future"
     """Where hindsight takes goals from: later in the trajectory, or its end."""
     reward: Literal["r1", "r2", "r3", "r4"] = "r1"
     """How the discriminator's logit becomes a reward."""
+    likelihood: float | None = None
+    """Weight of the likelihood of relabelled samples in the policy's updates; 0 is the paper. By default the task's."""
+    action_std: tuple[float, ...] | None = None
+    """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
     out: Path | None = None
     """Folder to write, which must not exist; by default runs/<task>-<method>-<number>."""
     resume: str | None = None
@@ -85,24 +91,23 @@ def prepare(options: Options, platform: str) -> Run:
     check_count("checkpoint_every", options.checkpoint_every)
     if options.resume is not None and options.out is not None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
-    preset = PRESETS[options.preset]
-    sizes: dict[str, Any] = dict(AUTO_SIZES[platform]) if options.preset == "parallel" else {}
-    given = {"num_envs": options.num_envs, "rounds": options.iterations}
-    sizes |= {name: value for name, value in given.items() if value is not None}
-    preset = Preset(dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes), preset.hyperparameters)
-    preset = METHODS[options.method].apply(preset)
+    task_class = _find(options)
+    preset = METHODS[options.method].apply(_sized(options, defaults(task_class, platform)))
+    given = {"p_ht": options.p_ht, "likelihood_weight": options.likelihood, "action_std": options.action_std}
     hyperparameters = preset.hyperparameters.replace(
-        strategy=STRATEGIES[options.strategy], reward=REWARDS[options.reward]
+        strategy=STRATEGIES[options.strategy],
+        reward=REWARDS[options.reward],
+        **{name: value for name, value in given.items() if value is not None},
     )
-    if options.p_ht is not None:
-        hyperparameters = hyperparameters.replace(p_ht=options.p_ht)
-    env = _make(options)
+    worlds = options.seeds * preset.config.num_envs
+    env, task_options = _make(options, task_class, defaults(task_class, platform).substeps, worlds)
     return Run(
         task=options.task,
         method=options.method,
         seeds=options.seeds,
         first_seed=options.first_seed,
         env=env,
+        task_options=task_options,
         config=preset.config.validate(env),
         hyperparameters=hyperparameters.validate(),
         evaluation_episodes=EVALUATION_EPISODES[platform],
@@ -110,35 +115,52 @@ def prepare(options: Options, platform: str) -> Run:
     )
 
 
-def _make(options: Options) -> envs.GoalEnv:
+def _sized(options: Options, default: Defaults) -> Preset:
+    """Returns the preset with the sizes of the task, or those given."""
+    preset = PRESETS[options.preset]
+    parallel = options.preset == "parallel"
+    sizes: dict[str, Any] = dict(default.config) if parallel else {}
+    given = {"num_envs": options.num_envs, "rounds": options.iterations}
+    sizes |= {name: value for name, value in given.items() if value is not None}
+    if options.likelihood is not None:
+        sizes["likelihood_batch"] = (sizes.get("likelihood_batch") or LIKELIHOOD_BATCH) if options.likelihood else 0
+    config = dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes)
+    return Preset(config, preset.hyperparameters.replace(**(default.hyperparameters if parallel else {})))
+
+
+def _find(options: Options) -> type[envs.GoalEnv]:
     try:
-        task_class = envs.find_class(options.task)
+        return envs.find_class(options.task)
     except ValueError:
         raise
     except Exception as error:  # a module of the user's own raises what it likes
         raise ValueError(f"cannot load task {options.task!r}: {error}") from error
+
+
+def _make(
+    options: Options, task_class: type[envs.GoalEnv], substeps: int, worlds: int
+) -> tuple[envs.GoalEnv, dict[str, Any]]:
+    """Returns the task and the options of its own that it was given."""
+    own = dict(_parse_task_option(option) for option in options.task_options)
     if issubclass(task_class, FetchEnv):
-        return envs.make(
-            options.task, impl=options.impl, substeps=FAST_SUBSTEPS if options.substeps is None else options.substeps
-        )
+        substeps = substeps if options.substeps is None else options.substeps
+        return envs.make(options.task, **{"impl": options.impl, "substeps": substeps, "worlds": worlds} | own), own
     if options.substeps is not None or options.impl != "auto":
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
-    return envs.make(options.task)
+    return envs.make(options.task, **own), own
 
 
-def parse(arguments: list[str] | None) -> Options:
-    """Reads the command line; what it cannot read is said in one line instead of tyro's box, with exit code 2."""
-    box = io.StringIO()
+def _parse_task_option(option: str) -> tuple[str, Any]:
+    name, _, value = option.partition("=")
     try:
-        with contextlib.redirect_stderr(box):
-            return tyro.cli(Options, args=arguments, description=__doc__)
-    except SystemExit as stop:
-        # A title, perhaps a rule, the message on one line or more, a rule, and advice.
-        lines = [line.strip("│|─-╰╯+ ") for line in box.getvalue().strip().splitlines()[1:]]
-        message = itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines))
-        if stop.code:
-            print(f"run.py: {' '.join(message)}", file=sys.stderr)
-        raise
+        parsed = json.loads(value)
+        if name not in ("impl", "substeps", "worlds") and isinstance(parsed, bool | int | float):
+            return name, parsed
+    except json.JSONDecodeError:
+        pass
+    raise ValueError(
+        f"task option {option!r} is not name=value with a number, true or false, or has an option of its own here"
+    )
 
 
 def choose_folder(options: Options) -> tuple[Path, bool]:
@@ -180,14 +202,14 @@ def open_folder(options: Options, run: Run, held: contextlib.ExitStack) -> tuple
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
-    options = parse(arguments)
+    options = parse(Options, "run.py", __doc__, arguments)
     started = time.perf_counter()
     with contextlib.ExitStack() as held:
         try:
             run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
             folder, checkpoints, restored = open_folder(options, run, held)
         except ValueError as error:
-            fail(error, 2)
+            fail("run.py", error, 2)
         print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
         summary = carry_out(options, run, folder, checkpoints, restored, started)
     if summary is None:
@@ -217,17 +239,11 @@ def carry_out(
                 summary["wall_seconds"]["total"] = time.perf_counter() - started
                 write_json(folder / "summary.json", summary | made_by)
         return summary
-    except FloatingPointError as error:
+    except (FloatingPointError, OverflowError) as error:
         last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
-        fail(f"the training diverged: {error}; the last good checkpoint: {last}", 1)
+        fail("run.py", f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
-        fail(f"the run stops: {error}; go on with --resume {folder}", 1)
-
-
-def fail(message: object, code: int) -> NoReturn:
-    """Ends the process with one line."""
-    print(f"run.py: {' '.join(str(message).split())}", file=sys.stderr)
-    raise SystemExit(code)
+        fail("run.py", f"the run stops: {error}; go on with --resume {folder}", 1)
 
 
 def film_policy(run: Run, folder: Path, policy: MeanPolicy) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -36,6 +37,8 @@ class Run:
     seeds: int
     first_seed: int
     env: envs.GoalEnv
+    task_options: dict[str, Any]
+    """The options of its own that the task was given."""
     config: Config
     hyperparameters: Hyperparameters
     evaluation_episodes: int
@@ -48,6 +51,7 @@ class Run:
         return {
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
             "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")},
+            "task_options": self.task_options,
             "config": dataclasses.asdict(self.config),
             "hyperparameters": dataclasses.asdict(self.hyperparameters),
         }
@@ -88,6 +92,7 @@ def train(
 
     Raises:
       FloatingPointError: a loss or the state is not finite; the last checkpoint is from before that.
+      OverflowError: the simulation ran out of room for contacts; the last checkpoint is from before that.
       OSError: something cannot be written.
 
     """
@@ -156,10 +161,18 @@ def _save(checkpoints: Checkpoints, progress: Progress) -> None:
 
 
 def refuse_divergence(run: Run, index: int, phases: np.ndarray, metrics: RoundMetrics) -> None:
-    """Raises a FloatingPointError if what the round `index` measured, `[seeds]` each, is not finite."""
+    """Raises an error if the round `index` cannot be trusted.
+
+    Raises:
+      FloatingPointError: what it measured, `[seeds]` each, is not finite.
+      OverflowError: the simulation left out contacts.
+
+    """
     measured = {
         name: values for name, values in vars(metrics.update).items() if np.isin(phases, MEASURED_BY[name]).any()
     }
+    if np.any(metrics.overflow):
+        raise OverflowError(f"the simulation ran out of room for contacts in round {index}")
     for name, values in (measured | vars(metrics.evaluation)).items():
         seeds = run.first_seed + np.flatnonzero(~np.isfinite(values))
         if seeds.size:

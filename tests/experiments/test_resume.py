@@ -275,7 +275,7 @@ def test_divergence_stops_the_run_at_the_last_good_checkpoint(tmp_path, monkeypa
     assert exit_info.value.code == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == (
-        "run.py: the training diverged: discriminator_loss of seed 1 is not finite in round 3;"
+        "run.py: the training stops: discriminator_loss of seed 1 is not finite in round 3;"
         f" the last good checkpoint: {tmp_path}/run/checkpoints/3"
     )
     assert len(read_metrics(tmp_path / "run")) == 3 * 2

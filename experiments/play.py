@@ -1,0 +1,62 @@
+"""Rolls out a trained policy on the CPU: in MuJoCo's viewer where there is a display, else as a film."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+from command_line import fail, parse
+from video import film, show
+
+import envs
+from envs.fetch import FetchEnv
+from hgail_jax.policy import load_policy
+from hgail_jax.validation import check_count
+
+RESULTS = Path(__file__).parent / "results"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
+
+    task: str = "grasp"
+    """A Fetch task: reach, or grasp."""
+    policy: Path | None = None
+    """The policy's file; by default the one that comes with the repository."""
+    episodes: int = 3
+    """Episodes to play."""
+    seed: int = 0
+    """Of the episodes."""
+    out: Path | None = None
+    """Film to write instead of opening the viewer; without a display <task>.mp4 by default."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line `arguments`, or the process's own."""
+    options = parse(Options, "play.py", __doc__, arguments)
+    try:
+        check_count("episodes", options.episodes)
+        check_count("seed", options.seed, least=0)
+        if not issubclass(envs.find_class(options.task), FetchEnv):
+            raise ValueError(f"task {options.task!r} has no scene to show; choose reach or grasp")
+        policy = load_policy(options.policy or RESULTS / f"{options.task}-hgail" / "policies" / "seed-0.npz")
+        env = envs.make(options.task, impl="jax")
+        if (policy.observation_size, policy.action_size) != (env.observation_size, env.action_size):
+            raise ValueError(f"the policy is for {policy.task!r}, with other observations than {options.task!r} has")
+    except (ValueError, OSError) as error:
+        fail("play.py", error, 2)
+    if options.out is None and "DISPLAY" in os.environ:
+        outcomes = show(env, policy, options.episodes, options.seed)
+    else:
+        path = options.out or Path(f"{options.task}.mp4")
+        print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
+        try:
+            outcomes = film(path, env, policy, options.episodes, options.seed)
+        except (RuntimeError, OSError) as error:
+            fail("play.py", error, 1)
+        print(path)
+    print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
+
+
+if __name__ == "__main__":
+    main()
