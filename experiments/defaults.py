@@ -42,7 +42,7 @@ _GRASP_HYPERPARAMETERS = {
 }
 GRASP = {
     "cpu": Defaults(_GRASP_CONFIG | {"num_envs": 128, "rounds": 50}, _GRASP_HYPERPARAMETERS, 8),
-    "gpu": Defaults(_GRASP_CONFIG | {"num_envs": 2048, "rounds": 50}, _GRASP_HYPERPARAMETERS, 8),
+    "gpu": Defaults(_GRASP_CONFIG | {"num_envs": 1024, "rounds": 40}, _GRASP_HYPERPARAMETERS, 8),
 }
 """The three readings of grasp."""
 

@@ -106,7 +106,7 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
         (["--substeps", "3"], "substeps is 3; it must be from 4 to 20"),
         (["--substeps", "0"], "substeps is 0; it must be from 4 to 20"),
-        (["--impl", "warp"], "impl 'warp' is not yet supported"),
+        (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
         (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the Fetch tasks"),
         (["--method", "magic"], "invalid choice 'magic'"),
         (["--seeds", "many"], "invalid literal for int()"),
