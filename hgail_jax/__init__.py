@@ -7,6 +7,7 @@ round measured.
 from envs import EpisodeMetrics, GoalEnv, make
 from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import POSITIVES, PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
+from hgail_jax.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.export import export_policy
 from hgail_jax.hindsight import Hindsight, relabel
@@ -29,6 +30,7 @@ __all__ = [
     "Checkpoint",
     "Checkpoints",
     "Config",
+    "Demonstrations",
     "EpisodeMetrics",
     "GoalEnv",
     "Hindsight",
@@ -45,11 +47,13 @@ __all__ = [
     "evaluate",
     "export_policy",
     "init_state",
+    "load_demonstrations",
     "load_policy",
     "make",
     "mean_outcome",
     "relabel",
     "rollout",
+    "save_demonstrations",
     "save_policy",
     "schedule",
     "train_step",
