@@ -21,6 +21,7 @@ import envs
 from envs.fetch import FetchEnv
 from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Preset
+from hgail_jax.demonstrations import load_demonstrations
 from hgail_jax.files import remove_partial_files
 from hgail_jax.methods import METHODS
 from hgail_jax.parallel import check_seeds
@@ -40,8 +41,10 @@ class Options:
 
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
-    method: Literal["hgail", "hgail-no", "ppo"] = "hgail"
-    """What to train: HGAIL, HGAIL without hindsight, or PPO on the sparse reward."""
+    method: Literal["hgail", "hgail-no", "gail-demo", "gasil", "ppo", "gcsl"] = "hgail"
+    """What to train: HGAIL, HGAIL without hindsight, GAIL on demonstrations, GASIL, PPO on the sparse reward, or GCSL."""
+    demos: Path | None = None
+    """Demonstrations of the task, from experiments/demos.py; gail-demo needs them."""
     seeds: int = 8
     """Number of seeds, trained side by side."""
     first_seed: int = 0
@@ -101,6 +104,9 @@ def prepare(options: Options, platform: str) -> Run:
     )
     worlds = options.seeds * preset.config.num_envs
     env, task_options = _make(options, task_class, defaults(task_class, platform).substeps, worlds)
+    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task)
+    if (demonstrations is None) != (options.method != "gail-demo"):
+        raise ValueError("the method gail-demo takes --demos, and no other does")
     return Run(
         task=options.task,
         method=options.method,
@@ -112,6 +118,7 @@ def prepare(options: Options, platform: str) -> Run:
         hyperparameters=hyperparameters.validate(),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
+        demonstrations=demonstrations,
     )
 
 
@@ -208,7 +215,7 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
             folder, checkpoints, restored = open_folder(options, run, held)
-        except ValueError as error:
+        except (ValueError, FileNotFoundError) as error:
             fail("run.py", error, 2)
         print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
         summary = carry_out(options, run, folder, checkpoints, restored, started)

@@ -15,6 +15,7 @@ from tqdm import tqdm
 import envs
 from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.demonstrations import Demonstrations
 from hgail_jax.parallel import (
     SeedsStep,
     compile_train_step,
@@ -45,6 +46,8 @@ class Run:
     """Episodes per seed that the final evaluation has at least."""
     checkpoint_every: int
     """Rounds from one checkpoint to the next."""
+    demonstrations: Demonstrations | None = None
+    """Where the method learns from any."""
 
     def identity(self) -> dict:
         """Returns what a run that resumes another must share with it."""
@@ -54,12 +57,14 @@ class Run:
             "task_options": self.task_options,
             "config": dataclasses.asdict(self.config),
             "hyperparameters": dataclasses.asdict(self.hyperparameters),
+            "demonstrations": None if self.demonstrations is None else self.demonstrations.sha256,
         }
 
     def init(self) -> TrainState:
         """Returns the untrained states, with an axis over seeds."""
         keys = seed_keys(self.first_seed, self.seeds)
-        return init_seeds(self.env, self.config, self.hyperparameters, keys)
+        given = None if self.demonstrations is None else self.demonstrations.samples(self.env)
+        return init_seeds(self.env, self.config, self.hyperparameters, keys, given)
 
 
 @dataclasses.dataclass

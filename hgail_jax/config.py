@@ -15,6 +15,8 @@ STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
 REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
 """Reward forms by name."""
+RELABELLED, FROZEN, DEMONSTRATIONS, BEST = POSITIVES = ("relabelled", "frozen", "demonstrations", "best")
+"""Where expert samples come from, see `hgail_jax.experts`."""
 
 _MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
@@ -45,8 +47,14 @@ class Config:
     """Passes over the samples of a roll-out in one PPO update."""
     ppo_minibatches: int = 4
     """Minibatches that a roll-out is cut into in one pass."""
+    positives: str = RELABELLED
+    """Where expert samples come from: one of `POSITIVES`."""
+    best_episodes: int = 1000
+    """Episodes kept where the positives are the best so far."""
+    explore: bool = True
+    """Whether to learn on the task's starts and goals to learn from, or on those that it is measured by."""
     likelihood_batch: int = 0
-    """Relabelled samples whose likelihood each minibatch of PPO raises as well; 0 leaves this to the pre-training."""
+    """Expert samples whose likelihood each minibatch of PPO raises as well; 0 leaves this to the pre-training."""
     discriminator_minibatches: int = 50
     """Gradient steps in one discriminator update."""
     discriminator_batch: int = 512
@@ -72,6 +80,8 @@ class Config:
             elif field.type is bool and not isinstance(value, bool):
                 raise ValueError(f"{field.name} is {value!r}; it must be True or False")
         check_share("final_learning_rate", self.final_learning_rate)
+        if self.positives not in POSITIVES:
+            raise ValueError(f"positives is {self.positives!r}; it must be one of {', '.join(POSITIVES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
             if not isinstance(getattr(self, name), tuple):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a tuple of widths")
@@ -102,6 +112,8 @@ class Hyperparameters(struct.PyTreeNode):
     """Where a replaced goal comes from: a value of `STRATEGIES`."""
     include_current: jax.Array | bool = False
     """Whether "future" may also pick the position achieved before the step's own action."""
+    ties_by_distance: jax.Array | bool = False
+    """Whether, of equally good episodes, those that end nearer to their goal are kept; see `keep_best`."""
     reward: jax.Array | int = R1
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
@@ -109,7 +121,7 @@ class Hyperparameters(struct.PyTreeNode):
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
     likelihood_weight: jax.Array | float = 1.0
-    """Weight of the likelihood of relabelled samples beside PPO's loss, where the config has a `likelihood_batch`."""
+    """Weight of the likelihood of expert samples beside PPO's loss, where the config has a `likelihood_batch`."""
     action_std: Any = 0.3
     """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
     discount: jax.Array | float = 0.98
@@ -128,7 +140,7 @@ class Hyperparameters(struct.PyTreeNode):
           ValueError: a value is out of its range. Values that are being traced pass unseen.
 
         """
-        for name in ("p_ht", "include_current", "environment_reward", "discount", "gae_lambda"):
+        for name in ("p_ht", "include_current", "ties_by_distance", "environment_reward", "discount", "gae_lambda"):
             check_share(name, getattr(self, name))
         for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
             check_positive(name, getattr(self, name))

@@ -2,7 +2,9 @@
 
 import dataclasses
 
-from hgail_jax.config import Preset
+from hgail_jax.config import BEST, DEMONSTRATIONS, Preset
+
+_LIKELIHOOD_BATCH = 512
 
 
 @dataclasses.dataclass(frozen=True)
@@ -10,24 +12,41 @@ class Method:
     """What a method changes in a preset; the training step is the same for all."""
 
     description: str
-    config: dict
-    hyperparameters: dict
+    config: dict = dataclasses.field(default_factory=dict)
+    hyperparameters: dict = dataclasses.field(default_factory=dict)
+    at_least: dict = dataclasses.field(default_factory=dict)
+    """Counts of the config that the method cannot do with less of."""
 
     def apply(self, preset: Preset) -> Preset:
         """Returns `preset` as this method runs it."""
+        raised = {name: max(getattr(preset.config, name), least) for name, least in self.at_least.items()}
         return Preset(
-            dataclasses.replace(preset.config, **self.config),
+            dataclasses.replace(preset.config, **self.config, **raised),
             preset.hyperparameters.replace(**self.hyperparameters),
         )
 
 
 METHODS = {
-    "hgail": Method("hindsight supplies the expert samples of a discriminator", {}, {}),
-    "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", {}, {"p_ht": 0.0}),
+    "hgail": Method("hindsight supplies the expert samples of a discriminator"),
+    "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
+    "gail-demo": Method(
+        "demonstrations supply the expert samples (Ho & Ermon 2016)",
+        {"positives": DEMONSTRATIONS, "explore": False},
+    ),
+    "gasil": Method(
+        "the best episodes so far supply the expert samples (Guo et al. 2018)", {"positives": BEST, "explore": False}
+    ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",
-        {"pretrain": False, "discriminator_phases": 0},
-        {"environment_reward": 1.0},
+        {"pretrain": False, "discriminator_phases": 0, "likelihood_batch": 0, "explore": False},
+        {"environment_reward": 1.0, "ppo_weight": 1.0},
+    ),
+    "gcsl": Method(
+        "hindsight maximum likelihood alone: the pre-training's objective, iterated (Ghosh et al. 2021)",
+        {"discriminator_phases": 0},
+        {"ppo_weight": 0.0, "environment_reward": 1.0},
+        {"likelihood_batch": _LIKELIHOOD_BATCH},
     ),
 }
-"""Methods by name."""
+"""Methods by name. Those without hindsight learn on the goals that they are measured by: the others help relabelling
+alone."""

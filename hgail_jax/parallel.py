@@ -1,7 +1,7 @@
-"""Trains several seeds side by side in one compiled program."""
+"""Trains several seeds, and several settings of the hyperparameters, side by side in one compiled program."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -11,6 +11,7 @@ import numpy as np
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.evaluate import EpisodeMetrics
+from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, init_state
 from hgail_jax.train import RoundMetrics, final_evaluation, train_step
 from hgail_jax.validation import check_count
@@ -38,9 +39,56 @@ def seed_keys(first: int, count: int) -> jax.Array:
     return jax.vmap(jax.random.key)(jnp.arange(first, first + count))
 
 
-def init_seeds(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, keys: jax.Array) -> TrainState:
-    """Returns a state whose every leaf has a leading axis over `keys`, `[seeds]`."""
-    return jax.jit(jax.vmap(functools.partial(init_state, env, config, hyperparameters)))(keys)
+def init_seeds(
+    env: GoalEnv,
+    config: Config,
+    hyperparameters: Hyperparameters,
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over `keys`, `[seeds]`; see `init_state`."""
+    return init_sweep(env, config, [hyperparameters], keys, demonstrations)
+
+
+def init_sweep(
+    env: GoalEnv,
+    config: Config,
+    settings: Sequence[Hyperparameters],
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over settings times seeds, the seeds within a setting.
+
+    Whatever trains several seeds trains this: a grid of settings is one program. `split_sweep` takes its results apart.
+
+    Args:
+      env: the task.
+      config: sizes and counts, which all settings share.
+      settings: the hyperparameters of each.
+      keys: `[seeds]`; every setting has the same seeds.
+      demonstrations: see `init_state`.
+
+    Raises:
+      ValueError: see `init_state`; or there is no setting.
+
+    """
+    check_count("the number of settings", len(settings))
+    for setting in settings:  # once they are being traced, nobody can see them
+        setting.validate()
+    swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
+    swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
+    init = functools.partial(init_state, env, config, demonstrations=demonstrations)
+    return jax.jit(jax.vmap(init))(swept, jnp.tile(keys, len(settings)))
+
+
+def _widen(setting: Hyperparameters) -> Hyperparameters:
+    """Returns the setting with arrays for leaves."""
+    return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(setting).items()})
+
+
+def split_sweep(results: Any, settings: int) -> Any:
+    """Returns `results`, any pytree with leaves `[settings * seeds, ...]`, with leaves `[settings, seeds, ...]`."""
+    return jax.tree.map(lambda leaf: leaf.reshape(settings, -1, *leaf.shape[1:]), results)
 
 
 def compile_train_step(env: GoalEnv, config: Config, states: TrainState, phases: np.ndarray) -> SeedsStep:

@@ -11,7 +11,9 @@ from flax import struct
 
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.experts import init_expert
 from hgail_jax.networks import discriminator_network, policy_network, value_network
+from hgail_jax.samples import Samples
 
 _MAX_NORMALIZED = 5.0
 
@@ -30,6 +32,8 @@ class TrainState(struct.PyTreeNode):
     """Mean and standard deviation of all observations so far, under pursued and relabelled goals."""
     hyperparameters: Hyperparameters
     rng: jax.Array
+    expert: Any = None
+    """Expert samples that are kept from roll-out to roll-out, see `hgail_jax.experts`; None where none are."""
 
     def normalize(self, observation: jax.Array) -> jax.Array:
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
@@ -56,18 +60,25 @@ def discriminator_optimizer() -> optax.GradientTransformation:
     return optax.scale_by_adam()
 
 
-def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, rng: jax.Array) -> TrainState:
+def init_state(
+    env: GoalEnv,
+    config: Config,
+    hyperparameters: Hyperparameters,
+    rng: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
     """Returns the state of an untrained learner; `jax.vmap` it over `rng` for several seeds.
 
     Args:
       env: the task.
-      config: its network sizes are read.
+      config: sizes and counts.
       hyperparameters: scalars, or tracers where a sweep is vmapped.
       rng: a PRNG key, from `jax.random.key`.
+      demonstrations: leaves `[S, ...]`; where the config's positives are demonstrations, and only there.
 
     Raises:
-      ValueError: see `Config.validate` and `Hyperparameters.validate`; or there are several standard deviations, but
-        not one for each number of an action.
+      ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`; or there are several standard
+        deviations, but not one for each number of an action.
 
     """
     config.validate(env)
@@ -90,4 +101,5 @@ def init_state(env: GoalEnv, config: Config, hyperparameters: Hyperparameters, r
         statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
         hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
         rng=rng,
+        expert=init_expert(env, config, demonstrations),
     )

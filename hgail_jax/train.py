@@ -127,7 +127,7 @@ def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array
     def run(state):
         rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
         evaluating = phase >= EVALUATE
-        task = env.exploring(~evaluating).accurate(phase == EVALUATE_ACCURATELY)
+        task = env.exploring(~evaluating if config.explore else False).accurate(phase == EVALUATE_ACCURATELY)
         policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0))
         trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating)
         updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]

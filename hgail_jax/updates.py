@@ -1,6 +1,6 @@
 """What a roll-out teaches: the updates of policy, value function and discriminator.
 
-Below, `S` is the number of samples of a roll-out, steps times episodes, and `B` a minibatch of them.
+Below, `S` is a number of samples, of a roll-out its steps times its episodes, and `B` a minibatch of them.
 """
 
 from collections.abc import Callable
@@ -14,14 +14,13 @@ from flax import struct
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
-from hgail_jax.hindsight import relabel
+from hgail_jax.experts import expert_samples
 from hgail_jax.networks import apply, discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.rewards import imitation_reward
 from hgail_jax.rollout import Policy, Trajectory
+from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
 from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
-
-_LEAST_SHARE = 1e-6  # of a kind of goal that does not occur: it is drawn only where there is no other
 
 
 class UpdateMetrics(struct.PyTreeNode):
@@ -34,24 +33,9 @@ class UpdateMetrics(struct.PyTreeNode):
     clip_fraction: jax.Array | float = 0.0
     kl: jax.Array | float = 0.0
     likelihood_loss: jax.Array | float = 0.0
-    """Mean negative log-likelihood of relabelled samples, nats."""
+    """Mean negative log-likelihood of expert samples, nats."""
     discriminator_loss: jax.Array | float = 0.0
     discriminator_accuracy: jax.Array | float = 0.0
-
-
-class Samples(struct.PyTreeNode):
-    """Steps without their order."""
-
-    observation: jax.Array
-    """`[S, observation_size]`, not normalised."""
-    action: jax.Array
-    """`[S, action_size]`, not clipped."""
-    weight: jax.Array
-    """`[S]`: how often to draw each, relative to the others; 0 for what the simulation spoilt."""
-
-    def draw(self, rng: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        """Returns indices of samples, drawn with replacement by their weights."""
-        return jax.random.choice(rng, self.weight.shape[0], shape, p=self.weight)
 
 
 def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float) -> Policy:
@@ -67,48 +51,14 @@ def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | floa
     return policy
 
 
-def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
-    """Returns the samples of a trajectory under the goals it pursued."""
-    return _flatten(Samples(trajectory.observation(env)[:-1], trajectory.action, _step_weight(trajectory)))
-
-
-def expert_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
-    """Returns the samples of a trajectory under goals replaced in hindsight.
-
-    Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`.
-    """
-    desired, weight = trajectory.desired[:-1], _step_weight(trajectory)
-    share = _kind_share(env, desired, weight)
-
-    def relabel_one(rng, achieved, desired):
-        kind = env.goal_kind(achieved)
-        return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current, kind, share).goal
-
-    rngs = jax.random.split(rng, desired.shape[1])
-    goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
-    weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
-    return _flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action, weight))
-
-
-def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
-    """Share of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
-    of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)
-    return jnp.einsum("tnk,tn->k", of_kind, weight) / jnp.maximum(weight.sum(), 1.0) + _LEAST_SHARE
-
-
-def _step_weight(trajectory: Trajectory) -> jax.Array:
-    """1 for the steps of sound episodes, else 0: `[T, N]`."""
-    return jnp.broadcast_to(trajectory.sound, trajectory.reward.shape).astype(jnp.float32)
-
-
 def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
-    """Fits policy and discriminator to the first roll-out (Algorithm 2, lines 1 to 3).
+    """Fits policy and discriminator to the expert samples (Algorithm 2, lines 1 to 3).
 
-    The policy by maximum likelihood on the relabelled samples, the discriminator by cross-entropy of these against
-    the samples as they were. Returns the new state and its `UpdateMetrics`.
+    The policy by maximum likelihood, the discriminator by cross-entropy of these against the first roll-out as it was.
+    Returns the new state and its `UpdateMetrics`.
     """
     relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
-    expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
+    state, expert = _positives(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
     state = _observe(state, policy, expert)
     state, policy_metrics = _maximize_likelihood(env, config, state, expert, policy_rng)
@@ -119,9 +69,9 @@ def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajec
 
 
 def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
-    """Teaches the discriminator a roll-out's relabelled samples against its own (Algorithm 2, the d_steps)."""
+    """Teaches the discriminator the expert samples against a roll-out's own (Algorithm 2, the d_steps)."""
     relabel_rng, fit_rng = jax.random.split(rng)
-    expert = expert_samples(env, state.hyperparameters, trajectory, relabel_rng)
+    state, expert = _positives(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
     state = _observe(state, policy, expert)
     return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
@@ -130,7 +80,7 @@ def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajec
 def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
     """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps).
 
-    With a `likelihood_batch` each gradient also follows the likelihood of that many relabelled samples.
+    With a `likelihood_batch` each gradient also follows the likelihood of that many expert samples.
     """
     hyper = state.hyperparameters
     relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
@@ -138,8 +88,8 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     indices: dict[str, jax.Array] = {
         "ppo": _minibatches(order_rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
     }
+    state, expert = _positives(env, config, state, trajectory, relabel_rng)
     if config.likelihood_batch:
-        expert = expert_samples(env, hyper, trajectory, relabel_rng)
         negative_log_likelihood = _negative_log_likelihood(env, config, state, expert)
         indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), config.likelihood_batch))
 
@@ -157,7 +107,7 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
 
 def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory):
     """Returns what PPO learns from a trajectory, a dict of arrays `[S, ...]`, and the mean reward as metrics."""
-    hyper, weight = state.hyperparameters, _step_weight(trajectory)
+    hyper, weight = state.hyperparameters, step_weight(trajectory)
     observation = state.normalize(trajectory.observation(env))
     value = apply(value_network(config), state.actor_critic["value"], observation)[..., 0]
     logits = _discriminate(config, state.discriminator, observation[:-1], trajectory.action)
@@ -175,7 +125,7 @@ def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Traj
         "return": advantage + value[:-1],
         "weight": weight,
     }
-    return _flatten(batch), UpdateMetrics(reward=weighted_mean(reward, weight))
+    return flatten(batch), UpdateMetrics(reward=weighted_mean(reward, weight))
 
 
 def _ppo_loss(env: GoalEnv, config: Config, hyper: Hyperparameters, params: Params, part: dict[str, jax.Array]):
@@ -285,13 +235,14 @@ def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) ->
     return orders[:, : size * minibatches].reshape(epochs * minibatches, size)
 
 
+def _positives(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+    """Returns the state with what is kept of the trajectory, and the expert samples to learn from."""
+    expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
+    return state.replace(expert=expert), samples
+
+
 def _observe(state: TrainState, *samples: Samples) -> TrainState:
     """Counts samples into the state's statistics; how often they are to be drawn does not matter here."""
     for part in samples:
         state = state.observe(part.observation, (part.weight > 0).astype(jnp.float32))
     return state
-
-
-def _flatten(tree):
-    """Joins the first two axes, steps and episodes, of every leaf."""
-    return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), tree)

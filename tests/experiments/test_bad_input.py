@@ -22,7 +22,7 @@ GOOD = (
     ["--p-ht", "0.5"],
 )
 CHOICES = {
-    "--method": {"hgail", "hgail-no", "ppo"},
+    "--method": {"hgail", "hgail-no", "gail-demo", "gasil", "ppo", "gcsl"},
     "--preset": {"parallel", "paper"},
     "--impl": {"auto", "jax", "warp"},
     "--strategy": {"future", "final"},

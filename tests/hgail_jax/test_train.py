@@ -10,6 +10,7 @@ from support import TINY
 import envs
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
 from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
+from hgail_jax.samples import relabelled_samples
 from hgail_jax.train import (
     DISCRIMINATOR,
     EVALUATE,
@@ -19,7 +20,7 @@ from hgail_jax.train import (
     SKIP,
     final_evaluation,
 )
-from hgail_jax.updates import act, expert_samples
+from hgail_jax.updates import act
 
 ENV = envs.make("point")
 PHASES = schedule(TINY)
@@ -154,7 +155,7 @@ def test_final_evaluation_has_enough_episodes_in_rows_of_the_schedule():
 def test_relabelled_samples_keep_state_and_action():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     trajectory = rollout(ENV, act(ENV, TINY, state, noise=1.0), jax.random.key(1), 4)
-    samples = expert_samples(ENV, state.hyperparameters, trajectory, jax.random.key(2))
+    samples = relabelled_samples(ENV, state.hyperparameters, trajectory, jax.random.key(2))
     np.testing.assert_array_equal(samples.observation[:, :3], trajectory.features[:-1].reshape(-1, 3))
     np.testing.assert_array_equal(samples.action, trajectory.action.reshape(-1, 3))
     goals = np.asarray(samples.observation[:, 3:]).reshape(50, 4, 3)

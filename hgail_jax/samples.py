@@ -1,0 +1,74 @@
+"""Samples: the steps of roll-outs, as what the discriminator and the likelihood are fitted to.
+
+Below, `T` is the steps of an episode, `N` the episodes of a roll-out and `S` their product.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from envs import GoalEnv
+from hgail_jax.config import Hyperparameters
+from hgail_jax.hindsight import relabel
+from hgail_jax.rollout import Trajectory
+
+_LEAST_SHARE = 1e-6  # of a kind of goal that does not occur: it is drawn only where there is no other
+
+
+class Samples(struct.PyTreeNode):
+    """Steps without their order."""
+
+    observation: jax.Array
+    """`[S, observation_size]`, not normalised."""
+    action: jax.Array
+    """`[S, action_size]`, not clipped."""
+    weight: jax.Array
+    """`[S]`: how often to draw each, relative to the others; 0 for what the simulation spoilt."""
+
+    def draw(self, rng: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Returns indices of samples, drawn with replacement by their weights."""
+        return jax.random.choice(rng, self.weight.shape[0], shape, p=self.weight)
+
+
+def pursued_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
+    """Returns the steps of a trajectory under the goals it pursued, still in their order: leaves `[T, N, ...]`."""
+    return Samples(trajectory.observation(env)[:-1], trajectory.action, step_weight(trajectory))
+
+
+def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
+    """Returns the samples of a trajectory under the goals it pursued."""
+    return flatten(pursued_samples(env, trajectory))
+
+
+def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
+    """Returns the samples of a trajectory under goals replaced in hindsight.
+
+    Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`.
+    """
+    desired, weight = trajectory.desired[:-1], step_weight(trajectory)
+    share = _kind_share(env, desired, weight)
+
+    def relabel_one(rng, achieved, desired):
+        kind = env.goal_kind(achieved)
+        return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current, kind, share).goal
+
+    rngs = jax.random.split(rng, desired.shape[1])
+    goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
+    weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
+    return flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action, weight))
+
+
+def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
+    """Share of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
+    of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)
+    return jnp.einsum("tnk,tn->k", of_kind, weight) / jnp.maximum(weight.sum(), 1.0) + _LEAST_SHARE
+
+
+def step_weight(trajectory: Trajectory) -> jax.Array:
+    """1 for the steps of sound episodes, else 0: `[T, N]`."""
+    return jnp.broadcast_to(trajectory.sound, trajectory.reward.shape).astype(jnp.float32)
+
+
+def flatten(tree):
+    """Joins the first two axes, steps and episodes, of every leaf."""
+    return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), tree)
