@@ -42,7 +42,7 @@ class Options:
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
     method: Literal["hgail", "hgail-no", "gail-demo", "gasil", "ppo", "gcsl"] = "hgail"
-    """What to train: HGAIL, HGAIL without hindsight, GAIL on demonstrations, GASIL, PPO on the sparse reward, or GCSL."""
+    """What to train: HGAIL, HGAIL without hindsight, GAIL on demonstrations, GASIL, PPO on sparse reward, or GCSL."""
     demos: Path | None = None
     """Demonstrations of the task, from experiments/demos.py; gail-demo needs them."""
     seeds: int = 8
