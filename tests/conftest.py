@@ -15,3 +15,9 @@ import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
 def shipped_policy():
     """A policy that `python experiments/run.py --seeds 8` trained."""
     return ROOT / "experiments" / "results" / "reach-hgail" / "policies" / "seed-0.npz"
+
+
+@pytest.fixture(scope="session")
+def grasp_policy():
+    """A policy that `python experiments/run.py --task grasp --seeds 8` trained."""
+    return ROOT / "experiments" / "results" / "grasp-hgail" / "policies" / "seed-0.npz"

@@ -283,6 +283,18 @@ def test_divergence_stops_the_run_at_the_last_good_checkpoint(tmp_path, monkeypa
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
+def test_an_overflow_of_contacts_stops_the_run(monkeypatch, capsys):
+    def overflow(result):
+        states, metrics = result
+        return states, metrics.replace(overflow=np.array([0.0, 0.01], np.float32))
+
+    fail_in_round(monkeypatch, 2, overflow)
+    with pytest.raises(SystemExit) as exit_info:
+        start("--out", "run")
+    assert exit_info.value.code == 1
+    assert "the simulation ran out of room for contacts in round 2; the last good" in capsys.readouterr().err
+
+
 def test_parameters_that_diverge_unmeasured_are_not_saved(tmp_path, monkeypatch, capsys):
     def diverge(result):
         states, metrics = result

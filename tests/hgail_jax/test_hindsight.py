@@ -73,3 +73,24 @@ def test_hyperparameters_may_be_traced_and_swept():
     chosen = jax.vmap(lambda p: relabel(jax.random.key(0), ACHIEVED[0], DESIRED[0], p).chosen)(p_ht)
     assert not chosen[0].any()
     assert chosen[1].all()
+
+
+def test_kinds_ahead_are_drawn_by_their_shares():
+    """Against the probabilities by hand: a kind by its share among those ahead, then one of its steps."""
+    kind = np.array([0, 0, 0, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0])
+    achieved = jnp.asarray(ACHIEVED[0])
+    share = jnp.array([0.3, 0.7])
+    rngs = jax.random.split(jax.random.key(1), 4000)
+    draw = jax.jit(
+        jax.vmap(lambda rng: relabel(rng, achieved, DESIRED[0], 1.0, kind=jnp.asarray(kind), kind_share=share).source)
+    )
+    source = np.asarray(draw(rngs))
+    for step in (0, 4, 7, 10):
+        ahead = np.arange(step + 1, LENGTH + 1)
+        present = [k for k in (0, 1) if (kind[ahead] == k).any()]
+        total = sum(float(share[k]) for k in present)
+        counts = np.bincount(source[:, step], minlength=LENGTH + 1) / len(source)
+        assert counts[: step + 1].sum() == 0
+        for state in ahead:
+            expected = float(share[kind[state]]) / total / (kind[ahead] == kind[state]).sum()
+            assert counts[state] == pytest.approx(expected, abs=0.03)

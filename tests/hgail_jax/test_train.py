@@ -5,11 +5,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import norm
 from support import TINY
 
 import envs
+from envs.point import Point
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
 from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
+from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.train import (
     DISCRIMINATOR,
@@ -20,7 +23,7 @@ from hgail_jax.train import (
     SKIP,
     final_evaluation,
 )
-from hgail_jax.updates import act
+from hgail_jax.updates import act, pretrain, update_discriminator, update_policy
 
 ENV = envs.make("point")
 PHASES = schedule(TINY)
@@ -204,3 +207,63 @@ def test_bad_sizes_are_refused(changes, message):
 def test_bad_hyperparameters_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         Hyperparameters(**changes).validate()
+
+
+class Faulty(Point):
+    """The point, whose simulation breaks down for good once it is beyond the border."""
+
+    fault = float("nan")
+    border = 0.1
+
+    def step_physics(self, physics, action):
+        return super().step_physics(physics, action) + jnp.where(physics[1] > self.border, self.fault, 0.0)
+
+
+def test_a_broken_episode_leaves_the_others_and_the_parameters_as_if_it_were_dropped():
+    config = dataclasses.replace(TINY, num_envs=16)
+    exploded = type("Exploded", (Faulty,), {"fault": 1e9})()
+    policy = act(ENV, config, init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0)), noise=1.0)
+    whole, broken, large = (
+        jax.jit(lambda rng, env=env: rollout(env, policy, rng, 16))(jax.random.key(3))
+        for env in (ENV, Faulty(), exploded)
+    )
+    sound = np.asarray(broken.sound)
+    assert 1 <= (~sound).sum() <= 15
+    np.testing.assert_array_equal(sound, np.asarray(whole.features)[:-1, :, 1].max(0) <= Faulty.border)
+    for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
+        ours, theirs, others = (np.asarray(getattr(t, name)) for t in (broken, whole, large))
+        np.testing.assert_array_equal(ours[:, sound], theirs[:, sound])
+        assert (ours[:, ~sound] == 0).all()
+        np.testing.assert_array_equal(ours, others)
+
+    dropped = _blank(whole, jnp.asarray(~sound))
+    state = init_state(ENV, config, Hyperparameters(), jax.random.key(0))
+    for update in (pretrain, update_policy, update_discriminator):
+        learn = jax.jit(functools.partial(update, ENV, config))
+        results = [learn(state, trajectory, jax.random.key(4))[0] for trajectory in (broken, dropped)]
+        jax.tree.map(np.testing.assert_array_equal, *map(without_key, results))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(without_key(results[0])))
+        with_all = jax.tree.leaves(without_key(learn(state, whole, jax.random.key(4))[0]))
+        assert not all(map(np.array_equal, with_all, jax.tree.leaves(without_key(results[0]))))
+
+
+def test_broken_episodes_are_counted_and_a_round_of_nothing_else_teaches_nothing():
+    config = dataclasses.replace(TINY, num_envs=16)
+    step = jax.jit(functools.partial(train_step, type("Hopeless", (Faulty,), {"border": -jnp.inf})(), config))
+    state = init_state(ENV, config, Hyperparameters(), jax.random.key(0))
+    after, metrics = step(state, PHASES[1])
+    assert metrics.dropped == 1.0
+    assert metrics.evaluation.success == 0.0
+    jax.tree.map(np.testing.assert_array_equal, without_key(after.replace(rng=state.rng)), without_key(state))
+
+
+def test_a_deviation_for_each_number_of_the_action():
+    stds = np.float32([0.1, 1.0, 3.0])
+    state = init_state(ENV, TINY, Hyperparameters(action_std=stds), jax.random.key(0))
+    policy = act(ENV, TINY, state, noise=1.0)
+    action, log_prob = policy(jnp.zeros((20000, 6)), jax.random.key(1))
+    np.testing.assert_allclose(np.std(action, axis=0), stds, rtol=0.03)
+    mean = act(ENV, TINY, state, noise=0.0)(jnp.zeros((1, 6)), jax.random.key(1))[0]
+    np.testing.assert_allclose(log_prob, norm.logpdf(action, mean, stds).sum(-1), rtol=1e-3, atol=1e-3)
+    with pytest.raises(ValueError, match="one number or 3"):
+        init_state(ENV, TINY, Hyperparameters(action_std=(0.1, 0.2)), jax.random.key(0))
