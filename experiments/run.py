@@ -42,7 +42,7 @@ class Options:
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
     method: Literal["hgail", "hgail-no", "gail-demo", "gasil", "ppo", "gcsl"] = "hgail"
-    """What to train: HGAIL, HGAIL without hindsight, GAIL on demonstrations, GASIL, PPO on the sparse reward, or GCSL."""
+    """What to train: HGAIL, or without hindsight, GAIL on demonstrations, GASIL, PPO on the sparse reward, or GCSL."""
     demos: Path | None = None
     """Demonstrations of the task, from experiments/demos.py; gail-demo needs them."""
     seeds: int = 8
@@ -100,7 +100,7 @@ def prepare(options: Options, platform: str) -> Run:
     if options.p_ht is not None:
         hyperparameters = hyperparameters.replace(p_ht=options.p_ht)
     env = _make(options)
-    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task)
+    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("the method gail-demo takes --demos, and no other does")
     return Run(
