@@ -5,7 +5,9 @@ import dataclasses
 import functools
 import json
 import os
+import shutil
 import sys
+import threading
 from pathlib import Path
 from typing import Literal
 
@@ -14,8 +16,9 @@ from command_line import fail, parse
 from recording import load_or_record
 from reporting import draw_figure, files, write_study
 from run_folder import provenance, sole_user, write_json
+from signals import stop_on_signal
 from sizes import Sizes, make_env, platform_name, sizes
-from studies import MOST_DEMONSTRATIONS, STUDIES, SWEEP, Setting, Study, Trial, hash_json, work_out
+from studies import FIGURES, LONGER, MOST_DEMONSTRATIONS, STUDIES, SWEEP, Setting, Study, Trial, hash_json, work_out
 from sweep import programs, time_sweep, train_program
 
 from hgail_jax.checkpoint import refuse_another_run
@@ -38,6 +41,8 @@ class Options:
     """One table of all ablations."""
     all: bool = False
     """Everything that the paper has on the task: all of the above on reach, table 1 on grasp."""
+    longer: bool = True
+    """With table 1, also train GASIL and PPO for 10 times the steps."""
     sweep: bool = False
     """Time 18 settings as one program against the same one after another."""
     plots_only: bool = False
@@ -93,14 +98,17 @@ def plan(options: Options, platform: str) -> Work:
     task = options.task or ("point" if options.quick else "reach")
     seeds = (_QUICK_SEEDS if options.quick else 8) if options.seeds is None else options.seeds
     check_seeds(0, seeds)
-    everything = STUDIES if task != "grasp" else STUDIES[:1]
+    everything = [study for study in STUDIES if task != "grasp" or study.table == 1]
     wanted = tuple(
         study
         for study in STUDIES
-        if (options.all and study in everything)
-        or study.table in options.table
-        or study.figure in options.figure
-        or (options.ablations and study.name == "ablations")
+        if (options.longer or study.name != LONGER)
+        and (
+            (options.all and study in everything)
+            or study.table in options.table
+            or study.figure in options.figure
+            or (options.ablations and study.name == "ablations")
+        )
     )
     if not (wanted or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table or --figure, or --ablations, --all, --sweep or --plots-only")
@@ -129,19 +137,29 @@ def unfinished(work: Work) -> list[tuple[Study, list[Trial]]]:
     return found
 
 
-def carry_out(work: Work, studies: list[tuple[Study, list[Trial]]]) -> None:
-    """Trains what is missing, one program after another, and writes each study once all of its trials are there."""
+def carry_out(work: Work, studies: list[tuple[Study, list[Trial]]], stop: threading.Event) -> None:
+    """Trains what is missing, one program after another, and writes each study once all of its trials are there.
+
+    Ends early, with a checkpoint, once `stop` is set.
+    """
     trials = {trial.key(): trial for _, of_study in studies for trial in of_study}
     groups = programs(trial for key, trial in trials.items() if not _part_path(work, key).exists())
     _write_complete(work, studies)
     for index, group in enumerate(groups):
+        if stop.is_set():
+            return
         names = ", ".join(_label(trial.setting) for trial in group)
         print(f"program {index + 1} of {len(groups)}: {names}", flush=True)
         env = make_env(work.task, work.platform, len(group) * work.seeds * group[0].config.num_envs)
         count = group[0].setting.demonstrations
         samples = work.demonstrations.first(count).samples(env) if count else None
-        for trial, result in zip(group, train_program(env, group, samples), strict=True):
+        checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in group])
+        results = train_program(env, group, samples, checkpoints, stop)
+        if results is None:
+            return
+        for trial, result in zip(group, results, strict=True):
             write_json(_part_path(work, trial.key()), result | {"identity": trial.identity(), "made_by": provenance()})
+        shutil.rmtree(checkpoints, ignore_errors=True)
         _write_complete(work, studies)
 
 
@@ -184,7 +202,7 @@ def redraw(folder: Path) -> None:
       ValueError: it holds none, or data that cannot be read.
 
     """
-    drawn = [draw_figure(folder, study.figure, study.title) for study in STUDIES if study.figure is not None]
+    drawn = [draw_figure(folder, number) for number in sorted(FIGURES)]
     if not any(drawn):
         raise ValueError(f"{folder} holds no figure's data")
     print(", ".join(str(path) for path in drawn if path))
@@ -228,8 +246,11 @@ def main(arguments: list[str] | None = None) -> None:
         except (ValueError, OSError) as error:
             fail("paper.py", error, 2)
         try:
-            carry_out(work, studies)
-            if work.sweep:
+            with stop_on_signal() as stop:
+                carry_out(work, studies, stop)
+            if stop.is_set():
+                print("stopped; the same command goes on")
+            elif work.sweep:
                 time_one_program(work)
         except OSError as error:
             fail("paper.py", f"stopped: {error}; the same command goes on", 1)

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from run_folder import write_metrics
 from scipy import stats
-from studies import Study
+from studies import FIGURES, LONGER, Study
 
 from hgail_jax.files import replace_file
 
@@ -118,7 +118,7 @@ def write_markdown(path: Path, title: str, rows: list[dict]) -> None:
         file.write("\n".join(lines) + "\n")
 
 
-def draw_figure(folder: Path, number: int, title: str) -> Path | None:
+def draw_figure(folder: Path, number: int) -> Path | None:
     """Draws a figure from all of its data in a folder, and returns its path; None where there is no data.
 
     A row for each task and panel, success on the left and distance on the right; a line is the mean over the seeds, its
@@ -128,7 +128,8 @@ def draw_figure(folder: Path, number: int, title: str) -> Path | None:
       ValueError: a file of its data is not one.
 
     """
-    rows = [row for path in sorted(folder.glob(f"figure{number}-*.csv")) for row in _read_curves(path)]
+    paths = sorted(folder.glob(f"figure{number}-*.csv"), key=lambda path: ("longer" in path.name, path.name))
+    rows = [row for path in paths for row in _read_curves(path)]
     if not rows:
         return None
     tasks = _in_order([*_TASKS, *(row["task"] for row in rows)])
@@ -148,7 +149,7 @@ def draw_figure(folder: Path, number: int, title: str) -> Path | None:
             axis.grid(alpha=0.3)
             axis.spines[["top", "right"]].set_visible(False)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.suptitle(f"Figure {number}: {title}", fontsize=11)
+    figure.suptitle(f"Figure {number}: {FIGURES[number]}", fontsize=11)
     path = folder / f"figure{number}.png"
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
@@ -189,14 +190,15 @@ def write_study(folder: Path, task: str, study: Study, results: list[dict]) -> N
     write_markdown(paths["markdown"], f"{study.title.capitalize()}, {task}", rows)
     if study.figure is not None:
         write_metrics(paths["curves"], curve_rows(task, study, results))
-        draw_figure(folder, study.figure, study.title)
+        draw_figure(folder, study.figure)
 
 
 def files(folder: Path, task: str, study: Study) -> dict[str, Path]:
     """Returns the paths of a study's table, as CSV and Markdown, and of its figure and the figure's data."""
     paths = {"table": folder / f"{study.name}-{task}.csv", "markdown": folder / f"{study.name}-{task}.md"}
     if study.figure is not None:
-        paths["curves"] = folder / f"figure{study.figure}-{task}.csv"
+        longer = "-longer" if study.name == LONGER else ""
+        paths["curves"] = folder / f"figure{study.figure}{longer}-{task}.csv"
         paths["figure"] = folder / f"figure{study.figure}.png"
     return paths
 

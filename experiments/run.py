@@ -104,7 +104,7 @@ def prepare(options: Options, platform: str) -> Run:
     )
     worlds = options.seeds * preset.config.num_envs
     env, task_options = _make(options, task_class, defaults(task_class, platform).substeps, worlds)
-    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task)
+    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("the method gail-demo takes --demos, and no other does")
     return Run(

@@ -1,9 +1,13 @@
 """Trains settings and seeds side by side: those that share their shapes and counts as one compiled program."""
 
+import contextlib
+import dataclasses
 import functools
 import sys
+import threading
 import time
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,6 +16,7 @@ from studies import Trial
 from tqdm import tqdm
 
 import envs
+from hgail_jax.checkpoint import Checkpoints
 from hgail_jax.parallel import (
     SeedsStep,
     compile_train_step,
@@ -23,7 +28,9 @@ from hgail_jax.parallel import (
 )
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState
-from hgail_jax.train import RoundMetrics, env_steps, schedule
+from hgail_jax.train import env_steps, schedule
+
+_CHECKPOINT_SECONDS = 60.0
 
 
 def programs(trials: Iterable[Trial]) -> list[list[Trial]]:
@@ -34,29 +41,51 @@ def programs(trials: Iterable[Trial]) -> list[list[Trial]]:
     return list(groups.values())
 
 
-def train_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None) -> list[dict]:
+def train_program(
+    env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None, folder: Path, stop: threading.Event
+) -> list[dict] | None:
     """Trains and evaluates all seeds of trials that share a program.
 
     Args:
       env: the task.
       trials: of one of `programs`.
       demonstrations: see `init_state`.
+      folder: of its checkpoints; where there is one, the training goes on from it.
+      stop: once it is set, the training ends with the round that it is in, and a checkpoint.
 
     Returns:
-      What came of each trial: lists over rounds `[rounds + 1]` and seeds, and the seconds that the program took.
+      What came of each trial: lists over rounds `[rounds + 1]` and seeds, and the seconds that the program took. None
+      if it was stopped.
+
+    Raises:
+      OSError: a checkpoint cannot be written.
 
     """
     started = time.perf_counter()
     step = _compile(env, trials, demonstrations)
-    compiled = time.perf_counter()
-    states, curves, worst = _train(env, trials, demonstrations, step)
+    compile_seconds = time.perf_counter() - started
+    progress = _Progress(_init(env, trials, demonstrations))
+    with Checkpoints(folder, {"trials": [trial.identity() for trial in trials]}) as checkpoints:
+        progress.restore(checkpoints)
+        _train(trials, step, progress, checkpoints, stop)
+    if stop.is_set():
+        return None
     trained = time.perf_counter()
-    states, final = evaluate_seeds(step, trials[0].config, states, trials[0].evaluation_episodes)
-    seconds = {"compile": compiled - started, "train": trained - compiled, "evaluation": time.perf_counter() - trained}
+    states, final = evaluate_seeds(step, trials[0].config, progress.states, trials[0].evaluation_episodes)
+    evaluation_seconds = time.perf_counter() - trained
+    seconds = {"compile": compile_seconds, "train": progress.seconds, "evaluation": evaluation_seconds}
+    return _results(env, trials, progress, states, {"settings": len(trials), "seconds": seconds}, vars(final))
+
+
+def _results(
+    env: envs.GoalEnv, trials: list[Trial], progress: "_Progress", states: TrainState, program: dict, final: dict
+) -> list[dict]:
+    """Takes what came of a program apart into its trials."""
+    worst = {name: max(max(row[name]) for row in progress.rows) for name in ("dropped", "overflow")}
     if worst["overflow"] > 0:
         print("the simulation ran out of room for contacts: these results are wrong", file=sys.stderr)
-    diverged = split_sweep(_diverged(states), len(trials))
-    final, curves = split_sweep((vars(final), curves), len(trials))
+    measured = {name: np.stack([row[name] for row in progress.rows], axis=1) for name in ("success", "distance_l1")}
+    final, curves, diverged = split_sweep((final, measured, _diverged(states)), len(trials))
     steps = env_steps(env, trials[0].config, schedule(trials[0].config)).cumsum()
     return [
         {
@@ -66,7 +95,7 @@ def train_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Sample
             "final": {name: values[index].tolist() for name, values in final.items()},
             "evaluation_episodes": evaluation_episodes(trials[0].config, trials[0].evaluation_episodes),
             "diverged_seeds": int(diverged[index].sum()),
-            "program": {"settings": len(trials), "seconds": seconds} | worst,
+            "program": program | worst,
         }
         for index in range(len(trials))
     ]
@@ -83,7 +112,7 @@ def time_sweep(env: envs.GoalEnv, trials: list[Trial]) -> dict:
         step = _compile(env, groups[0], None)
         compiled = time.perf_counter()
         for group in groups:
-            _train(env, group, None, step)
+            _train(group, step, _Progress(_init(env, group, None)))
         return {"compile": compiled - started, "train": time.perf_counter() - compiled}
 
     together = measure([trials])
@@ -107,15 +136,56 @@ def _compile(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | N
     return compile_train_step(env, trials[0].config, states, schedule(trials[0].config)[0])
 
 
-def _train(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None, step: SeedsStep):
-    """Returns the states, the curves `[settings * seeds, rounds + 1]`, and the worst shares of episodes spoilt."""
-    states, measured = _init(env, trials, demonstrations), []
-    for phases in tqdm(schedule(trials[0].config), unit="round", desc=f"{len(trials)} × {trials[0].seeds}"):
-        states, metrics = step(states, phases)
-        measured.append(jax.tree.map(np.asarray, metrics))
-    rounds: RoundMetrics = jax.tree.map(lambda *values: np.stack(values, axis=1), *measured)
-    curves = {name: np.asarray(getattr(rounds.evaluation, name)) for name in ("success", "distance_l1")}
-    return states, curves, {name: float(np.max(getattr(rounds, name))) for name in ("dropped", "overflow")}
+@dataclasses.dataclass
+class _Progress:
+    """A program between two rounds."""
+
+    states: TrainState
+    rows: list[dict[str, list[float]]] = dataclasses.field(default_factory=list)
+    """What each round measured of each state."""
+    seconds: float = 0.0
+    """Time spent in the rounds."""
+
+    def restore(self, checkpoints: Checkpoints) -> None:
+        """Goes on from the last checkpoint, if there is one."""
+        found = checkpoints.restore(self.states)
+        if found is not None:
+            self.states, self.rows, self.seconds = found.state, found.record["rows"], found.record["seconds"]
+
+    def save(self, checkpoints: Checkpoints) -> None:
+        """Saves a checkpoint, unless a setting has diverged: then the program starts anew if it is stopped."""
+        record = {"rows": self.rows, "seconds": self.seconds}
+        with contextlib.suppress(FloatingPointError):
+            checkpoints.save(len(self.rows), self.states, record, score=(len(self.rows),))
+
+
+def _train(
+    trials: list[Trial],
+    step: SeedsStep,
+    progress: _Progress,
+    checkpoints: Checkpoints | None = None,
+    stop: threading.Event | None = None,
+) -> None:
+    """Takes `progress` through the rounds left, or until `stop`, with a checkpoint now and then."""
+    phases = schedule(trials[0].config)
+    started, saved = time.perf_counter() - progress.seconds, time.perf_counter()
+    label = f"{len(trials)} × {trials[0].seeds}"
+    for row in tqdm(phases[len(progress.rows) :], initial=len(progress.rows), total=len(phases), desc=label):
+        progress.states, metrics = step(progress.states, row)
+        measured = {
+            "success": metrics.evaluation.success,
+            "distance_l1": metrics.evaluation.distance_l1,
+            "dropped": metrics.dropped,
+            "overflow": metrics.overflow,
+        }
+        progress.rows.append({name: np.asarray(values).tolist() for name, values in measured.items()})
+        progress.seconds = time.perf_counter() - started
+        stopping = stop is not None and stop.is_set()
+        if checkpoints is not None and (stopping or time.perf_counter() - saved > _CHECKPOINT_SECONDS):
+            progress.save(checkpoints)
+            saved = time.perf_counter()
+        if stopping:
+            break
 
 
 def _diverged(states: TrainState) -> np.ndarray:

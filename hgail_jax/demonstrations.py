@@ -82,8 +82,8 @@ class Demonstrations:
         arrays = {name: getattr(self, name)[:episodes] for name in _STEPS + _EPISODES}
         return dataclasses.replace(self, **arrays)
 
-    def samples(self, env: GoalEnv) -> Samples:
-        """Returns all steps as expert samples, leaves `[K * T, ...]`, each as likely to be drawn.
+    def validate(self, env: GoalEnv) -> "Demonstrations":
+        """Returns itself.
 
         Raises:
           ValueError: the sizes are not the task's.
@@ -93,9 +93,18 @@ class Demonstrations:
         found = tuple(getattr(self, name).shape[-1] for name in _STEPS)
         if found != sizes:
             raise ValueError(f"demonstrations have features, goals and actions of the sizes {found}; the task: {sizes}")
-        features, goal, action = (
-            jnp.asarray(getattr(self, name)).reshape(-1, size) for name, size in zip(_STEPS, sizes, strict=True)
-        )
+        return self
+
+    def samples(self, env: GoalEnv) -> Samples:
+        """Returns all steps as expert samples, leaves `[K * T, ...]`, each as likely to be drawn.
+
+        Raises:
+          ValueError: see `validate`.
+
+        """
+        self.validate(env)
+        arrays = (jnp.asarray(getattr(self, name)) for name in _STEPS)
+        features, goal, action = (array.reshape(-1, array.shape[-1]) for array in arrays)
         return Samples(env.goal_observation(features, goal), action, jnp.ones(len(action)))
 
 
