@@ -55,6 +55,9 @@ class Grasp(FetchEnv):
       track_cube: let a goal with holding 1 follow the cube when it is pushed.
       random_opening: let episodes to learn from start with a hand opened at random.
 
+    Raises:
+      ValueError: see `FetchEnv`; or one of the last two is not a boolean.
+
     """
 
     feature_size = 8
@@ -72,6 +75,9 @@ class Grasp(FetchEnv):
         random_opening: bool = False,
     ):
         super().__init__("fetch/grasp", impl, substeps, worlds, raise_start)
+        for name, value in (("track_cube", track_cube), ("random_opening", random_opening)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} is {value!r}; it must be True or False")
         self.track_cube, self.random_opening = track_cube, random_opening
         self._explores: jax.Array | bool = False
         self._cube_qpos = int(self.model.jnt_qposadr[self.model.joint("cube").id])

@@ -96,7 +96,13 @@ def prepare(options: Options, platform: str) -> Run:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
     task_class = _find(options)
     preset = METHODS[options.method].apply(_sized(options, defaults(task_class, platform)))
-    given = {"p_ht": options.p_ht, "likelihood_weight": options.likelihood, "action_std": options.action_std}
+    given: dict[str, Any] = {
+        "p_ht": options.p_ht,
+        "likelihood_weight": options.likelihood,
+        "action_std": options.action_std,
+    }
+    if options.action_std is not None and len(options.action_std) == 1:
+        given["action_std"] = options.action_std[0]
     hyperparameters = preset.hyperparameters.replace(
         strategy=STRATEGIES[options.strategy],
         reward=REWARDS[options.reward],
@@ -115,7 +121,7 @@ def prepare(options: Options, platform: str) -> Run:
         env=env,
         task_options=task_options,
         config=preset.config.validate(env),
-        hyperparameters=hyperparameters.validate(),
+        hyperparameters=hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
         demonstrations=demonstrations,

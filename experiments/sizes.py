@@ -4,10 +4,10 @@ import dataclasses
 from typing import Any
 
 import jax
+from defaults import defaults
 
 import envs
-from envs.fetch import FAST_SUBSTEPS, FetchEnv
-from envs.grasp import Grasp
+from envs.fetch import FetchEnv
 from hgail_jax.config import PRESETS, Preset
 
 _PER_ROLL_OUT = 4  # roll-outs' worth of episodes that the best-of buffer holds
@@ -25,25 +25,6 @@ class Sizes:
     """Episodes per seed that the final evaluation has at least."""
 
 
-_REACH: dict[str, dict[str, Any]] = {"cpu": {"num_envs": 64, "rounds": 6}, "gpu": {"num_envs": 256, "rounds": 4}}
-_GRASP_NUM_ENVS = {"cpu": 64, "gpu": 2048}
-_GRASP: dict[str, Any] = {
-    "rounds": 30,
-    "policy_phases": 2,
-    "discriminator_phases": 2,
-    "ppo_epochs": 2,
-    "ppo_minibatches": 16,
-    "likelihood_batch": 2048,
-    "discriminator_batch": 1024,
-    "pretrain_policy_batch": 1024,
-}
-_GRASP_HYPERPARAMETERS: dict[str, Any] = {
-    "action_std": (0.2, 0.2, 0.2, 1.0),
-    "likelihood_weight": 0.3,
-    "policy_learning_rate": 1e-3,
-    "discriminator_learning_rate": 2e-4,
-}
-_GRASP_SUBSTEPS = 8
 _EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 _QUICK = {
     "num_envs": 4,
@@ -63,15 +44,14 @@ def sizes(task: str, platform: str, quick: bool = False, preset: str = "parallel
     base = PRESETS[preset]
     config: dict[str, Any] = {}
     hyperparameters: dict[str, Any] = {}
-    grasps = issubclass(envs.find_class(task), Grasp)
+    default = defaults(envs.find_class(task), platform)
     if preset == "parallel":
-        config = {"num_envs": _GRASP_NUM_ENVS[platform], **_GRASP} if grasps else _REACH[platform]
-        hyperparameters = _GRASP_HYPERPARAMETERS if grasps else {}
+        config, hyperparameters = default.config, default.hyperparameters
     config = config | (_QUICK if quick else {})
     config = config | {"best_episodes": min(_MOST_BEST, _PER_ROLL_OUT * config.get("num_envs", base.config.num_envs))}
     return Sizes(
         Preset(dataclasses.replace(base.config, **config), base.hyperparameters.replace(**hyperparameters)),
-        _GRASP_SUBSTEPS if grasps else FAST_SUBSTEPS,
+        default.substeps,
         _QUICK_EVALUATION_EPISODES if quick else _EVALUATION_EPISODES[platform],
     )
 

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import numpy as np
 from flax import struct
 
 from envs import GoalEnv
@@ -133,8 +134,11 @@ class Hyperparameters(struct.PyTreeNode):
     discriminator_learning_rate: jax.Array | float = 1e-3
     """Adam's step size for the discriminator."""
 
-    def validate(self) -> "Hyperparameters":
+    def validate(self, action_size: int | None = None) -> "Hyperparameters":
         """Returns itself.
+
+        Args:
+          action_size: numbers in an action of the task, if it is known.
 
         Raises:
           ValueError: a value is out of its range. Values that are being traced pass unseen.
@@ -146,6 +150,8 @@ class Hyperparameters(struct.PyTreeNode):
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "likelihood_weight"):
             check_not_negative(name, getattr(self, name))
+        if action_size is not None and np.shape(self.action_std) not in ((), (action_size,)):
+            raise ValueError(f"action_std is {self.action_std}; it must be one number or {action_size}")
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
         return self

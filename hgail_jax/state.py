@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from brax.training.acme import running_statistics, specs
 from flax import struct
@@ -82,9 +81,7 @@ def init_state(
 
     """
     config.validate(env)
-    hyperparameters.validate()
-    if np.shape(hyperparameters.action_std) not in ((), (env.action_size,)):
-        raise ValueError(f"action_std is {hyperparameters.action_std}; it must be one number or {env.action_size}")
+    hyperparameters.validate(env.action_size)
     policy_rng, value_rng, discriminator_rng, rng = jax.random.split(rng, 4)
     observation = jnp.zeros(env.observation_size)
     actor_critic = {
