@@ -1,5 +1,6 @@
 """The grasp scene and task, against scripted controllers and Gymnasium-Robotics' FetchPickAndPlace-v4 on C MuJoCo."""
 
+import dataclasses
 import functools
 
 import gymnasium
@@ -9,11 +10,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from support import TINY
 
 import envs
 from envs import controllers
 from envs.fetch import buffer_sizes
 from envs.scenes import load_scene
+from hgail_jax import Hyperparameters, schedule
+from hgail_jax.parallel import compile_train_step, init_seeds, seed_keys
 from hgail_jax.policy import load_policy
 
 BATCH = 16
@@ -205,6 +209,22 @@ def test_buffers_hold_what_mjx_jax_allots():
         sizes = buffer_sizes(model, worlds=3)
         assert sizes["njmax"] >= envs.make(scene.split("/")[1], impl="jax")._mjx_data._impl.efc_J.shape[0]
         assert sizes["naconmax"] % 3 == 0
+
+
+def test_a_tiny_training_runs():
+    """Pre-training, both kinds of rounds and evaluation, with the likelihood beside PPO, for two seeds at once."""
+    config = dataclasses.replace(TINY, rounds=1, likelihood_batch=8)
+    states = init_seeds(ENV, config, Hyperparameters(action_std=(0.2, 0.2, 0.2, 0.5)), seed_keys(0, 2))
+    before = jax.tree.map(np.asarray, states.actor_critic)
+    phases = schedule(config)
+    step = compile_train_step(ENV, config, states, phases[0])
+    for row in phases:
+        states, metrics = step(states, row)
+    assert all(np.isfinite(values).all() for values in jax.tree.leaves((metrics, states.actor_critic)))
+    assert not any(map(np.array_equal, jax.tree.leaves(before), jax.tree.leaves(states.actor_critic)))
+    assert (np.asarray(metrics.update.likelihood_loss) != 0).all()
+    assert (np.asarray(metrics.dropped) == 0).all()
+    assert (np.asarray(metrics.overflow) == 0).all()
 
 
 def read(reference):

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import demos
 import jax
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ import training
 from run_folder import sole_user
 from support import TINY, small_files_only
 
-from hgail_jax import Hyperparameters, Preset
+from hgail_jax import METHODS, Hyperparameters, Preset
 from hgail_jax.parallel import compile_train_step
 
 ROOT = Path(__file__).parent.parent.parent
@@ -41,6 +42,13 @@ def tiny(monkeypatch, tmp_path):
     monkeypatch.setitem(run.EVALUATION_EPISODES, "cpu", 8)
     monkeypatch.setattr(training, "compile_train_step", compile_once)
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def demonstrations(tmp_path_factory):
+    path = tmp_path_factory.mktemp("demonstrations") / "point.npz"
+    demos.main(["--task", "point", "--episodes", "5", "--out", str(path)])
+    return path
 
 
 def start(*arguments, method="hgail"):
@@ -91,25 +99,26 @@ def whole(tmp_path_factory):
     """Returns the outcome of a method's run that nothing interrupted."""
     outcomes = {}
 
-    def of(method):
+    def of(method, *arguments):
         if method not in outcomes:
             folder = tmp_path_factory.mktemp("whole") / "run"
-            start("--out", str(folder), method=method)
+            start("--out", str(folder), *arguments, method=method)
             outcomes[method] = outcome(folder)
         return outcomes[method]
 
     return of
 
 
-@pytest.mark.parametrize("method", ["hgail", "hgail-no", "ppo"])
-def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch, whole, method):
-    expected = whole(method)
+@pytest.mark.parametrize("method", METHODS)
+def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch, whole, demonstrations, method):
+    given = ["--demos", str(demonstrations)] if method == "gail-demo" else []
+    expected = whole(method, *given)
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
-        start(method=method)
+        start(*given, method=method)
     folder = tmp_path / "runs" / f"point-{method}-1"
     assert len(read_metrics(folder)) == 3 * 2
-    start("--resume", "auto", method=method)
+    start("--resume", "auto", *given, method=method)
     assert outcome(folder) == expected
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [folder.name]
 
