@@ -80,6 +80,7 @@ class FetchEnv(GoalEnv):
     episode_length = 50
     action_size = 4
     success_threshold = 0.05
+    observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
 
     def __init__(
         self,

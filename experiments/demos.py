@@ -40,7 +40,10 @@ def main(arguments: list[str] | None = None) -> None:
         if path.exists():
             raise ValueError(f"{path} exists already; name another file")
         demonstrations = record(
-            make_env(options.task, platform_name(), options.episodes), options.task, options.episodes, options.seed
+            make_env(options.task, platform_name(), 2 * options.episodes + 4),
+            options.task,
+            options.episodes,
+            options.seed,
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         save_demonstrations(path, demonstrations)

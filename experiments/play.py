@@ -41,8 +41,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise ValueError(f"task {options.task!r} has no scene to show; choose reach or grasp")
         policy = load_policy(options.policy or RESULTS / f"{options.task}-hgail" / "policies" / "seed-0.npz")
         env = envs.make(options.task, impl="jax")
-        if (policy.observation_size, policy.action_size) != (env.observation_size, env.action_size):
-            raise ValueError(f"the policy is for {policy.task!r}, with other observations than {options.task!r} has")
+        if policy.task != options.task or policy.observation_size != env.observation_size:
+            raise ValueError(f"the policy is for {policy.task!r}, not for {options.task!r}")
     except (ValueError, OSError) as error:
         fail("play.py", error, 2)
     if options.out is None and "DISPLAY" in os.environ:
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
         try:
             outcomes = film(path, env, policy, options.episodes, options.seed)
-        except (RuntimeError, OSError) as error:
+        except (RuntimeError, OSError, ValueError) as error:
             fail("play.py", error, 1)
         print(path)
     print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")

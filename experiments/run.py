@@ -155,12 +155,17 @@ def _make(
 ) -> tuple[envs.GoalEnv, dict[str, Any]]:
     """Returns the task and the options of its own that it was given."""
     own = dict(_parse_task_option(option) for option in options.task_options)
-    if issubclass(task_class, FetchEnv):
-        substeps = substeps if options.substeps is None else options.substeps
-        return envs.make(options.task, **{"impl": options.impl, "substeps": substeps, "worlds": worlds} | own), own
-    if options.substeps is not None or options.impl != "auto":
+    fetch = issubclass(task_class, FetchEnv)
+    if not fetch and (options.substeps is not None or options.impl != "auto"):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
-    return envs.make(options.task, **own), own
+    substeps = substeps if options.substeps is None else options.substeps
+    physics = {"impl": options.impl, "substeps": substeps, "worlds": worlds} if fetch else {}
+    try:
+        return envs.make(options.task, **physics, **own), own
+    except ValueError:
+        raise
+    except Exception as error:  # a class that is abstract, or the user's own
+        raise ValueError(f"cannot make task {options.task!r}: {error}") from error
 
 
 def _parse_task_option(option: str) -> tuple[str, Any]:
@@ -221,7 +226,7 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
             folder, checkpoints, restored = open_folder(options, run, held)
-        except (ValueError, FileNotFoundError) as error:
+        except (ValueError, OSError) as error:
             fail("run.py", error, 2)
         print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
         summary = carry_out(options, run, folder, checkpoints, restored, started)

@@ -61,7 +61,7 @@ def reopen_folder(path: Path, identity: dict) -> None:
     """
     if not path.is_dir():
         raise ValueError(f"there is no folder {path} to resume")
-    if not any(path.iterdir()):
+    if not any(entry for entry in path.iterdir() if not entry.name.startswith(".")):
         return
     try:
         content = json.loads((path / "config.json").read_text())

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import sys
 import threading
 import time
 from collections.abc import Iterable
@@ -83,7 +82,7 @@ def _results(
     """Takes what came of a program apart into its trials."""
     worst = {name: max(max(row[name]) for row in progress.rows) for name in ("dropped", "overflow")}
     if worst["overflow"] > 0:
-        print("the simulation ran out of room for contacts: these results are wrong", file=sys.stderr)
+        raise OverflowError("the simulation ran out of room for contacts")
     measured = {name: np.stack([row[name] for row in progress.rows], axis=1) for name in ("success", "distance_l1")}
     final, curves, diverged = split_sweep((final, measured, _diverged(states)), len(trials))
     steps = env_steps(env, trials[0].config, schedule(trials[0].config)).cumsum()

@@ -48,5 +48,5 @@ METHODS = {
         {"likelihood_batch": _LIKELIHOOD_BATCH},
     ),
 }
-"""Methods by name. Those without hindsight learn on the goals that they are measured by: the others help relabelling
-alone."""
+"""Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is
+HGAIL in all but the relabelling."""

@@ -121,10 +121,16 @@ def evaluate_seeds(
 
     Consumes the states; returns them as they were but for their keys, and the means over the episodes, `[seeds]`. There
     are at least `num_episodes` episodes per seed: whole roll-outs.
+
+    Raises:
+      OverflowError: the simulation ran out of room for contacts.
+
     """
     measured, weights = [], []
     for phases in final_evaluation(config, num_episodes):
         states, metrics = step(states, phases)
+        if np.any(np.asarray(metrics.overflow) > 0):
+            raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
         measured.append(metrics.evaluation)
         weights.append(np.count_nonzero(phases))
     return states, jax.tree.map(lambda *means: np.average(means, axis=0, weights=weights), *measured)

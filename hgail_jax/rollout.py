@@ -79,7 +79,8 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
     (probed, _, end), seen = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
     info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], seen)
     info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
-    sound = _is_sound(env, info) & jnp.isfinite(action).all(axis=(0, 2))
+    outcome = jax.vmap(env.outcome)(end, probed)
+    sound = _is_sound(env, info) & _is_finite((action.swapaxes(0, 1), end.pipeline_state, outcome), num_envs)
     whole = Trajectory(
         features=info["observation"],
         achieved=info["achieved_goal"],
@@ -89,7 +90,7 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
         reward=reward,
         sound=sound,
         overflow=jax.vmap(env.overflow)(probed.pipeline_state),
-        outcome=jax.vmap(env.outcome)(end, probed),
+        outcome=outcome,
     )
     return _blank(whole, ~sound)
 
@@ -99,6 +100,12 @@ def _is_sound(env: GoalEnv, info: dict[str, jax.Array]) -> jax.Array:
     return jnp.stack([(jnp.abs(values) <= env.observation_limit).all(axis=(0, 2)) for values in info.values()]).all(
         axis=0
     )
+
+
+def _is_finite(tree: Any, num_envs: int) -> jax.Array:
+    """Returns whether all numbers of a tree with a leading axis over environments are finite, `[N]`."""
+    leaves = [leaf.reshape(num_envs, -1) for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.stack([jnp.isfinite(leaf).all(axis=1) for leaf in leaves]).all(axis=0)
 
 
 def _blank(trajectory: Trajectory, where: jax.Array) -> Trajectory:
