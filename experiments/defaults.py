@@ -18,6 +18,9 @@ class Defaults:
     """Physics steps per action in training, of the Fetch tasks."""
 
 
+EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
+"""Episodes per seed that a final evaluation has at least."""
+
 REACH = {
     "cpu": Defaults({"num_envs": 64, "rounds": 6}, {}, FAST_SUBSTEPS),
     "gpu": Defaults({"num_envs": 256, "rounds": 4}, {}, FAST_SUBSTEPS),

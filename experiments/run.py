@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import jax
 from command_line import fail, parse
-from defaults import Defaults, defaults
+from defaults import EVALUATION_EPISODES, Defaults, defaults
 from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
 from signals import stop_on_signal
 from training import Run, train
@@ -31,8 +31,6 @@ from hgail_jax.validation import check_count
 
 LIKELIHOOD_BATCH = 512
 """Relabelled samples beside a minibatch of PPO where `--likelihood` asks for it and the task has no size of its own."""
-EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
-"""Episodes per seed in the final evaluation."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 import jax
-from defaults import defaults
+from defaults import EVALUATION_EPISODES, defaults
 
 import envs
 from envs.fetch import FetchEnv
@@ -25,7 +25,6 @@ class Sizes:
     """Episodes per seed that the final evaluation has at least."""
 
 
-_EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 _QUICK = {
     "num_envs": 4,
     "rounds": 1,
@@ -52,7 +51,7 @@ def sizes(task: str, platform: str, quick: bool = False, preset: str = "parallel
     return Sizes(
         Preset(dataclasses.replace(base.config, **config), base.hyperparameters.replace(**hyperparameters)),
         default.substeps,
-        _QUICK_EVALUATION_EPISODES if quick else _EVALUATION_EPISODES[platform],
+        _QUICK_EVALUATION_EPISODES if quick else EVALUATION_EPISODES[platform],
     )
 
 
