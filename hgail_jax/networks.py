@@ -49,22 +49,6 @@ def apply(network: MLP, params: Any, inputs: jax.Array) -> jax.Array:
     return cast(jax.Array, network.apply(params, inputs))
 
 
-def rescale_inputs(params: Any, ratio: jax.Array, shift: jax.Array) -> Any:
-    """Returns parameters with which an `MLP` makes of `x` what it made of `ratio * x + shift` with `params`.
-
-    So a network keeps its function when the scale of its inputs changes (van Hasselt et al. 2016, "Learning values
-    across many orders of magnitude", do it with outputs). `ratio` and `shift`, `[inputs]`, may be those of the first
-    inputs only; the others keep their scale.
-    """
-    layer = params["params"]["Dense_0"]
-    kernel, changed = layer["kernel"], slice(ratio.shape[0])
-    layer = {
-        "kernel": kernel.at[changed].multiply(ratio[:, None]),
-        "bias": layer["bias"] + shift @ kernel[changed],
-    }
-    return {"params": params["params"] | {"Dense_0": layer}}
-
-
 def gaussian_log_prob(action: jax.Array, mean: jax.Array, std: jax.Array | float) -> jax.Array:
     """Log-density of actions, `[..., action_size]`, under N(mean, std² I): `[...]`."""
     return jnp.sum(-0.5 * jnp.square((action - mean) / std) - jnp.log(std) - _LOG_SQRT_2PI, axis=-1)

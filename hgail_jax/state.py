@@ -11,11 +11,10 @@ from flax import struct
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.experts import init_expert
-from hgail_jax.networks import discriminator_network, policy_network, rescale_inputs, value_network
+from hgail_jax.networks import discriminator_network, policy_network, value_network
 from hgail_jax.samples import Samples
 
 _MAX_NORMALIZED = 5.0
-_LEAST_STD = 1e-4  # of a number that has varied at all, in the observation's unit
 
 Params = Any
 
@@ -29,7 +28,7 @@ class TrainState(struct.PyTreeNode):
     actor_critic_optimizer: optax.OptState
     discriminator_optimizer: optax.OptState
     statistics: running_statistics.RunningStatisticsState
-    """Mean and standard deviation of all observations so far: see `observe`."""
+    """Mean and standard deviation of observations so far: expert samples, and the policy's own in its updates."""
     hyperparameters: Hyperparameters
     rng: jax.Array
     expert: Any = None
@@ -39,25 +38,9 @@ class TrainState(struct.PyTreeNode):
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
         return running_statistics.normalize(observation, self.statistics, max_abs_value=_MAX_NORMALIZED)
 
-    def observe(self, *samples: Samples) -> "TrainState":
-        """Counts samples into the statistics; how often they are to be drawn does not matter here.
-
-        The networks go on computing what they did: without that a policy would lose what it has learnt whenever the
-        statistics move, which after one roll-out is far.
-        """
-        counted = self.statistics
-        for part in samples:
-            weight = (part.weight > 0).astype(jnp.float32)
-            counted = running_statistics.update(counted, part.observation, weights=weight, std_min_value=_LEAST_STD)
-        old, new = self.statistics, counted
-        known = (old.std > _LEAST_STD) & (jnp.stack([old.count.hi, old.count.lo]) > 0).any()
-        ratio = jnp.where(known, new.std / old.std, 1.0)
-        shift = jnp.where(known, (new.mean - old.mean) / old.std, 0.0)
-        return self.replace(
-            statistics=new,
-            actor_critic={name: rescale_inputs(params, ratio, shift) for name, params in self.actor_critic.items()},
-            discriminator=rescale_inputs(self.discriminator, ratio, shift),
-        )
+    def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
+        """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`."""
+        return self.replace(statistics=running_statistics.update(self.statistics, observation, weights=weight))
 
 
 def actor_critic_optimizer(config: Config) -> optax.GradientTransformation:

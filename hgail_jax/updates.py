@@ -60,7 +60,7 @@ def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajec
     relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
     state, expert = _positives(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
-    state = state.observe(policy, expert)
+    state = _observe(state, expert)
     state, policy_metrics = _maximize_likelihood(env, config, state, expert, policy_rng)
     state, metrics = _fit_discriminator(
         config, state, expert, policy, config.pretrain_discriminator_minibatches, discriminator_rng
@@ -73,7 +73,7 @@ def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajec
     relabel_rng, fit_rng = jax.random.split(rng)
     state, expert = _positives(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
-    state = state.observe(policy, expert)
+    state = _observe(state, expert)
     return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
 
@@ -102,7 +102,7 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
         return value, metrics
 
     state, updates = _improve_actor_critic(config, state, loss, indices)
-    return state.observe(policy_samples(env, trajectory)), updates.replace(reward=metrics.reward)
+    return _observe(state, policy_samples(env, trajectory)), updates.replace(reward=metrics.reward)
 
 
 def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory):
@@ -239,3 +239,12 @@ def _positives(env: GoalEnv, config: Config, state: TrainState, trajectory: Traj
     """Returns the state with what is kept of the trajectory, and the expert samples to learn from."""
     expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
     return state.replace(expert=expert), samples
+
+
+def _observe(state: TrainState, samples: Samples) -> TrainState:
+    """Counts samples into the state's statistics; how often they are to be drawn does not matter here.
+
+    Expert samples where there are any, and else the policy's own. A policy forgets as far as the statistics move, and
+    after the pre-training they move less if they begin with what it is to imitate, not with how it behaved before.
+    """
+    return state.observe(samples.observation, (samples.weight > 0).astype(jnp.float32))

@@ -12,7 +12,6 @@ import envs
 from hgail_jax import Config, Hyperparameters, MeanPolicy, export_policy, init_state, load_policy, save_policy
 from hgail_jax.files import replace_file
 from hgail_jax.policy import from_state
-from hgail_jax.samples import Samples
 from hgail_jax.updates import act
 
 
@@ -24,8 +23,7 @@ def policy(shipped_policy):
 def test_a_saved_policy_is_the_mean_action(tmp_path):
     env = envs.make("point")
     state = init_state(env, Config(), Hyperparameters(), jax.random.key(0))
-    observed = jax.random.normal(jax.random.key(1), (100, 6)) * 0.1
-    state = state.observe(Samples(observed, jnp.zeros((100, 3)), jnp.ones(100)))
+    state = state.observe(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
     # weights large enough that some actions are clipped
     state = state.replace(actor_critic=jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.actor_critic))
     observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2

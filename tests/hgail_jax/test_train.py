@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from recording import record
 from scipy.stats import norm
 from support import TINY
 
@@ -267,3 +268,16 @@ def test_a_deviation_for_each_number_of_the_action():
     np.testing.assert_allclose(log_prob, norm.logpdf(action, mean, stds).sum(-1), rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="one number or 3"):
         init_state(ENV, TINY, Hyperparameters(action_std=(0.1, 0.2)), jax.random.key(0))
+
+
+def test_adversarial_rounds_keep_what_demonstrations_taught():
+    """GAIL from 20 demonstrations of a solved task: success is 1 after the pre-training, and it stays there."""
+    preset = METHODS["gail-demo"].apply(PRESETS["parallel"])
+    config = dataclasses.replace(preset.config, rounds=3)
+    samples = record(ENV, "point", 20).samples(ENV)
+    states = init_seeds(ENV, config, preset.hyperparameters, seed_keys(0, 2), samples)
+    phases = schedule(config)
+    step = compile_train_step(ENV, config, states, phases[0])
+    for row in phases:
+        states, metrics = step(states, row)
+        assert (np.asarray(metrics.evaluation.success) >= 0.9).all()
