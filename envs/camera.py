@@ -85,12 +85,11 @@ class Camera:
 
 
 def intrinsics(width: int, height: int, fovy: float) -> np.ndarray:
-    """Returns M, `[3, 3]`, of square pixels, the optical axis through the image's middle, and a vertical view of
-    `fovy` degrees.
+    """Returns M, `[3, 3]`, of square pixels and a centred optical axis; `fovy` degrees is the view from top to bottom.
 
     >>> intrinsics(200, 100, 90.0).round(6).tolist()
     [[50.0, 0.0, 100.0], [0.0, 50.0, 50.0], [0.0, 0.0, 1.0]]
-    """  # noqa: D205
+    """
     focal = height / 2 / np.tan(np.radians(fovy) / 2)
     return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
 

@@ -136,7 +136,7 @@ def add_shape(
 
 def _place_camera(model: mujoco.MjModel, scene: mujoco.MjvScene, camera: Camera) -> None:
     """Gives the scene the camera's pose and view, and its headlight the camera's place."""
-    right, down, forward = camera.rotation.T
+    _, down, forward = camera.rotation.T
     near, far = model.vis.map.znear * model.stat.extent, model.vis.map.zfar * model.stat.extent
     (focal_x, _, middle_x), (_, focal_y, middle_y) = camera.matrix[:2]
     for view in scene.camera:  # a left and a right one, of which MuJoCo takes the mean

@@ -25,7 +25,7 @@ from envs.rgbd import Photographer, Picture, Stage, add_shape
 
 MARKER_RADIUS = 0.02
 """Metres, of the ball that stands for a goal in the air."""
-RED = (0.85, 0.08, 0.08, 1.0)
+RED = np.array([0.85, 0.08, 0.08, 1.0])
 """The target's colour, RGBA."""
 PIXELS = 128
 """Width and height of the pictures."""
@@ -85,9 +85,7 @@ Detector = Callable[[Picture, Camera, bool], Detection | None]
 
 
 def overhead(start: np.ndarray, pixels: int = PIXELS) -> tuple[Camera, ...]:
-    """Returns two cameras over the workspace around the gripper's start, `[3]`, one where the arm hides the other's
-    view.
-    """  # noqa: D205
+    """Returns two cameras over the workspace around the gripper's start, `[3]`, tilted to opposite sides of the arm."""
     middle = np.asarray(start, float) - [0.0, 0.0, _BELOW_START]
     elevation = np.radians(_ELEVATION)
     cameras = []
@@ -114,7 +112,7 @@ def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection |
 
 
 def read_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image `[height, width]`, interpolated linearly."""
+    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image, `[height, width]`, interpolated."""
     columns, rows = np.reshape(pixels, (-1, 2)).T - 0.5
     read = ndimage.map_coordinates(depth.astype(float), [rows, columns], order=1, mode="nearest")
     return read.reshape(np.shape(pixels)[:-1])
@@ -142,7 +140,7 @@ def estimate(
     return surface_to_centre(believed, believed.to_world(noisy, distance), marker)
 
 
-def paint(model: mujoco.MjModel, geom: str, rgba: Sequence[float] = RED) -> Stage:
+def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
     """Returns what paints a geom of the model.
 
     Raises:
@@ -156,16 +154,16 @@ def paint(model: mujoco.MjModel, geom: str, rgba: Sequence[float] = RED) -> Stag
     def stage(scene: mujoco.MjvScene) -> None:
         for shown in scene.geoms[: scene.ngeom]:
             if shown.objtype == mujoco.mjtObj.mjOBJ_GEOM and shown.objid == number:
-                shown.rgba, shown.matid = np.asarray(rgba, np.float32), -1
+                shown.rgba, shown.matid = rgba, -1
 
     return stage
 
 
-def ball(position: np.ndarray, rgba: Sequence[float] = RED) -> Stage:
+def ball(position: np.ndarray, rgba: np.ndarray = RED) -> Stage:
     """Returns what puts the marker at a position, `[3]`."""
 
     def stage(scene: mujoco.MjvScene) -> None:
-        add_shape(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, MARKER_RADIUS), position, np.asarray(rgba))
+        add_shape(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, MARKER_RADIUS), position, rgba)
 
     return stage
 

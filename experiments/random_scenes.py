@@ -1,9 +1,9 @@
-"""Pictures of the Fetch scene with a target somewhere in the workspace, plain or randomised, with the truth beside them.
+"""Pictures of the Fetch scene with a target in the workspace, plain or randomised, and the truth beside them.
 
-A plain scene is the project's own: its light, its arm at the start, cameras where `overhead` puts them. A randomised one
-differs in light, colours, posture of the arm, pose of the cameras, yaw of the cube, and holds clutter: up to eight
-shapes of any colour, among them red ones and ones of the other target's shape. The target's place is drawn as the tasks
-draw theirs, but for the yaw.
+A plain scene is the project's own: its light, the arm at its start, cameras where `overhead` puts them. A randomised
+one differs in light, colours, the arm's posture, the cameras' poses and the cube's yaw, and holds clutter: up to eight
+shapes, some of them as red as the target, or of its shape in another colour. The target's place is drawn as the tasks
+draw theirs.
 """
 
 import contextlib
@@ -84,6 +84,10 @@ class Studio(contextlib.AbstractContextManager):
         self._photographer = Photographer(self.model, self._cameras[0].width, self._cameras[0].height)
 
     def __exit__(self, *exception) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Frees the renderer."""
         self._photographer.close()
 
     def draw(self, rng: np.random.Generator, marker: bool, randomised: bool, cameras: int = 2) -> Sample:
@@ -121,7 +125,7 @@ class Studio(contextlib.AbstractContextManager):
                 change(scene)
 
         picture = self._photographer.shoot(self.data, camera, stage)
-        top = position if marker else position + [0.0, 0.0, CUBE_WIDTH / 2]
+        top = position if marker else np.add(position, [0.0, 0.0, CUBE_WIDTH / 2])
         pixel, _ = camera.to_pixels(top)
         return View(picture, camera, pixel, _is_seen(picture, camera, pixel, position, marker))
 
@@ -155,9 +159,7 @@ def _jitter(rng: np.random.Generator, camera: Camera) -> Camera:
 def _recolour(model: mujoco.MjModel, rng: np.random.Generator) -> Stage:
     """Paints a random half of the scene's geoms, the cube apart, in colours that are not red."""
     cube = model.geom("cube").id
-    colours = {
-        geom: _not_red(rng) for geom in range(model.ngeom) if geom != cube and rng.random() < 0.5
-    }
+    colours = {geom: _not_red(rng) for geom in range(model.ngeom) if geom != cube and rng.random() < 0.5}
 
     def stage(scene: mujoco.MjvScene) -> None:
         for shown in scene.geoms[: scene.ngeom]:
