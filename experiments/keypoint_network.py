@@ -28,7 +28,7 @@ STRIDE = 4
 GRID = PIXELS // STRIDE
 """Cells in a row of the grid, and in a column."""
 _KINDS = 2  # cube, marker
-_CHANNELS = 24
+_FINE_CHANNELS, _CHANNELS = 16, 24  # at half the resolution, and at a quarter
 _DILATIONS = (1, 2, 4, 8)
 _LEAST_SEEN = 0.5  # probability that the target is anywhere, below which it is not seen
 
@@ -42,7 +42,8 @@ class KeypointNetwork(nn.Module):
     @nn.compact
     def __call__(self, images: jax.Array) -> jax.Array:
         """Applies the layers."""
-        hidden = nn.relu(nn.Conv(_CHANNELS // 2, (5, 5), strides=2)(images - 0.5))
+        hidden = nn.relu(nn.Conv(_FINE_CHANNELS, (5, 5), strides=2)(images - 0.5))
+        hidden += nn.relu(nn.Conv(_FINE_CHANNELS, (3, 3))(nn.LayerNorm()(hidden)))
         hidden = nn.relu(nn.Conv(_CHANNELS, (3, 3), strides=2)(hidden))
         for dilation in _DILATIONS:
             hidden += nn.relu(nn.Conv(_CHANNELS, (3, 3), kernel_dilation=dilation)(nn.LayerNorm()(hidden)))

@@ -124,13 +124,17 @@ def _update(network: KeypointNetwork, optimiser: optax.GradientTransformation):
 
 
 def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields shuffled batches of an epoch, moved by a few pixels, with noise: pictures, labels and kinds."""
+    """Yields shuffled batches of an epoch, half of them mirrored, moved by a few pixels, with noise: pictures, labels and kinds."""
     order = rng.permutation(len(pictures.rgb))
     for chosen in order[: len(order) // _BATCH * _BATCH].reshape(-1, _BATCH):
+        rgb, pixels = pictures.rgb[chosen], pictures.pixels[chosen]
+        mirrored = rng.random(_BATCH) < 0.5
+        rgb[mirrored] = rgb[mirrored, :, ::-1]
+        pixels[mirrored, 0] = PIXELS - pixels[mirrored, 0]
         shifts = rng.integers(-_SHIFT, _SHIFT + 1, (_BATCH, 2))
-        rgb = np.stack([_shifted(pictures.rgb[index], shift) for index, shift in zip(chosen, shifts, strict=True)])
+        rgb = np.stack([_shifted(one, shift) for one, shift in zip(rgb, shifts, strict=True)])
         noisy = rgb / np.float32(255) + _GREY_NOISE * rng.standard_normal(rgb.shape, np.float32)
-        pixels = pictures.pixels[chosen] + shifts
+        pixels = pixels + shifts
         inside = np.all((pixels >= 0) & (pixels < PIXELS), axis=-1)
         targets = labels(pixels, pictures.seen[chosen] & inside)
         yield np.clip(noisy, 0.0, 1.0), targets, pictures.markers[chosen].astype(int)

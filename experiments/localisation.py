@@ -33,11 +33,11 @@ class _Options:
 
 @dataclasses.dataclass(frozen=True)
 class Train(_Options):
-    """Takes pictures of randomised scenes and learns from them: ten minutes on two cores."""
+    """Takes pictures of randomised scenes and learns from them: a quarter of an hour on two cores."""
 
-    pictures: int = 6000
+    pictures: int = 8000
     """Pictures to take."""
-    epochs: int = 12
+    epochs: int = 8
     """Passes over them."""
 
 
