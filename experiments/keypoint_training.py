@@ -124,7 +124,10 @@ def _update(network: KeypointNetwork, optimiser: optax.GradientTransformation):
 
 
 def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields shuffled batches of an epoch, half of them mirrored, moved by a few pixels, with noise: pictures, labels and kinds."""
+    """Yields the shuffled batches of an epoch: pictures, labels and kinds.
+
+    Half the pictures are mirrored; all are moved by a few pixels and have noise on their colours.
+    """
     order = rng.permutation(len(pictures.rgb))
     for chosen in order[: len(order) // _BATCH * _BATCH].reshape(-1, _BATCH):
         rgb, pixels = pictures.rgb[chosen], pictures.pixels[chosen]
