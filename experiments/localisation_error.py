@@ -87,17 +87,26 @@ def measure(
     return table, sweeps, examples
 
 
+def quantiles(millimetres: np.ndarray) -> dict[str, float]:
+    """Returns the median and the 95th percentile of errors; not a number where there is none.
+
+    >>> quantiles(np.arange(101.0))
+    {'median_mm': 50.0, 'p95_mm': 95.0}
+    """
+    if not len(millimetres):
+        return {"median_mm": np.nan, "p95_mm": np.nan}
+    return {"median_mm": float(np.median(millimetres)), "p95_mm": float(np.quantile(millimetres, 0.95))}
+
+
 def _row(samples: list[Sample], found: list[Found | None]) -> dict[str, float]:
     hidden = [not any(view.seen for view in sample.views) for sample in samples]
     none = [one is None for one in found]
     millimetres = errors([one for one in found if one is not None], Noise(), np.random.default_rng(0))
-    quantiles = np.quantile(millimetres, [0.5, 0.95]) if len(millimetres) else [np.nan, np.nan]
     return {
         "count": len(samples),
         "hidden_rate": float(np.mean(hidden)),
         "not_found_rate": float(np.mean(none)),
-        "median_mm": float(quantiles[0]),
-        "p95_mm": float(quantiles[1]),
+        **quantiles(millimetres),
         "far_rate": float(np.sum(millimetres > _FAR) / len(samples)),
     }
 
@@ -107,6 +116,5 @@ def _sweep(found: list[Found], seed: int) -> list[dict]:
     for kind, values in SWEEPS.items():
         for value in values:
             distances = errors(found, Noise(**{kind: value}), np.random.default_rng(seed), repeats=_REPEATS)
-            median, p95 = np.quantile(distances, [0.5, 0.95])
-            rows.append({"noise": kind, "value": value, "median_mm": float(median), "p95_mm": float(p95)})
+            rows.append({"noise": kind, "value": value, **quantiles(distances)})
     return rows

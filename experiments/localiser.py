@@ -112,7 +112,11 @@ def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection |
 
 
 def read_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image, `[height, width]`, interpolated."""
+    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image, `[height, width]`, interpolated.
+
+    >>> read_depth(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5, 0.5], [1.0, 1.0], [0.5, 1.25]])).tolist()
+    [1.0, 2.5, 2.5]
+    """
     columns, rows = np.reshape(pixels, (-1, 2)).T - 0.5
     read = ndimage.map_coordinates(depth.astype(float), [rows, columns], order=1, mode="nearest")
     return read.reshape(np.shape(pixels)[:-1])

@@ -1,3 +1,5 @@
+import itertools
+
 import keypoint_network
 import mujoco
 import numpy as np
@@ -51,11 +53,13 @@ def distances(studio, detect, marker, randomised, count=24):
     return errors([one for one in found if one is not None], Noise(), rng), np.mean([one is None for one in found])
 
 
-@pytest.mark.parametrize("marker", [False, True])
-@pytest.mark.parametrize("name", ["colour", "network"])
-def test_plain_scenes_are_localised_within_5_mm(studio, network, name, marker):
+@pytest.mark.parametrize(
+    ("name", "marker", "most"),
+    [("colour", False, 4.0), ("colour", True, 1.5), ("network", False, 5.0), ("network", True, 5.0)],
+)
+def test_plain_scenes_are_localised_within_5_mm(studio, network, name, marker, most):
     millimetres, not_found = distances(studio, {"colour": detect_colour, "network": network}[name], marker, False)
-    assert np.median(millimetres) <= 5.0
+    assert np.median(millimetres) <= most
     assert not_found <= (0.15 if marker else 0.05)  # some goals of reach are in the arm
 
 
@@ -129,6 +133,13 @@ def test_the_view_of_the_higher_score_is_taken(rendering, best):
     with Localiser(cameras, detect, cube="object") as localiser:
         error = np.linalg.norm(localiser(model, data, np.random.default_rng(0)) - [-0.4, 0.3, 0.725])
     assert (error < 0.002) == (best == 0)
+
+
+def test_every_goal_of_reach_is_in_both_pictures():
+    start = np.array([1.342, 0.749, 0.535])
+    corners = start + 0.15 * np.array(list(itertools.product((-1, 1), repeat=3)))
+    for camera in overhead(start):
+        assert camera.contains(camera.to_pixels(corners)[0]).all()
 
 
 def flat(camera, depth):
