@@ -48,7 +48,10 @@ def draw_sweeps(path: Path, rows: list[dict], detector: str) -> None:
 
 
 def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: Mapping[str, Detector]) -> None:
-    """Writes a PNG of samples, a row for each kind: what each detector takes for the target, in its best view."""
+    """Writes a PNG of samples, a row for each kind: what each detector takes for the target, in one view.
+
+    That is the best of the last detector; what another found in another view is not drawn.
+    """
     columns = max(len(samples) for samples in examples.values())
     figure, grid = plt.subplots(
         len(examples), columns, figsize=(2.2 * columns, 2.3 * len(examples)), squeeze=False, constrained_layout=True
@@ -57,7 +60,7 @@ def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: M
         axes[0].set_title(title, fontsize=9, loc="left")
         for axis, sample in zip(axes, samples, strict=False):
             found = {name: find(sample, detect) for name, detect in detectors.items()}
-            shown = next((one.view for one in found.values() if one is not None), sample.views[0])
+            shown = next((one.view for one in reversed(found.values()) if one is not None), sample.views[0])
             height, width = shown.picture.depth.shape
             axis.imshow(shown.picture.rgb, extent=(0, width, height, 0))
             for name, one in found.items():
