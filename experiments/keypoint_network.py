@@ -1,6 +1,6 @@
 """A small convolutional detector of the target: pixels in, the pixel of its middle out.
 
-It stands for the detector of the paper, a VGG-16 of 138 million parameters, and is not one: it has 25 thousand, and
+It stands for the detector of the paper, a VGG-16 of 138 million parameters, and is not one: it has 28 thousand, and
 learns from rendered pictures alone. For each kind of target it gives a distribution over the cells of a coarse grid and
 "nowhere"; the mean over the best cell and its neighbours (a soft argmax) is the pixel. The weights are an npz of
 float32 arrays that NumPy alone reads, named by their place in the parameters.

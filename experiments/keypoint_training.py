@@ -68,9 +68,9 @@ def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
         learnt = take_pictures(studio, pictures, rng, "pictures")
     steps = epochs * (pictures // _BATCH)
     network = KeypointNetwork()
-    params = network.init(jax.random.key(seed), jnp.zeros((1, PIXELS, PIXELS, 3)))
+    params = jax.jit(network.init)(jax.random.key(seed), jnp.zeros((1, PIXELS, PIXELS, 3)))
     optimiser = optax.adamw(optax.cosine_onecycle_schedule(steps, _LEARNING_RATE, 0.1), weight_decay=_WEIGHT_DECAY)
-    update, opt_state = _update(network, optimiser), optimiser.init(params)
+    update, opt_state = _update(network, optimiser), jax.jit(optimiser.init)(params)
     rows = []
     with tqdm(total=steps, desc="training", unit="batch") as progress:
         for epoch in range(epochs):

@@ -69,6 +69,7 @@ def measure(
     table, sweeps, examples = [], [], {}
     for target, marker in _TARGETS.items():
         for scene, randomised in _SCENES.items():
+            # Randomised scenes are not those of a training, whose generators are of [seed] and [seed, 1].
             rng = np.random.default_rng([seed, marker, randomised])
             samples = [
                 studio.draw(rng, marker, randomised)

@@ -17,9 +17,9 @@ def rows_of(path):
 
 def test_training_writes_weights_that_load(rendering, tmp_path):
     out = tmp_path / "out"
-    localisation.main(["train", "--pictures", "64", "--epochs", "2", "--out", str(out)])
+    localisation.main(["train", "--pictures", "64", "--epochs", "1", "--out", str(out)])
     load_weights(out / "weights.npz")
-    assert [row["epoch"] for row in rows_of(out / "training.csv")] == ["1", "2"]
+    assert [row["epoch"] for row in rows_of(out / "training.csv")] == ["1"]
     config = json.loads((out / "config.json").read_text())
     assert config["options"]["pictures"] == 64
     assert {"command", "device", "versions"} <= config.keys()

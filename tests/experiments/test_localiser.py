@@ -67,7 +67,7 @@ def test_the_network_tells_the_target_from_red_clutter_better_than_colour_does(s
     far = {}
     for name, detect in {"colour": detect_colour, "network": network}.items():
         far[name] = np.mean(
-            np.concatenate([distances(studio, detect, marker, True)[0] for marker in (False, True)]) > 50
+            np.concatenate([distances(studio, detect, marker, True, 16)[0] for marker in (False, True)]) > 50
         )
     assert far["network"] <= 0.15
     assert far["colour"] >= far["network"] + 0.1
@@ -152,14 +152,14 @@ def test_noise_displaces_as_geometry_says():
     middle, wall, rng = np.array([64.0, 64.0]), flat(camera, 2.0), np.random.default_rng(0)
 
     def spread(noise):
-        return np.std([estimate(middle, wall, camera, False, noise, rng) for _ in range(4000)], axis=0)
+        return np.std([estimate(middle, wall, camera, False, noise, rng) for _ in range(1500)], axis=0)
 
     focal = camera.matrix[0, 0]
-    np.testing.assert_allclose(spread(Noise(pixel=1.5)), [1.5 * 2 / focal, 0.0, 1.5 * 2 / focal], rtol=0.06, atol=1e-12)
-    np.testing.assert_allclose(spread(Noise(depth=0.01)), [0.0, 0.01, 0.0], rtol=0.06, atol=1e-12)
-    np.testing.assert_allclose(spread(Noise(translation=0.01)), 0.01, rtol=0.06)
+    np.testing.assert_allclose(spread(Noise(pixel=1.5)), [1.5 * 2 / focal, 0.0, 1.5 * 2 / focal], rtol=0.1, atol=1e-12)
+    np.testing.assert_allclose(spread(Noise(depth=0.01)), [0.0, 0.01, 0.0], rtol=0.1, atol=1e-12)
+    np.testing.assert_allclose(spread(Noise(translation=0.01)), 0.01, rtol=0.1)
     turned = 2.0 * np.radians(0.5)
-    np.testing.assert_allclose(spread(Noise(rotation=0.5)), [turned, 0.0, turned], rtol=0.06, atol=2e-4)
+    np.testing.assert_allclose(spread(Noise(rotation=0.5)), [turned, 0.0, turned], rtol=0.1, atol=2e-4)
 
 
 def test_no_noise_is_exact_and_draws_are_the_seeds():
