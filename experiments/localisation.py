@@ -47,7 +47,7 @@ class Evaluate(_Options):
 
     scenes: int = 500
     """Scenes of each kind."""
-    weights: Path = WEIGHTS
+    weights: Path | None = None
     """The network's weights; by default those that come with the repository."""
 
 
@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> None:
             check_count("epochs", options.epochs)
         else:
             check_count("scenes", options.scenes)
-            load_detector(options.weights)
+            load_detector(options.weights or WEIGHTS)
         Studio().close()  # where MuJoCo cannot render, say so before anything is written
         create_folder(folder)
     except (ValueError, OSError, RuntimeError) as error:
@@ -88,7 +88,7 @@ def _train(options: Train, folder: Path) -> None:
 
 
 def _evaluate(options: Evaluate, folder: Path) -> None:
-    detectors = {"colour": detect_colour, "network": load_detector(options.weights)}
+    detectors = {"colour": detect_colour, "network": load_detector(options.weights or WEIGHTS)}
     with Studio() as studio:
         table, sweeps, examples = measure(studio, detectors, options.scenes, options.seed)
     write_metrics(folder / "errors.csv", table)
