@@ -72,7 +72,9 @@ def prepare() -> None:
     if threads is not None:
         os.environ.setdefault("NPROC", str(threads))
     backend = headless_backend(ctypes.util.find_library)
-    if sys.platform == "linux" and "DISPLAY" not in os.environ and backend is not None:
-        os.environ.setdefault("MUJOCO_GL", backend)
+    if sys.platform == "linux" and not {"DISPLAY", "MUJOCO_GL"} & os.environ.keys() and backend is not None:
+        os.environ["MUJOCO_GL"] = backend
+        if "mujoco" in sys.modules:  # it has read the variable already
+            importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")

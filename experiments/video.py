@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from envs.fetch import CONTROL_PERIOD, FetchEnv
+from envs.rgbd import open_renderer
 from envs.scenes import load_scene
 from hgail_jax.policy import MeanPolicy
 
@@ -67,10 +68,7 @@ def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed:
 
     """
     stage = Stage(env, policy, seed)
-    try:
-        renderer = mujoco.Renderer(stage.model, *_SIZE)
-    except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
-        raise RuntimeError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
+    renderer = open_renderer(stage.model, *_SIZE)
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(stage.model, camera)
     camera.distance = 1.6

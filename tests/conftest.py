@@ -9,6 +9,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import pytest  # noqa: E402
 
 import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
+from envs.rgbd import open_renderer  # noqa: E402
+from envs.scenes import load_scene  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +23,12 @@ def shipped_policy():
 def grasp_policy():
     """A policy that `python experiments/run.py --task grasp --seeds 8` trained."""
     return ROOT / "experiments" / "results" / "grasp-hgail" / "policies" / "seed-0.npz"
+
+
+@pytest.fixture(scope="session")
+def rendering():
+    """Skips where MuJoCo cannot render."""
+    try:
+        open_renderer(load_scene("fetch/reach"), 8, 8).close()
+    except RuntimeError as error:
+        pytest.skip(str(error))
