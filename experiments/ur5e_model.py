@@ -20,7 +20,7 @@ DRIVE = f"{_HAND}right_driver_joint"
 
 # The pads end 16.7 cm from the flange with the hand open, 17.0 cm at the cube's width and 17.3 cm when it is closed.
 # As with the Fetch, the centre is 18.5 mm above their ends when the hand is at the cube's width.
-_TOOL_LENGTH = 0.162  # metres from the flange
+_TOOL_LENGTH = 0.151  # metres from the flange
 
 
 def load_arm() -> mujoco.MjModel:
