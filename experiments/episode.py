@@ -3,14 +3,15 @@
 import collections
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import mujoco
 import numpy as np
 
-from envs import EpisodeMetrics, find_class
-from envs.fetch import FetchEnv
+from envs import EpisodeMetrics, GoalEnv, find_class
 from envs.grasp import LEAST_RISE
+
+if TYPE_CHECKING:  # imported later than envs, which chooses what MuJoCo renders with
+    import mujoco
 
 Policy = Callable[[np.ndarray], np.ndarray]
 """A mean action, `[4]`, for an observation of the task that the policy was trained on."""
@@ -27,9 +28,9 @@ class Robot(Protocol):
 
     task: str
     """`"reach"` or `"grasp"`."""
-    model: mujoco.MjModel
+    model: "mujoco.MjModel"
     """The scene."""
-    data: mujoco.MjData
+    data: "mujoco.MjData"
     """Its state."""
     offset: np.ndarray
     """`[3]`: what is added to a position in the scene's world frame to have it in the frame of the policy."""
@@ -134,7 +135,7 @@ def run_episodes(
     return outcomes
 
 
-def _judge(task: type, features: np.ndarray, target: np.ndarray, rise: float) -> EpisodeMetrics:
+def _judge(task: type[GoalEnv], features: np.ndarray, target: np.ndarray, rise: float) -> EpisodeMetrics:
     l1, l2 = np.abs(features[:3] - target).sum(), np.linalg.norm(features[:3] - target)
     threshold = task.success_threshold
     achieved = bool(features[7]) if task.probe_length else l2 <= threshold

@@ -1,5 +1,7 @@
 """Gymnasium-Robotics' Fetch, with C MuJoCo and the robot's own meshes, as a robot for a policy trained in MJX."""
 
+from typing import Any
+
 import gymnasium
 import gymnasium_robotics
 import numpy as np
@@ -39,9 +41,10 @@ class Reference:
     def __init__(self, task: str):
         gymnasium.register_envs(gymnasium_robotics)
         self.task = task
-        self.env = gymnasium.make(_ENVIRONMENTS[task], disable_env_checker=True).unwrapped
-        self.env.action_space = gymnasium.spaces.Box(-_LONGEST, _LONGEST, dtype=np.float64)  # it clips to this
-        self.model, self.data = self.env.model, self.env.data
+        env: Any = gymnasium.make(_ENVIRONMENTS[task], disable_env_checker=True).unwrapped
+        self.env = env
+        env.action_space = gymnasium.spaces.Box(-_LONGEST, _LONGEST, dtype=np.float64)  # it clips to this
+        self.model, self.data = env.model, env.data
         self._pads = {self.model.geom(name).id for name in _FINGERS}
 
     def reset(self, rng: np.random.Generator) -> None:

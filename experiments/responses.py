@@ -64,13 +64,13 @@ class FingerResponse:
 
     def lead(self, measured: float, command: float) -> float:
         """Returns where an action tells each finger to be, metres, given the gap as it is and the action's number."""
-        self._finger = float(np.clip(self._finger, measured / 2 - _SQUEEZE, measured / 2 + _SQUEEZE))
-        return float(np.clip(self._finger + command, 0.0, _FARTHEST))
+        self._finger = min(max(self._finger, measured / 2 - _SQUEEZE), measured / 2 + _SQUEEZE)
+        return min(max(self._finger + command, 0.0), _FARTHEST)
 
     def follow(self, target: float, time: float) -> None:
         """Moves each finger towards a target for a time that is short, a physics step or so."""
         self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
         moved = self._finger + time * self._velocity
-        self._finger = float(np.clip(moved, 0.0, WIDEST_GAP / 2))
+        self._finger = min(max(moved, 0.0), WIDEST_GAP / 2)
         if moved != self._finger:
             self._velocity = 0.0

@@ -24,6 +24,7 @@ _NEAR_START = np.array([-3.413, -1.466, 2.001, -2.105, -1.571, -3.413])  # radia
 _DOWNWARD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # the hand closes along y, as the Fetch's
 _FASTEST = np.pi  # radians a second, of each joint, by the maker's data sheet
 _TICKS = 5  # solutions of the inverse kinematics for an action
+_SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _JOINT_LAG, _HAND_LAG = 0.2, 0.1  # seconds: damping over stiffness of the model's servos, fed forward
 _CLOSED = 0.8  # radians, where the drive has closed the hand
 _MOST_CONTROL = 255.0  # of the hand's control, at which it closes
@@ -42,7 +43,7 @@ class UR5e:
     range, so that both hands are 100 mm wide when open and 50 mm at the cube. In reach the hand stays closed.
 
     The 2F-85 opens to 85 mm, and in 250 ms instead of the Fetch's 80. So an action lasts `slowdown` times longer, and
-    the hand is open at the start, other than the Fetch's; `transfer-hand.csv` shows what each of these does.
+    the hand is open at the start, other than the Fetch's; `results/transfer-sweep.csv` shows what each of these does.
 
     Args:
       task: `"reach"` or `"grasp"`.
@@ -52,7 +53,7 @@ class UR5e:
     """
 
     def __init__(self, task: str, slowdown: int = SLOWDOWN, start_closed: bool = False):
-        self.task, self.slowdown = task, slowdown
+        self.task, self.slowdown, self.start_closed = task, slowdown, start_closed
         start = settle(load_scene(f"fetch/{task}")).site("grip").xpos
         self.offset = np.array([*(start[:2] - _WORKSPACE), _TABLE])
         self._start = start - self.offset
@@ -102,25 +103,25 @@ class UR5e:
         """Moves the arm and the hand for `slowdown` times `CONTROL_PERIOD`."""
         target = self._gripper.lead(self._position(), action[:3])
         finger = self._fingers.lead(self._gap(), action[3])
-        tick, substeps = CONTROL_PERIOD / _TICKS, self.slowdown * ACCURATE_SUBSTEPS // _TICKS
+        tick, commands = CONTROL_PERIOD / _TICKS, self.slowdown * ACCURATE_SUBSTEPS // (_TICKS * _SERVO_STEPS)
+        period = _SERVO_STEPS * self.model.opt.timestep
         for _ in range(_TICKS):
             self._gripper.follow(target, tick)
             before = self._arm.joints
             velocity = self._arm.approach(self._gripper.position, tick * self.slowdown)
-            for substep in range(substeps):
-                time = (substep + 1) * self.model.opt.timestep
-                self.data.ctrl[:6] = before + (time + _JOINT_LAG) * velocity
+            for command in range(commands):
+                self.data.ctrl[:6] = before + ((command + 1) * period + _JOINT_LAG) * velocity
                 if self.task == "grasp":
-                    self.data.ctrl[6] = self._hand_control(finger, tick / substeps)
-                mujoco.mj_step(self.model, self.data)
+                    self.data.ctrl[6] = self._hand_control(finger, tick / commands)
+                mujoco.mj_step(self.model, self.data, nstep=_SERVO_STEPS)
         mujoco.mj_forward(self.model, self.data)
 
     def _hand_control(self, finger: float, time: float) -> float:
         before = self._drive_at(self._fingers.gap)
         self._fingers.follow(finger, time)
         angle = self._drive_at(self._fingers.gap)
-        rate = (angle - before) / self.model.opt.timestep
-        return float(np.clip((angle + _HAND_LAG * rate) / _CLOSED, 0.0, 1.0)) * _MOST_CONTROL
+        rate = (angle - before) / (_SERVO_STEPS * self.model.opt.timestep)
+        return min(max((angle + _HAND_LAG * rate) / _CLOSED, 0.0), 1.0) * _MOST_CONTROL
 
     def _drive_at(self, gap: float) -> float:
         """Returns the drive's angle, radians, where the hand is as wide as the Fetch's is at `gap`."""
