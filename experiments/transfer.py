@@ -32,7 +32,7 @@ class Options:
     policy: Path | None = None
     """The policy's file; by default all that come with the repository take turns."""
     episodes: int | None = None
-    """Episodes: 200, or 40 for each point of --sweep."""
+    """Episodes: 200, or 32 for each point of --sweep."""
     seed: int = 0
     """Of the episodes."""
     noise: float = 0.0
@@ -88,7 +88,7 @@ def _check(options: Options) -> int:
     for name in ("to", "task", "policy", "noise", "offset", "delay", "stride"):
         if not single and getattr(options, name) != defaults[name]:
             raise ValueError(f"--{name} does not go with --table, --sweep or --pictures")
-    episodes = options.episodes if options.episodes is not None else 40 if options.sweep else 200
+    episodes = options.episodes if options.episodes is not None else 32 if options.sweep else 200
     check_count("episodes", episodes)
     check_count("seed", options.seed, least=0, most=_MOST_SEED)
     check_count("delay", options.delay, least=0, most=_MOST_DELAY)
@@ -117,11 +117,16 @@ def _run(options: Options, episodes: int) -> None:
 def _write(options: Options, stem: str, points: Iterable[Point], episodes: int) -> list[dict]:
     """Measures points, writes their rows after each, and then what made them."""
     points, rows = list(points), []
+    known: dict[tuple, dict[str, float]] = {}
     path = options.out / f"{stem}.csv"
     with tqdm(total=len(points) * episodes, unit="episode") as bar:
         for point in points:
             bar.set_description(" ".join(map(str, (point.to, point.task, *point.labels.values()))))
-            rows.append(point.row(episodes, options.seed, bar.update))
+            if point.key() in known:
+                bar.update(episodes)
+            else:
+                known[point.key()] = point.measure(episodes, options.seed, bar.update)
+            rows.append(point.row(known[point.key()]))
             write_metrics(path, rows)
     write_json(path.with_suffix(".json"), {"seed": options.seed, "episodes": episodes} | provenance())
     return rows

@@ -100,10 +100,17 @@ class Point:
         """Returns the robot."""
         return make_robot(self.to, self.task, **self.options)
 
-    def row(self, episodes: int, seed: int, tick: Callable) -> dict[str, Any]:
-        """Measures it, with all policies of the task that come with the repository."""
-        measured = measure(self.robot(), load_policies(self.task), episodes, seed, self.conditions, tick)
+    def measure(self, episodes: int, seed: int, tick: Callable) -> dict[str, float]:
+        """Measures it, with all policies of the task that come with the repository; see `measure`."""
+        return measure(self.robot(), load_policies(self.task), episodes, seed, self.conditions, tick)
+
+    def row(self, measured: dict[str, float]) -> dict[str, Any]:
+        """Returns its row of a table."""
         return {"robot": NAMES[self.to], "task": self.task} | dict(self.labels) | measured
+
+    def key(self) -> tuple:
+        """Returns what points have in common that differ in labels alone."""
+        return self.to, self.task, self.conditions, tuple(sorted(self.options.items()))
 
 
 def table() -> Iterator[Point]:
@@ -111,7 +118,7 @@ def table() -> Iterator[Point]:
     for stage, localise in STAGES.items():
         for to in ROBOTS:
             for task in TASKS:
-                for options in _hands(to, task):
+                for options in _ways(to, task):
                     robot = make_robot(to, task, **options)
                     yield Point(to, task, Conditions(localise(robot)), options, _labels(robot, task, stage))
 
@@ -126,12 +133,12 @@ def sweep() -> Iterator[Point]:
                     yield Point(to, task, condition(quantity, value), labels=labels)
     for start_closed in (False, True):
         for slowdown in (1, 2, 3, 4):
-            options = {"slowdown": slowdown, "start_closed": start_closed}
+            options = {"slowdown": slowdown} | ({"start_closed": True} if start_closed else {})
             quantity = f"slowdown, hand {'closed' if start_closed else 'open'}"
             yield Point("ur5e", "grasp", options=options, labels={"quantity": quantity, "value": slowdown})
 
 
-_OFFSETS = (-0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04)  # metres
+_OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03)  # metres
 QUANTITIES: dict[str, tuple[float, ...]] = {
     "noise": (0.0, 0.005, 0.01, 0.02, 0.03, 0.05),  # metres, standard deviation of each coordinate
     "offset x": _OFFSETS,
@@ -149,6 +156,8 @@ def condition(quantity: str, value: float) -> Conditions:
     >>> condition("delay", 2).delay
     2
     """
+    if value == (1.0 if quantity == "stride" else 0.0):
+        return Conditions()
     if quantity == "noise":
         return Conditions(mistaken(noise=value))
     if quantity == "delay":
@@ -158,10 +167,10 @@ def condition(quantity: str, value: float) -> Conditions:
     return Conditions(mistaken(offset=value * np.eye(3)["xyz".index(quantity[-1])]))
 
 
-def _hands(to: str, task: str) -> list[dict[str, Any]]:
-    if to == "ur5e" and task == "grasp":
-        return [{}, {"slowdown": 1}, {"start_closed": True}]
-    return [{}]
+def _ways(to: str, task: str) -> list[dict[str, Any]]:
+    if to != "ur5e":
+        return [{}]
+    return [{}, {"slowdown": 1}] + ([{"start_closed": True}] if task == "grasp" else [])
 
 
 def _labels(robot: Robot, task: str, stage: str) -> dict[str, Any]:

@@ -57,10 +57,10 @@ class UR5e:
         start = settle(load_scene(f"fetch/{task}")).site("grip").xpos
         self.offset = np.array([*(start[:2] - _WORKSPACE), _TABLE])
         self._start = start - self.offset
-        self.model = load_cell()
+        self.model = load_cell(cube=task == "grasp")
         self.data = mujoco.MjData(self.model)
         self._site = self.model.site(TOOL_CENTRE).id
-        self._cube = self.model.geom("cube").id
+        self._cube = self.model.geom("cube").id if task == "grasp" else -1
         self._drive = self.model.joint(DRIVE).qposadr[0]
         self._pads = [[self.model.geom(name).id for name in pad] for pad in PADS]
         self._jacobian = np.zeros((3, self.model.nv))

@@ -28,8 +28,8 @@ def load_arm() -> mujoco.MjModel:
     return _arm().compile()
 
 
-def load_cell() -> mujoco.MjModel:
-    """Returns arm, hand, table and cube, in the frame of the arm's base.
+def load_cell(cube: bool) -> mujoco.MjModel:
+    """Returns arm, hand, table and, if so wanted, the cube, in the frame of the arm's base.
 
     Like the controller of the real arm, whose payload is set, the model needs no torque against gravity.
     """
@@ -40,6 +40,8 @@ def load_cell() -> mujoco.MjModel:
     for body in cell.bodies:
         if body.name not in ("world", "cube"):
             body.gravcomp = 1.0
+    if not cube:
+        cell.delete(cell.body("cube"))
     return cell.compile()
 
 
