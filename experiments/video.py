@@ -1,5 +1,8 @@
 """Shows a policy on a Fetch task: as a film, or in MuJoCo's viewer."""
 
+import envs  # noqa: F401  (says what MuJoCo renders with, which reads it when it is imported)
+
+# isort: split
 import time
 from collections.abc import Iterator
 from pathlib import Path
