@@ -57,8 +57,9 @@ def draw_curves(path: Path, rows: Sequence[dict]) -> None:
         axis.spines[["top", "right"]].set_visible(False)
     for axis in axes[:, 0]:
         axis.set_ylabel("success rate")
-    axes[0, 0].legend(fontsize=8)
-    axes[1, 2].legend(fontsize=8)
+    for axis in (axes[0, 0], axes[1, 2]):
+        if axis.has_data():
+            axis.legend(fontsize=8)
     axes[1, 3].set_axis_off()
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=90, format="png")
