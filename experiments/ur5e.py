@@ -12,8 +12,8 @@ from envs.reach import GOAL_RANGE
 from envs.scenes import load_scene
 
 SLOWDOWN = 4
-"""Times that an action lasts longer than on the Fetch: 33 mm in 160 ms, below the 250 mm/s that ISO 10218-1 calls
-reduced speed. The hand needs the time, see `UR5e`."""
+"""Times that an action lasts longer than on the Fetch, for the hand's sake, see `UR5e`: 33 mm in 160 ms along each
+axis, where the Fetch takes 40 ms."""
 WIDEST_GAP = 0.085
 """Metres between the pads of the open hand."""
 
@@ -42,8 +42,9 @@ class UR5e:
     time that an action lasts, and the gap is the drive's, with what is wider than the cube stretched to the Fetch's
     range, so that both hands are 100 mm wide when open and 50 mm at the cube. In reach the hand stays closed.
 
-    The 2F-85 opens to 85 mm, and in 250 ms instead of the Fetch's 80. So an action lasts `slowdown` times longer, and
-    the hand is open at the start, other than the Fetch's; `results/transfer-sweep.csv` shows what each of these does.
+    The 2F-85 opens to 85 mm, where the Fetch's hand opens to 100, and takes 240 ms for nine tenths of it instead of 80.
+    So an action lasts `slowdown` times longer, and the hand is open at the start, other than the Fetch's;
+    `results/table4.csv` shows what each of these does.
 
     Args:
       task: `"reach"` or `"grasp"`.
