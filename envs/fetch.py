@@ -23,7 +23,9 @@ ACCURATE_SUBSTEPS = 20
 FAST_SUBSTEPS = 4
 """The fewest physics steps per action, 4 of 10 ms: the gripper's weld, of time constant 20 ms, bears no longer ones."""
 
-_DISPLACEMENT_SCALE = 0.05  # metres that the mocap body leads the gripper by for a unit action
+LEAD = 0.05
+"""Metres that the mocap body leads the gripper by for a unit action."""
+
 _DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
 _FINGERS = ("right_finger", "left_finger")
 _BASE_POSITION = {"base_x": 0.405, "base_y": 0.48}  # metres
@@ -161,7 +163,7 @@ class FetchEnv(GoalEnv):
             qpos=physics.qpos,
             qvel=physics.qvel,
             qacc_warmstart=physics.warmstart,
-            mocap_pos=(physics.body_position + _DISPLACEMENT_SCALE * displacement)[None],
+            mocap_pos=(physics.body_position + LEAD * displacement)[None],
             mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
         )
         if grip is not None:

@@ -13,14 +13,29 @@ CUBE_WIDTH = 0.05
 WIDEST_GAP = 0.1
 """Metres between the fingers of an open hand."""
 
+CUBE_RANGE = 0.15
+"""Metres around the gripper's start, along x and y, in which the cube starts."""
+LEAST_DISTANCE = 0.1
+"""Metres from the gripper's start, in the plane, at which the cube starts at least."""
+LEAST_RISE = 0.05
+"""Metres that a cube rises in the probe if it is held."""
+
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
-_CUBE_RANGE = 0.15  # metres around the gripper's start, along x and y
-_LEAST_DISTANCE = 0.1  # metres from the gripper's start, in the plane
 _CANDIDATES = 32  # positions drawn to find one far enough; each is with probability 0.65
 _CUBE_HEIGHT = 0.425  # metres, on the table
 _GOAL_RANGE = 0.15  # metres around the gripper's start, of goals that are not the cube
 _LOWEST_GOAL = 0.42  # metres; the pads rest on the table at 0.417
-_LEAST_RISE = 0.05  # metres that a cube rises in the probe if it is held
+
+
+def is_held(touching, gap):
+    """Returns whether a hand holds the cube.
+
+    Args:
+      touching: boolean, or an array of them: both pads touch the cube.
+      gap: metres between the fingers, a number or an array as large.
+
+    """
+    return touching & (abs(gap - CUBE_WIDTH) <= _GAP_TOLERANCE)
 
 
 class Grasp(FetchEnv):
@@ -93,8 +108,7 @@ class Grasp(FetchEnv):
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
-        touching = jnp.all(physics.sensordata > 0)
-        return touching & (jnp.abs(self.gap(physics) - CUBE_WIDTH) <= _GAP_TOLERANCE)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics))
 
     def cube_position(self, physics: FetchPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""
@@ -102,8 +116,8 @@ class Grasp(FetchEnv):
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         cube_rng, hand_rng = jax.random.split(rng)
-        offsets = jax.random.uniform(cube_rng, (_CANDIDATES, 2), minval=-_CUBE_RANGE, maxval=_CUBE_RANGE)
-        far = jnp.linalg.norm(offsets, axis=-1) >= _LEAST_DISTANCE
+        offsets = jax.random.uniform(cube_rng, (_CANDIDATES, 2), minval=-CUBE_RANGE, maxval=CUBE_RANGE)
+        far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
         cube = jnp.append(self.initial_gripper_position[:2] + offsets[jnp.argmax(far)], _CUBE_HEIGHT)
         qpos = self._initial_physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube)
         if self.random_opening:
@@ -145,7 +159,7 @@ class Grasp(FetchEnv):
         touched = self.holding(last)
         rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
         return self.measure(last.gripper_position, self.cube_position(last)).replace(
-            success=(touched & (rise > _LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
+            success=(touched & (rise > LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
         )
 
     def _random_position(self, rng: jax.Array) -> jax.Array:

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 from envs.fetch import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
 
-_GOAL_RANGE = 0.15  # metres around the gripper's start, along each axis
+GOAL_RANGE = 0.15
+"""Metres around the gripper's start, along each axis, in which goals are."""
 
 
 class Reach(FetchEnv):
@@ -37,5 +38,5 @@ class Reach(FetchEnv):
         return physics.gripper_position
 
     def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
-        offset = jax.random.uniform(rng, (3,), minval=-_GOAL_RANGE, maxval=_GOAL_RANGE)
+        offset = jax.random.uniform(rng, (3,), minval=-GOAL_RANGE, maxval=GOAL_RANGE)
         return self.initial_gripper_position + offset

@@ -1,3 +1,8 @@
+import ctypes.util
+import os
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import play
@@ -5,6 +10,7 @@ import pytest
 from video import Stage
 
 import envs
+from envs._platform import headless_backend
 from hgail_jax.policy import load_policy
 
 
@@ -46,3 +52,15 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
         play.main(["--task", "grasp", "--policy", str(shipped_policy)])
     assert exit_info.value.code == 2
     assert "the policy is for 'reach'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["play", "transfer"])
+def test_without_a_display_mujoco_renders_with_what_is_there(module):
+    backend = headless_backend(ctypes.util.find_library)
+    if sys.platform != "linux" or backend is None:
+        pytest.skip("neither EGL nor OSMesa")
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    code = f"import {module}; from mujoco import gl_context; print(gl_context.GLContext.__module__)"
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    printed = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert f"mujoco.{backend}" in printed.stdout

@@ -1,0 +1,125 @@
+"""Lets whoever trains on Gymnasium's vector environments step a task of this package."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from envs.base import GoalEnv, State
+
+_MOST_SEED = 2**31
+
+
+class GoalVectorEnv(VectorEnv):
+    """Many episodes of a `GoalEnv` at once, as a `gymnasium.vector.VectorEnv`.
+
+    An observation is a dictionary as in Gymnasium-Robotics: `observation` (`[num_envs, feature_size]`),
+    `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 where the achieved
+    goal is a success. `info["is_success"]` holds booleans `[num_envs]`.
+
+    No episode terminates; all are truncated after `episode_length` steps. Environments are reset by the step that
+    follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns the first
+    observation of the next episode with reward 0.
+
+    Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: the first
+    is `env.reset(key)`, and before each later one `key` becomes the first of `jax.random.split(key)`. A `reset` without
+    a seed goes on with the next episode. With MJX-Warp, make the task with `worlds` at least `num_envs`.
+
+    Args:
+      env: the task.
+      num_envs: environments.
+
+    Raises:
+      ValueError: `num_envs` is less than 1.
+
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
+
+    def __init__(self, env: GoalEnv, num_envs: int):
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
+        self.env, self.num_envs = env, num_envs
+
+        def box(size: int) -> gymnasium.spaces.Box:
+            return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+        self.single_observation_space = gymnasium.spaces.Dict(
+            observation=box(env.feature_size), achieved_goal=box(env.goal_size), desired_goal=box(env.goal_size)
+        )
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._reset, self._step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+        self._next = jax.jit(lambda keys: jax.vmap(jax.random.split)(keys)[:, 0])
+        self._success = jax.jit(env.success)
+        self._keys: jax.Array | None = None
+        self._state: State | None = None
+        self._steps = 0
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Starts an episode in all environments.
+
+        Args:
+          seed: of the first environment, the others count on; or a seed for each.
+          options: none are known.
+
+        Raises:
+          ValueError: not as many seeds as environments.
+
+        """
+        del options
+        if seed is None and self._keys is not None:
+            return self._start(self._next(self._keys))
+        if seed is None or isinstance(seed, int):
+            super().reset(seed=seed)
+            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else seed
+            seed = [first + index for index in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments")
+        return self._start(jax.vmap(jax.random.key)(np.asarray(seed, np.uint32)))
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Takes an action `[num_envs, action_size]`, clipped to [-1, 1], in all environments; see the class.
+
+        Raises:
+          gymnasium.error.ResetNeeded: there was no `reset` before.
+          ValueError: the actions have another shape.
+
+        """
+        if self._state is None or self._keys is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        if np.shape(actions) != self.action_space.shape:
+            raise ValueError(f"actions have shape {np.shape(actions)}; it must be {self.action_space.shape}")
+        no = np.zeros(self.num_envs, bool)
+        if self._steps == self.env.episode_length:
+            observation, info = self._start(self._next(self._keys))
+            return observation, np.zeros(self.num_envs), no, no.copy(), info
+        self._state = self._step(self._state, np.asarray(actions, np.float32))
+        self._steps += 1
+        over = np.full(self.num_envs, self._steps == self.env.episode_length)
+        reward = np.asarray(self._state.reward, np.float64)
+        return self._observation(), reward, no, over, {"is_success": reward == 0.0}
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
+        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for those who relabel."""
+        del info
+        return np.asarray(self._success(achieved, desired), np.float64) - 1.0
+
+    def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        self._keys, self._steps = keys, 0
+        self._state = self._reset(keys)
+        return self._observation(), {"is_success": np.asarray(self._state.reward) == 0.0}
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        assert self._state is not None
+        names = self.single_observation_space.spaces  # type: ignore[attr-defined]
+        return {name: np.array(self._state.info[name], np.float32) for name in names}

@@ -1,0 +1,121 @@
+"""The vector environment against Gymnasium's checker, its own vectorisation of single environments, and the task."""
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import envs
+from envs.vector import GoalVectorEnv
+
+TASK = envs.make("point")
+NUM_ENVS = 3
+
+
+class Single(gymnasium.Env):
+    """One of them as a plain environment, for Gymnasium's own tools."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self):
+        self.vector = GoalVectorEnv(TASK, 1)
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observation, info = self.vector.reset(seed=seed)
+        return {name: value[0] for name, value in observation.items()}, {name: value[0] for name, value in info.items()}
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = self.vector.step(np.asarray(action)[None])
+        return (
+            {name: value[0] for name, value in observation.items()},
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            {name: value[0] for name, value in info.items()},
+        )
+
+
+@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes.*")
+@pytest.mark.filterwarnings("ignore:.*A Box observation space (m|min|max).*")
+def test_gymnasium_s_checker_is_content():
+    check_env(Single(), skip_render_check=True)
+
+
+def test_steps_and_resets_as_gymnasium_s_own_vectorisation():
+    """Over more than two episodes, with the resets between them, all that is returned agrees."""
+    ours, theirs = GoalVectorEnv(TASK, NUM_ENVS), SyncVectorEnv([Single] * NUM_ENVS)
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    rng, truncations = np.random.default_rng(0), 0
+    same(ours.reset(seed=7)[0], theirs.reset(seed=7)[0])
+    for _ in range(2 * TASK.episode_length + 5):
+        actions = rng.uniform(-1.3, 1.3, (NUM_ENVS, TASK.action_size)).astype(np.float32)
+        mine, other = ours.step(actions), theirs.step(actions)
+        same(mine[0], other[0])
+        for left, right in zip(mine[1:4], other[1:4], strict=True):
+            np.testing.assert_array_equal(left, right)
+            assert left.dtype == right.dtype
+        np.testing.assert_array_equal(mine[4]["is_success"], other[4]["is_success"])
+        truncations += mine[3].sum()
+    assert truncations == 2 * NUM_ENVS
+
+
+def same(left, right):
+    assert left.keys() == right.keys()
+    for name in left:
+        np.testing.assert_allclose(left[name], right[name], atol=1e-6)
+        assert left[name].dtype == right[name].dtype == np.float32
+
+
+def test_an_episode_is_the_task_s():
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    observation, _ = vector.reset(seed=11)
+    states = [TASK.reset(jax.random.key(11 + index)) for index in range(NUM_ENVS)]
+    action = np.array([0.4, -0.2, 2.0], np.float32)
+    for _ in range(4):
+        np.testing.assert_allclose(
+            np.concatenate([observation["observation"], observation["desired_goal"]], axis=1),
+            [state.obs for state in states],
+            atol=1e-6,
+        )
+        observation, reward, *_ = vector.step(np.tile(action, (NUM_ENVS, 1)))
+        states = [TASK.step(state, jnp.asarray(action)) for state in states]
+        np.testing.assert_array_equal(reward, [state.reward for state in states])
+
+
+def test_episodes_differ_and_a_reset_goes_on():
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    goals = [vector.reset(seed=1)[0], vector.reset()[0], vector.reset(seed=1)[0], vector.reset()[0]]
+    first, second, again, later = (goal["desired_goal"] for goal in goals)
+    assert not np.isclose(first, second).any()
+    assert not np.isclose(first[0], first[1]).any()
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(second, later)
+    np.testing.assert_array_equal(vector.reset(seed=[1, 2, 3])[0]["desired_goal"], first)
+
+
+def test_rewards_of_relabelled_goals():
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    achieved = np.zeros((2, 3), np.float32)
+    desired = np.array([[0.0, 0.0, 0.049], [0.0, 0.0, 0.051]], np.float32)
+    np.testing.assert_array_equal(vector.compute_reward(achieved, desired, {}), [0.0, -1.0])
+
+
+def test_misuse_is_refused():
+    with pytest.raises(ValueError, match="num_envs is 0"):
+        GoalVectorEnv(TASK, 0)
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        vector.step(np.zeros((NUM_ENVS, 3)))
+    with pytest.raises(ValueError, match="2 seeds for 3"):
+        vector.reset(seed=[1, 2])
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match=r"shape \(3,\)"):
+        vector.step(np.zeros(3))
