@@ -147,12 +147,17 @@ class Checkpoints:
             if self.saved is not None and rounds > self.saved:  # damaged; training comes by again
                 shutil.rmtree(self.folder / str(rounds))
         options = ocp.CheckpointManagerOptions(
-            preservation_policy=_LastAndBest(self), cleanup_tmp_directories=True, enable_background_delete=False
+            preservation_policy=_LastAndBest(self),
+            cleanup_tmp_directories=True,
+            enable_background_delete=False,
+            create=False,
+            multiprocessing_options=_alone(),
         )
+        self.folder.mkdir(parents=True, exist_ok=True)
         return ocp.CheckpointManager(self.folder, options=options)
 
     def _read_body(self, rounds: int) -> dict:
-        with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as reader:
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler(), multiprocessing_options=_alone()) as reader:
             content = reader.restore(self.folder / str(rounds), args=ocp.args.Composite(record=ocp.args.JsonRestore()))
         record = content["record"]
         if _hash_json(record["body"]) != record["sha256"]:
@@ -172,7 +177,8 @@ class Checkpoints:
     def _read_arrays(self, rounds: int, described: dict) -> dict[str, np.ndarray]:
         """Reads the arrays one by one: reads that go on beside one that failed would complain on stderr."""
         arrays = {}
-        with ocp.Checkpointer(ocp.CompositeCheckpointHandler(state=ocp.PyTreeCheckpointHandler())) as reader:
+        handler = ocp.CompositeCheckpointHandler(state=ocp.PyTreeCheckpointHandler())
+        with ocp.Checkpointer(handler, multiprocessing_options=_alone()) as reader:
             for name, entry in described.items():
                 part = ocp.args.PyTreeRestore(
                     {name: np.empty(entry["shape"], entry["dtype"])},
@@ -205,6 +211,16 @@ class Checkpoints:
             if quiet == 10:
                 break
             time.sleep(0.05)
+
+
+def _alone() -> ocp.options.MultiprocessingOptions:
+    """Keeps orbax from waiting for the other processes of a training: checkpoints are each process's own."""
+    if jax.process_count() == 1:
+        return ocp.options.MultiprocessingOptions()
+    process = jax.process_index()
+    return ocp.options.MultiprocessingOptions(
+        primary_host=process, active_processes={process}, barrier_sync_key_prefix=f"process-{process}"
+    )
 
 
 class _LastAndBest:
