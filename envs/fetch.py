@@ -105,7 +105,7 @@ class FetchEnv(GoalEnv):
         settled = settle(self.model, raise_start)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.model.opt.timestep = CONTROL_PERIOD / substeps
-        self._mjx_model = mjx.put_model(self.model, impl=self.impl)
+        self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
         self._mjx_data = mjx.put_data(self.model, settled, impl=self.impl, **sizes)
         # Kinematics are MJX-JAX's under either implementation: MJX-Warp exposes no velocities.
@@ -117,7 +117,7 @@ class FetchEnv(GoalEnv):
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
         env = copy.copy(self)
         env.substeps = jnp.where(when, ACCURATE_SUBSTEPS, self.substeps)
-        env._mjx_model = self._mjx_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
+        env.engine_model = self.engine_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
         return env
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
@@ -147,8 +147,8 @@ class FetchEnv(GoalEnv):
             gripper_velocity=(linear + jnp.cross(angular, position - origin)) * CONTROL_PERIOD,
         )
 
-    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
-        """Runs the physics for `CONTROL_PERIOD`.
+    def engine_data(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> mjx.Data:
+        """Returns what `mjx.step` is given, together with `engine_model`, to carry out an action.
 
         Args:
           physics: where from.
@@ -164,9 +164,12 @@ class FetchEnv(GoalEnv):
             mocap_pos=(physics.body_position + _DISPLACEMENT_SCALE * displacement)[None],
             mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
         )
-        if grip is not None:
-            data = data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
-        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self._mjx_model, data), data)
+        return data if grip is None else data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
+
+    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
+        """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""
+        data = self.engine_data(physics, displacement, grip)
+        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self.engine_model, data), data)
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
         return self.place(qpos, data.qvel).replace(

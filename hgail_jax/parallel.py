@@ -115,10 +115,14 @@ def compile_train_step(
       A function of states and a row of phases to new states and metrics, each with an axis over seeds.
 
     """
-    options: Any = (
-        {"xla_gpu_autotune_level": 0, "xla_backend_optimization_level": 1} if jax.default_backend() == "gpu" else None
-    )
-    return _jit_train_step(env, config, mesh).lower(states, phases).compile(compiler_options=options)
+    return _jit_train_step(env, config, mesh).lower(states, phases).compile(compiler_options=compiler_options())
+
+
+def compiler_options() -> dict[str, Any] | None:
+    """Returns the options that programs with physics in them are compiled with on this platform."""
+    if jax.default_backend() != "gpu":
+        return None
+    return {"xla_gpu_autotune_level": 0, "xla_backend_optimization_level": 1}
 
 
 def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
