@@ -31,6 +31,8 @@ _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's
 _SETTLE_PERIODS = 10
 _HIGHEST_START = 0.15  # metres above the usual start; the arm reaches no higher in the whole workspace
 
+_engine_step = jax.jit(mjx.step)  # traced once, whatever loops and batches it is then run in
+
 
 class FetchPhysics(struct.PyTreeNode):
     """What the simulation carries from one action to the next, and what is seen of it."""
@@ -111,7 +113,8 @@ class FetchEnv(GoalEnv):
         # Kinematics are MJX-JAX's under either implementation: MJX-Warp exposes no velocities.
         self._kinematic_model = mjx.put_model(self.model, impl="jax")
         self._kinematic_data = mjx.put_data(self.model, settled, impl="jax")
-        self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
+        self._place = jax.jit(self.place)
+        self._initial_physics = self._place(settled.qpos, settled.qvel)
 
     def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
@@ -169,10 +172,10 @@ class FetchEnv(GoalEnv):
     def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
         """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""
         data = self.engine_data(physics, displacement, grip)
-        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self.engine_model, data), data)
+        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _engine_step(self.engine_model, data), data)
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
-        return self.place(qpos, data.qvel).replace(
+        return self._place(qpos, data.qvel).replace(
             steps=physics.steps + 1,
             warmstart=data.qacc_warmstart,
             sensordata=data.sensordata,
