@@ -3,7 +3,8 @@
 import dataclasses
 import json
 import os
-from collections.abc import Iterable, Iterator
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -45,32 +46,53 @@ class Options:
 
 
 class Results:
-    """The rows in a JSON file; each is written as soon as it is there."""
+    """The rows in a JSON file; each is written as soon as it is there.
+
+    Raises:
+      ValueError: the file is there and is none of these.
+
+    """
 
     def __init__(self, path: Path):
-        self._path = path
-        self._rows: list[dict] = json.loads(path.read_text())["rows"] if path.exists() else []
+        self._path, self._rows = path, []
+        self.added: list[dict] = []
+        """The rows of this process."""
+        if path.exists():
+            try:
+                self._rows = json.loads(path.read_text())["rows"]
+            except (ValueError, KeyError, TypeError) as error:
+                raise ValueError(f"{path} is no file of measurements: {error!r}") from None
 
     def add(self, row: dict, made_by: dict) -> None:
-        """Adds a row, in place of an older one of the same, and prints it."""
+        """Adds a row, in place of an older one of the same."""
 
         def key(row: dict) -> tuple:
             return *(row.get(name) for name in _SAME), json.dumps(row["made_by"]["device"], sort_keys=True)
 
+        self.added.append(row)
         row = row | {"made_by": made_by}
         self._rows = [old for old in self._rows if key(old) != key(row)] + [row]
         write_json(self._path, {"rows": self._rows})
-        print("  ".join(f"{name} {_short(value)}" for name, value in row.items() if name != "made_by"), flush=True)
+
+
+def table(rows: list[dict]) -> str:
+    """Returns rows as text: a line for each quantity, a column for each row."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[name, *(_short(row.get(name, "")) for row in rows)] for name in names]
+    widths = [max(len(line[column]) for line in cells) for column in range(len(rows) + 1)]
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
 
 
 def _short(value: Any) -> str:
-    return (
-        f"{value:,.3g}"
-        if isinstance(value, float) and value < 1000
-        else f"{value:,.0f}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    """Returns a number to three digits, anything else as it is.
+
+    >>> _short(1234567.8), _short(0.98765), _short(4)
+    ('1,230,000', '0.988', '4')
+    """
+    if not isinstance(value, float):
+        return str(value)
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if abs(rounded) >= 100 else f"{rounded:g}"
 
 
 def _sizes(options: Options) -> Iterator:
@@ -109,6 +131,14 @@ def speed_rows(options: Options) -> Iterator[dict]:
         yield row | (shares(size, row) if set(_SPEED) <= wanted else {})
 
 
+def peer_rows(task: str, quick: bool) -> Iterator[dict]:
+    """Yields the rows of `peers`."""
+    import peers
+
+    for row in peers.peer_rows(task, quick):
+        yield {"section": "peers", **row}
+
+
 def scaling_rows(options: Options, section: str) -> Iterator[dict]:
     """Yields the rows of `seeds` or `devices`."""
     import jax
@@ -129,46 +159,42 @@ def scaling_rows(options: Options, section: str) -> Iterator[dict]:
             yield {"section": section, **row}
 
 
-def run(options: Options) -> None:
-    """Measures the sections asked for; those that start processes of their own come first."""
-    results = Results(options.out)
-    quick = {"quick": True} if options.quick else {}
-
-    def add(section: str, rows: Iterable[dict], made_by: dict) -> None:
-        for row in rows:
-            results.add({"section": section, **row} | quick, made_by)
-
-    if {"compile", "time-to-success"} & set(options.section):
+def measure(options: Options) -> Iterator[tuple[dict, dict]]:
+    """Yields rows and what made them; the sections that start processes of their own come first."""
+    whole = {"compile", "time-to-success"} & set(options.section)
+    if whole:
         from whole_runs import measure_compilation, measure_time_to_success
 
-        small = ("--num-envs", "4", "--seeds", "2", "--iterations", "1") if options.quick else ()
-        arguments = [*small, *options.run]
-        if "compile" in options.section:
-            made_by, rows = measure_compilation(options.task, arguments)
-            add("compile", rows, made_by)
-        if "time-to-success" in options.section:
-            made_by, rows = measure_time_to_success(options.task, arguments)
-            add("time-to-success", rows, made_by)
+        small = ["--num-envs", "4", "--seeds", "2", "--iterations", "1"] if options.quick else []
+        for section, call in (("compile", measure_compilation), ("time-to-success", measure_time_to_success)):
+            if section in whole:
+                row, made_by = call(options.task, [*small, *options.run])
+                yield {"section": section, **row}, made_by
     from run_folder import provenance
 
-    if set(_SPEED) & set(options.section):
-        add("speed", speed_rows(options), provenance())
-    for section in ("seeds", "devices"):
-        if section in options.section:
-            add(section, scaling_rows(options, section), provenance())
-    if "peers" in options.section:
-        from peers import peer_rows
-
-        add("peers", peer_rows(options.task, options.quick), provenance())
+    sections: list[tuple[bool, Callable[[], Iterable[dict]]]] = [
+        (bool(set(_SPEED) & set(options.section)), lambda: speed_rows(options)),
+        ("seeds" in options.section, lambda: scaling_rows(options, "seeds")),
+        ("devices" in options.section, lambda: scaling_rows(options, "devices")),
+        ("peers" in options.section, lambda: peer_rows(options.task, options.quick)),
+    ]
+    for wanted, rows in sections:
+        for row in rows() if wanted else ():
+            yield row, provenance()
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, "bench.py", __doc__, arguments)
     try:
-        run(options)
-    except (ValueError, OSError) as error:
+        results = Results(options.out)
+        for row, made_by in measure(options):
+            results.add(row | ({"quick": True} if options.quick else {}), made_by)
+            print(table([row]), flush=True)
+    except (ValueError, OSError, subprocess.CalledProcessError) as error:
         fail("bench.py", error, 2)
+    for section in dict.fromkeys(row["section"] for row in results.added):
+        print(f"\n{table([row for row in results.added if row['section'] == section])}")
 
 
 if __name__ == "__main__":

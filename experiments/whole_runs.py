@@ -9,8 +9,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 _RUN = Path(__file__).parent / "run.py"
 SUCCESS = {"reach": 0.98, "grasp": 0.95}
 """The success rate that every seed is to reach, by task."""
@@ -28,8 +26,8 @@ def _made_by(summary: dict) -> dict:
     return {name: summary[name] for name in ("command", "device", "versions")}
 
 
-def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, list[dict]]:
-    """Compiles a run's program with an empty cache, then from the cache; returns what made it and a row."""
+def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:
+    """Compiles a run's program with an empty cache, then from the cache; returns a row and what made it."""
     with tempfile.TemporaryDirectory() as folder:
         measured: dict[str, Any] = {"task": task}
         for name in ("cold", "cached"):
@@ -37,31 +35,41 @@ def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, list[dic
             summary, _ = _run(Path(folder) / name, Path(folder) / "cache", call)
             measured |= {f"{name}_compile_seconds": summary["wall_seconds"]["compile"]}
             measured |= {f"{name}_total_seconds": summary["wall_seconds"]["total"]}
-    return _made_by(summary), [measured]
+    return measured, _made_by(summary)
 
 
-def measure_time_to_success(task: str, arguments: list[str]) -> tuple[dict, list[dict]]:
-    """Trains by default and returns when every seed had the success rate wanted, in the physics trained in."""
+def measure_time_to_success(task: str, arguments: list[str]) -> tuple[dict, dict]:
+    """Trains by default; returns when every seed had the success rate wanted in one evaluation, and what made it."""
     with tempfile.TemporaryDirectory() as folder:
         summary, rows = _run(Path(folder) / "run", Path(folder) / "cache", ["--task", task, *arguments])
-    seconds, steps, success = (
-        np.array([float(row[name] or 0.0) for row in rows]).reshape(-1, summary["seeds"])
-        for name in ("seconds", "env_steps", "success_rate")
-    )
-    there = np.flatnonzero((success >= SUCCESS[task]).all(axis=1))
-    first = there[0] if there.size else None
-    return _made_by(summary), [
-        {
-            "task": task,
-            "seeds": summary["seeds"],
-            "wanted": SUCCESS[task],
-            "seconds_until_every_seed": None if first is None else float(seconds[first, 0]),
-            "env_steps_per_seed_until_then": None if first is None else int(steps[first, 0]),
-            "train_seconds": summary["wall_seconds"]["train"],
-            "compile_seconds": summary["wall_seconds"]["compile"],
-            "total_seconds": summary["wall_seconds"]["total"],
-            "train_env_steps_per_second": summary["env_steps_per_second"],
-            "final_success_mean": summary["success_rate"]["mean"],
-            "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
-        }
-    ]
+    seconds, steps = first_success(rows, SUCCESS[task])
+    return {
+        "task": task,
+        "seeds": summary["seeds"],
+        "wanted": SUCCESS[task],
+        "seconds_until_every_seed": seconds,
+        "env_steps_per_seed_until_then": steps,
+        "train_seconds": summary["wall_seconds"]["train"],
+        "compile_seconds": summary["wall_seconds"]["compile"],
+        "total_seconds": summary["wall_seconds"]["total"],
+        "train_env_steps_per_second": summary["env_steps_per_second"],
+        "final_success_mean": summary["success_rate"]["mean"],
+        "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
+    }, _made_by(summary)
+
+
+def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
+    """Returns seconds and environment steps per seed at the first round in which every seed has the success rate.
+
+    Both are None if there is no such round. Seconds count from the start of the training, after compilation.
+
+    Args:
+      rows: of metrics.csv.
+      wanted: the success rate.
+
+    """
+    for index in dict.fromkeys(row["round"] for row in rows):
+        seeds = [row for row in rows if row["round"] == index]
+        if all(float(row["success_rate"] or 0.0) >= wanted for row in seeds):
+            return float(seeds[0]["seconds"]), int(seeds[0]["env_steps"])
+    return None, None
