@@ -21,7 +21,11 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
     num_envs = len(physics.qpos)
     model = mujoco_warp.put_model(env.model)
     data = mujoco_warp.make_data(env.model, nworld=num_envs, **buffer_sizes(env.model, num_envs))
-    given = {name: wp.array(np.asarray(values), dtype=getattr(data, name).dtype) for name, values in controls.items()}
+    given = {
+        name: wp.array(np.asarray(values), dtype=getattr(data, name).dtype)
+        for name, values in controls.items()
+        if values.size
+    }
     start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
 
     def advance():
@@ -41,8 +45,7 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
             wp.copy(getattr(data, name), values)
         for time in range(env.episode_length):
             for name, values in given.items():
-                if values.size:
-                    wp.copy(getattr(data, name), values[time])
+                wp.copy(getattr(data, name), values[time])
             replay()
         wp.synchronize()
 

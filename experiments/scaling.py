@@ -43,7 +43,13 @@ def measure_devices(size: Size, devices: int) -> Iterator[dict]:
     """Times seeds and environments on one device and on `devices`; yields rows.
 
     A weak speed-up compares with one device that has its share of the work, a strong one with one that has all of it.
+
+    Raises:
+      ValueError: there is one device alone.
+
     """
+    if devices == 1:
+        raise ValueError("there is one device; the section devices compares several with one")
     wide = dataclasses.replace(size, num_envs=size.num_envs * devices)
     share = _measure(size, 1, 1)
     yield share
