@@ -47,7 +47,8 @@ class Checkpoints:
     """The checkpoints of one run: `folder/<rounds done>`, of which the last `KEPT` and the best are kept.
 
     Arrays are stored whole and by name, each with a hash, so that a state can be restored onto any number of devices
-    and damage is noticed. Nothing in them is code. Leaving the context waits for what is being written.
+    and damage is noticed. Nothing in them is code. Leaving the context waits for what is being written. Of several
+    processes that train together only the first writes and reads.
 
     Args:
       folder: made with the first checkpoint.
@@ -94,6 +95,9 @@ class Checkpoints:
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
                 raise FloatingPointError(f"{name} is not finite")
         scores = self._scores | {str(rounds): [float(value) for value in score]}
+        if jax.process_index() > 0:
+            self.saved = rounds
+            return
         body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": _plain(record)}
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
         with self._one_error():
@@ -214,13 +218,10 @@ class Checkpoints:
 
 
 def _alone() -> ocp.options.MultiprocessingOptions:
-    """Keeps orbax from waiting for the other processes of a training: checkpoints are each process's own."""
+    """Keeps orbax from waiting for processes other than the first, which know of no checkpoints."""
     if jax.process_count() == 1:
         return ocp.options.MultiprocessingOptions()
-    process = jax.process_index()
-    return ocp.options.MultiprocessingOptions(
-        primary_host=process, active_processes={process}, barrier_sync_key_prefix=f"process-{process}"
-    )
+    return ocp.options.MultiprocessingOptions(primary_host=0, active_processes={0})
 
 
 class _LastAndBest:
