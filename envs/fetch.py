@@ -14,6 +14,7 @@ from flax import struct
 from mujoco import mjx
 
 from envs.base import GoalEnv
+from envs.kinematics import Chain
 from envs.scenes import load_scene
 
 CONTROL_PERIOD = 0.04
@@ -101,8 +102,6 @@ class FetchEnv(GoalEnv):
         self.scene, self.impl = scene, resolve_impl(impl)
         self.substeps: int | jax.Array = substeps
         self.model = load_scene(scene)
-        self._gripper_body = self.model.body("gripper").id
-        self._gripper_site = self.model.site("grip").id
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
         settled = settle(self.model, raise_start)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
@@ -110,11 +109,8 @@ class FetchEnv(GoalEnv):
         self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
         self._mjx_data = mjx.put_data(self.model, settled, impl=self.impl, **sizes)
-        # Kinematics are MJX-JAX's under either implementation: MJX-Warp exposes no velocities.
-        self._kinematic_model = mjx.put_model(self.model, impl="jax")
-        self._kinematic_data = mjx.put_data(self.model, settled, impl="jax")
-        self._place = jax.jit(self.place)
-        self._initial_physics = self._place(settled.qpos, settled.qvel)
+        self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
+        self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
     def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
@@ -132,22 +128,19 @@ class FetchEnv(GoalEnv):
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> FetchPhysics:
         """Returns the physics with joint positions `[nq]` and velocities `[nv]`, without a history."""
-        model, data = self._kinematic_model, self._kinematic_data.replace(qpos=qpos, qvel=qvel)
-        data = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
-        angular, linear = jnp.split(data.cvel[self._gripper_body], 2)
-        position = data.site_xpos[self._gripper_site]
-        origin = data.subtree_com[self.model.body_rootid[self._gripper_body]]
+        qpos, qvel = jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32)
+        gripper = self._arm.pose(qpos, qvel)
         return FetchPhysics(
             steps=jnp.zeros((), jnp.int32),
-            qpos=jnp.asarray(qpos, jnp.float32),
-            qvel=jnp.asarray(qvel, jnp.float32),
+            qpos=qpos,
+            qvel=qvel,
             warmstart=jnp.zeros(self.model.nv),
             sensordata=jnp.zeros(self.model.nsensordata),
             overflow=jnp.zeros((), bool),
-            body_position=data.xpos[self._gripper_body],
-            body_quaternion=data.xquat[self._gripper_body],
-            gripper_position=position,
-            gripper_velocity=(linear + jnp.cross(angular, position - origin)) * CONTROL_PERIOD,
+            body_position=gripper.body_position,
+            body_quaternion=gripper.body_quaternion,
+            gripper_position=gripper.site_position,
+            gripper_velocity=gripper.site_velocity * CONTROL_PERIOD,
         )
 
     def engine_data(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> mjx.Data:
@@ -175,7 +168,7 @@ class FetchEnv(GoalEnv):
         data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _engine_step(self.engine_model, data), data)
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
-        return self._place(qpos, data.qvel).replace(
+        return self.place(qpos, data.qvel).replace(
             steps=physics.steps + 1,
             warmstart=data.qacc_warmstart,
             sensordata=data.sensordata,
