@@ -5,6 +5,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 
 import copy
 import importlib.util
+import math
 
 import jax
 import jax.numpy as jnp
@@ -101,6 +102,7 @@ class FetchEnv(GoalEnv):
             raise ValueError(f"raise_start is {raise_start}; it must be from 0 to {_HIGHEST_START} m")
         self.scene, self.impl = scene, resolve_impl(impl)
         self.substeps: int | jax.Array = substeps
+        self._part = substeps
         self.model = load_scene(scene)
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
         settled = settle(self.model, raise_start)
@@ -116,6 +118,7 @@ class FetchEnv(GoalEnv):
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
         env = copy.copy(self)
         env.substeps = jnp.where(when, ACCURATE_SUBSTEPS, self.substeps)
+        env._part = math.gcd(ACCURATE_SUBSTEPS, self._part)
         env.engine_model = self.engine_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
         return env
 
@@ -162,10 +165,25 @@ class FetchEnv(GoalEnv):
         )
         return data if grip is None else data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
 
+    def _run(self, data: mjx.Data) -> mjx.Data:
+        """Takes `substeps` physics steps.
+
+        A GPU waits for the host wherever a loop's length is not known to the compiler. Where `accurate` is traced, the
+        loop over single steps is within one over parts of them, and has a length that is known.
+        """
+
+        def step(_, data):
+            return _engine_step(self.engine_model, data)
+
+        def part(_, data):
+            return jax.lax.fori_loop(0, self._part, step, data)
+
+        return jax.lax.fori_loop(0, self.substeps // self._part, part, data)
+
     def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
         """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""
         data = self.engine_data(physics, displacement, grip)
-        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _engine_step(self.engine_model, data), data)
+        data = self._run(data)
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
         return self.place(qpos, data.qvel).replace(

@@ -45,10 +45,9 @@ class Training:
         states = init_seeds(size.env, self.config, self.hyperparameters, seed_keys(0, seeds))
         self._states = states if mesh is None else spread(states, mesh)
 
-        def compile_step() -> SeedsStep:
-            return compile_train_step(size.env, self.config, states, schedule(self.config)[0], mesh)
-
-        self.compile_seconds, self._step = _timed(compile_step)
+        started = time.perf_counter()
+        self._step: SeedsStep = compile_train_step(size.env, self.config, states, schedule(self.config)[0], mesh)
+        self.compile_seconds = time.perf_counter() - started
 
     def seconds(self, *phases: int) -> float:
         """Returns the seconds that a round of these phases takes; the rest of the row is skipped."""
@@ -63,12 +62,6 @@ class Training:
     def updates(self) -> list[int]:
         """Returns the phases of a round that learn."""
         return [POLICY] * self.config.policy_phases + [DISCRIMINATOR] * self.config.discriminator_phases
-
-
-def _timed(call):
-    started = time.perf_counter()
-    result = call()
-    return time.perf_counter() - started, result
 
 
 def measure_rollout(size: Size) -> dict[str, float]:
