@@ -32,6 +32,13 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
         for _ in range(int(env.substeps)):
             mujoco_warp.step(model, data)
 
+    def begin(time):
+        for name, values in given.items():
+            wp.copy(getattr(data, name), values[time])
+
+    for name, values in start.items():
+        wp.copy(getattr(data, name), values)
+    begin(0)
     kernels = _count_launches(lambda: mujoco_warp.step(model, data))
     advance()
     replay: Callable[[], Any] = advance
@@ -44,8 +51,7 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
         for name, values in start.items():
             wp.copy(getattr(data, name), values)
         for time in range(env.episode_length):
-            for name, values in given.items():
-                wp.copy(getattr(data, name), values[time])
+            begin(time)
             replay()
         wp.synchronize()
 
