@@ -5,6 +5,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 
 import copy
 import importlib.util
+import math
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from flax import struct
 from mujoco import mjx
 
 from envs.base import GoalEnv
+from envs.kinematics import Chain
 from envs.scenes import load_scene
 
 CONTROL_PERIOD = 0.04
@@ -32,6 +34,8 @@ _BASE_POSITION = {"base_x": 0.405, "base_y": 0.48}  # metres
 _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's outstretched position to its start
 _SETTLE_PERIODS = 10
 _HIGHEST_START = 0.15  # metres above the usual start; the arm reaches no higher in the whole workspace
+
+_engine_step = jax.jit(mjx.step)  # traced once, whatever loops and batches it is then run in
 
 
 class FetchPhysics(struct.PyTreeNode):
@@ -100,26 +104,24 @@ class FetchEnv(GoalEnv):
             raise ValueError(f"raise_start is {raise_start}; it must be from 0 to {_HIGHEST_START} m")
         self.scene, self.impl = scene, resolve_impl(impl)
         self.substeps: int | jax.Array = substeps
+        self._part = substeps
         self.model = load_scene(scene)
-        self._gripper_body = self.model.body("gripper").id
-        self._gripper_site = self.model.site("grip").id
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
         settled = settle(self.model, raise_start)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.model.opt.timestep = CONTROL_PERIOD / substeps
-        self._mjx_model = mjx.put_model(self.model, impl=self.impl)
+        self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
         self._mjx_data = mjx.put_data(self.model, settled, impl=self.impl, **sizes)
-        # Kinematics are MJX-JAX's under either implementation: MJX-Warp exposes no velocities.
-        self._kinematic_model = mjx.put_model(self.model, impl="jax")
-        self._kinematic_data = mjx.put_data(self.model, settled, impl="jax")
+        self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
     def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
         env = copy.copy(self)
         env.substeps = jnp.where(when, ACCURATE_SUBSTEPS, self.substeps)
-        env._mjx_model = self._mjx_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
+        env._part = math.gcd(ACCURATE_SUBSTEPS, self._part)
+        env.engine_model = self.engine_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
         return env
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
@@ -131,26 +133,23 @@ class FetchEnv(GoalEnv):
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> FetchPhysics:
         """Returns the physics with joint positions `[nq]` and velocities `[nv]`, without a history."""
-        model, data = self._kinematic_model, self._kinematic_data.replace(qpos=qpos, qvel=qvel)
-        data = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
-        angular, linear = jnp.split(data.cvel[self._gripper_body], 2)
-        position = data.site_xpos[self._gripper_site]
-        origin = data.subtree_com[self.model.body_rootid[self._gripper_body]]
+        qpos, qvel = jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32)
+        gripper = self._arm.pose(qpos, qvel)
         return FetchPhysics(
             steps=jnp.zeros((), jnp.int32),
-            qpos=jnp.asarray(qpos, jnp.float32),
-            qvel=jnp.asarray(qvel, jnp.float32),
+            qpos=qpos,
+            qvel=qvel,
             warmstart=jnp.zeros(self.model.nv),
             sensordata=jnp.zeros(self.model.nsensordata),
             overflow=jnp.zeros((), bool),
-            body_position=data.xpos[self._gripper_body],
-            body_quaternion=data.xquat[self._gripper_body],
-            gripper_position=position,
-            gripper_velocity=(linear + jnp.cross(angular, position - origin)) * CONTROL_PERIOD,
+            body_position=gripper.body_position,
+            body_quaternion=gripper.body_quaternion,
+            gripper_position=gripper.site_position,
+            gripper_velocity=gripper.site_velocity * CONTROL_PERIOD,
         )
 
-    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
-        """Runs the physics for `CONTROL_PERIOD`.
+    def engine_data(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> mjx.Data:
+        """Returns what `mjx.step` is given, together with `engine_model`, to carry out an action.
 
         Args:
           physics: where from.
@@ -166,9 +165,27 @@ class FetchEnv(GoalEnv):
             mocap_pos=(physics.body_position + LEAD * displacement)[None],
             mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
         )
-        if grip is not None:
-            data = data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
-        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: mjx.step(self._mjx_model, data), data)
+        return data if grip is None else data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
+
+    def _run(self, data: mjx.Data) -> mjx.Data:
+        """Takes `substeps` physics steps.
+
+        A GPU waits for the host wherever a loop's length is not known to the compiler. Where `accurate` is traced, the
+        loop over single steps is within one over parts of them, and has a length that is known.
+        """
+
+        def step(_, data):
+            return _engine_step(self.engine_model, data)
+
+        def part(_, data):
+            return jax.lax.fori_loop(0, self._part, step, data)
+
+        return jax.lax.fori_loop(0, self.substeps // self._part, part, data)
+
+    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
+        """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""
+        data = self.engine_data(physics, displacement, grip)
+        data = self._run(data)
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
         return self.place(qpos, data.qvel).replace(

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import jax
 from command_line import fail, parse
 from defaults import EVALUATION_EPISODES, Defaults, defaults
+from processes import choose_mesh, join, silent_but_first
 from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
 from signals import stop_on_signal
 from training import Run, train
@@ -71,6 +72,14 @@ class Options:
     """Weight of the likelihood of relabelled samples in the policy's updates; 0 is the paper. By default the task's."""
     action_std: tuple[float, ...] | None = None
     """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
+    devices: int | None = None
+    """Devices to spread seeds, and then environments, over; by default all that they divide over."""
+    coordinator: str | None = None
+    """host:port of the first of several processes that train together; each has all options of the others but one."""
+    num_processes: int = 1
+    """Number of these processes."""
+    process_id: int = 0
+    """Which of them this one is, from 0; the first writes the files."""
     out: Path | None = None
     """Folder to write, which must not exist; by default runs/<task>-<method>-<number>."""
     resume: str | None = None
@@ -106,7 +115,8 @@ def prepare(options: Options, platform: str) -> Run:
         reward=REWARDS[options.reward],
         **{name: value for name, value in given.items() if value is not None},
     )
-    worlds = options.seeds * preset.config.num_envs
+    mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
+    worlds = options.seeds * preset.config.num_envs // mesh.size
     env, task_options = _make(options, task_class, defaults(task_class, platform).substeps, worlds)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
@@ -122,6 +132,7 @@ def prepare(options: Options, platform: str) -> Run:
         hyperparameters=hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
+        mesh=mesh,
         demonstrations=demonstrations,
     )
 
@@ -179,8 +190,10 @@ def _parse_task_option(option: str) -> tuple[str, Any]:
     )
 
 
-def choose_folder(options: Options) -> tuple[Path, bool]:
-    """Returns the run's folder, and whether it is there already, to be gone on with."""
+def choose_folder(options: Options, unwanted: Path | None) -> tuple[Path, bool]:
+    """Returns the run's folder, and whether it is there already, to be gone on with; `unwanted` if that is a path."""
+    if unwanted is not None:
+        return unwanted, False
     stem = f"{options.task.split(':')[-1]}-{options.method}"
     resumed = newest_folder(Path("runs"), stem) if options.resume == "auto" else options.resume
     if resumed is not None:
@@ -188,16 +201,18 @@ def choose_folder(options: Options) -> tuple[Path, bool]:
     return options.out or next_folder(Path("runs"), stem), False
 
 
-def open_folder(options: Options, run: Run, held: contextlib.ExitStack) -> tuple[Path, Checkpoints, Checkpoint | None]:
+def open_folder(
+    options: Options, run: Run, held: contextlib.ExitStack, unwanted: Path | None
+) -> tuple[Path, Checkpoints, Checkpoint | None]:
     """Makes the run's folder, or finds what to go on with; a folder of another run is left as it is.
 
-    Until `held` is left, no other process can open the folder.
+    A process that is not the first takes the folder `unwanted`. Until `held` is left, no other process can open it.
 
     Raises:
       ValueError: the folder, or its checkpoints, cannot be used.
 
     """
-    folder, resumed = choose_folder(options)
+    folder, resumed = choose_folder(options, unwanted)
     checkpoints = Checkpoints(folder / "checkpoints", run.identity())
     if not resumed:
         create_folder(folder)
@@ -222,19 +237,21 @@ def main(arguments: list[str] | None = None) -> None:
     started = time.perf_counter()
     with contextlib.ExitStack() as held:
         try:
+            join(options.coordinator, options.num_processes, options.process_id)
             run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
-            folder, checkpoints, restored = open_folder(options, run, held)
+            unwanted = held.enter_context(silent_but_first())
+            folder, checkpoints, restored = open_folder(options, run, held, unwanted)
         except (ValueError, OSError) as error:
             fail("run.py", error, 2)
         print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")
         summary = carry_out(options, run, folder, checkpoints, restored, started)
-    if summary is None:
-        rounds = len(schedule(run.config))
-        print(f"stopped after {checkpoints.saved} of {rounds} rounds; go on with --resume {folder}")
-        return
-    report(summary, folder)
-    if options.video:
-        film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
+        if summary is None:
+            rounds = len(schedule(run.config))
+            print(f"stopped after {checkpoints.saved} of {rounds} rounds; go on with --resume {folder}")
+            return
+        report(summary, folder)
+        if options.video and unwanted is None:
+            film_policy(run, folder, load_policy(folder / "policies" / f"seed-{options.first_seed}.npz"))
 
 
 def carry_out(

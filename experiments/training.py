@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 from curves import draw_curves
+from jax.sharding import Mesh
 from run_folder import write_metrics
 from tqdm import tqdm
 
@@ -25,6 +26,7 @@ from hgail_jax.parallel import (
     seed_keys,
 )
 from hgail_jax.policy import from_state, save_policy
+from hgail_jax.sharding import any_process, collect, from_first_process, spread
 from hgail_jax.state import TrainState
 from hgail_jax.train import MEASURED_BY, RoundMetrics, env_steps, schedule
 
@@ -46,6 +48,8 @@ class Run:
     """Episodes per seed that the final evaluation has at least."""
     checkpoint_every: int
     """Rounds from one checkpoint to the next."""
+    mesh: Mesh
+    """The devices to train on; what is computed does not depend on them."""
     demonstrations: Demonstrations | None = None
     """Where the method learns from any."""
 
@@ -106,17 +110,14 @@ def train(
     compile_started = time.perf_counter()
     print("compiling ...", flush=True)
     # From shapes alone, so that a run that goes on compiles what a run that begins does.
-    train_step = compile_train_step(run.env, run.config, jax.eval_shape(run.init), phases[0])
+    train_step = compile_train_step(run.env, run.config, jax.eval_shape(run.init), phases[0], run.mesh)
     compile_seconds = time.perf_counter() - compile_started
-    if restored is None:
-        progress = Progress(run.init(), [])
-    else:
-        progress = Progress(restored.state, restored.record["rows"], restored.rounds, restored.record["seconds"])
+    progress = _begin(run, restored)
     write_metrics(folder / "metrics.csv", progress.rows)
 
     with checkpoints:
         _train_rounds(run, folder, checkpoints, progress, train_step, stop)
-    if stop.is_set():
+    if _stopped(stop):
         return None
     started = time.perf_counter()
     states, final = evaluate_seeds(train_step, run.config, progress.states, run.evaluation_episodes)
@@ -125,8 +126,25 @@ def train(
         "train": progress.seconds,
         "evaluation": time.perf_counter() - started,
     }
-    write_results(run, folder, states, progress.rows)
+    write_results(run, folder, collect(states), progress.rows)
     return summarize(run, final, int(steps[-1]), timing)
+
+
+def _begin(run: Run, restored: Checkpoint | None) -> Progress:
+    """Returns where the training starts, on the devices. Of several processes the first alone may have a checkpoint."""
+    progress = Progress(run.init(), [])
+    if restored is not None:
+        progress = Progress(restored.state, restored.record["rows"], restored.rounds, restored.record["seconds"])
+    progress.rounds = int(from_first_process(np.array(progress.rounds)))
+    progress.states = spread(from_first_process(progress.states), run.mesh)
+    return progress
+
+
+def _stopped(stop: threading.Event) -> bool:
+    """Returns whether any process is to stop, and sets `stop` then, so that all of them do."""
+    if any_process(stop.is_set()):
+        stop.set()
+    return stop.is_set()
 
 
 def _train_rounds(
@@ -137,7 +155,7 @@ def _train_rounds(
     steps = env_steps(run.env, run.config, phases).cumsum()
     started = time.perf_counter() - progress.seconds
     with tqdm(total=len(phases), initial=progress.rounds, unit="round", desc="training") as bar:
-        while progress.rounds < len(phases) and not stop.is_set():
+        while progress.rounds < len(phases) and not _stopped(stop):
             index = progress.rounds
             progress.states, measured = step(progress.states, phases[index])
             metrics: RoundMetrics = jax.tree.map(np.asarray, measured)
@@ -162,7 +180,7 @@ def _save(checkpoints: Checkpoints, progress: Progress) -> None:
     last = [row for row in progress.rows if row["round"] == progress.rounds - 1]
     success, distance = (np.mean([row[name] for row in last] or [0.0]) for name in ("success_rate", "distance_l1"))
     record = {"rows": progress.rows, "seconds": progress.seconds}
-    checkpoints.save(progress.rounds, progress.states, record, score=(success, -distance))
+    checkpoints.save(progress.rounds, collect(progress.states), record, score=(success, -distance))
 
 
 def refuse_divergence(run: Run, index: int, phases: np.ndarray, metrics: RoundMetrics) -> None:
@@ -228,6 +246,7 @@ def summarize(run: Run, final: envs.EpisodeMetrics, steps: int, timing: dict) ->
         "task": run.task,
         "method": run.method,
         "seeds": run.seeds,
+        "mesh": dict(run.mesh.shape),
         "success_rate": over_seeds(final.success),
         "achieved_rate": over_seeds(final.achieved),
         "success_rate_l1": over_seeds(final.success_l1),

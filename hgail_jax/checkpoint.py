@@ -47,7 +47,8 @@ class Checkpoints:
     """The checkpoints of one run: `folder/<rounds done>`, of which the last `KEPT` and the best are kept.
 
     Arrays are stored whole and by name, each with a hash, so that a state can be restored onto any number of devices
-    and damage is noticed. Nothing in them is code. Leaving the context waits for what is being written.
+    and damage is noticed. Nothing in them is code. Leaving the context waits for what is being written. Of several
+    processes that train together only the first writes and reads.
 
     Args:
       folder: made with the first checkpoint.
@@ -94,6 +95,9 @@ class Checkpoints:
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
                 raise FloatingPointError(f"{name} is not finite")
         scores = self._scores | {str(rounds): [float(value) for value in score]}
+        if jax.process_index() > 0:
+            self.saved = rounds
+            return
         body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": _plain(record)}
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
         with self._one_error():
@@ -147,12 +151,17 @@ class Checkpoints:
             if self.saved is not None and rounds > self.saved:  # damaged; training comes by again
                 shutil.rmtree(self.folder / str(rounds))
         options = ocp.CheckpointManagerOptions(
-            preservation_policy=_LastAndBest(self), cleanup_tmp_directories=True, enable_background_delete=False
+            preservation_policy=_LastAndBest(self),
+            cleanup_tmp_directories=True,
+            enable_background_delete=False,
+            create=False,
+            multiprocessing_options=_alone(),
         )
+        self.folder.mkdir(parents=True, exist_ok=True)
         return ocp.CheckpointManager(self.folder, options=options)
 
     def _read_body(self, rounds: int) -> dict:
-        with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as reader:
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler(), multiprocessing_options=_alone()) as reader:
             content = reader.restore(self.folder / str(rounds), args=ocp.args.Composite(record=ocp.args.JsonRestore()))
         record = content["record"]
         if _hash_json(record["body"]) != record["sha256"]:
@@ -172,7 +181,8 @@ class Checkpoints:
     def _read_arrays(self, rounds: int, described: dict) -> dict[str, np.ndarray]:
         """Reads the arrays one by one: reads that go on beside one that failed would complain on stderr."""
         arrays = {}
-        with ocp.Checkpointer(ocp.CompositeCheckpointHandler(state=ocp.PyTreeCheckpointHandler())) as reader:
+        handler = ocp.CompositeCheckpointHandler(state=ocp.PyTreeCheckpointHandler())
+        with ocp.Checkpointer(handler, multiprocessing_options=_alone()) as reader:
             for name, entry in described.items():
                 part = ocp.args.PyTreeRestore(
                     {name: np.empty(entry["shape"], entry["dtype"])},
@@ -205,6 +215,13 @@ class Checkpoints:
             if quiet == 10:
                 break
             time.sleep(0.05)
+
+
+def _alone() -> ocp.options.MultiprocessingOptions:
+    """Keeps orbax from waiting for processes other than the first, which know of no checkpoints."""
+    if jax.process_count() == 1:
+        return ocp.options.MultiprocessingOptions()
+    return ocp.options.MultiprocessingOptions(primary_host=0, active_processes={0})
 
 
 class _LastAndBest:

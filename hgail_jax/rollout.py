@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs import EpisodeMetrics, GoalEnv
+from hgail_jax.sharding import gather, own_part
 from hgail_jax.validation import check_count
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
@@ -41,11 +42,21 @@ class Trajectory(struct.PyTreeNode):
         return env.goal_observation(self.features, self.desired)
 
 
-def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: jax.Array | bool = False) -> Trajectory:
+def rollout(
+    env: GoalEnv,
+    policy: Policy,
+    rng: jax.Array,
+    num_envs: int,
+    probe: jax.Array | bool = False,
+    axis: str | None = None,
+) -> Trajectory:
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
 
     Where `probe`, which may be traced, the episodes' outcome takes the task's probe into account: `env.probe_length`
     further steps, which are no part of the trajectory. Without it a task with a probe counts no success.
+
+    Within a `jax.shard_map` whose mesh axis `axis` names, each device steps its part of the environments, asks `policy`
+    for their actions alone, and returns the trajectory of all of them.
 
     Raises:
       ValueError: `num_envs` is no count from 1.
@@ -53,7 +64,9 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
     """
     check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)
-    state = _depend_on(reset_rng, jax.vmap(env.reset)(jax.random.split(reset_rng, num_envs)))
+    reset_rngs = own_part(jax.random.split(reset_rng, num_envs), axis)
+    num_envs = len(reset_rngs)
+    state = _depend_on(reset_rng, jax.vmap(env.reset)(reset_rngs))
     length = env.episode_length + env.probe_length
 
     def take(carry, rng, time):
@@ -76,12 +89,12 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
         return jax.lax.cond(probe | (time < env.episode_length), take, stay, carry, rng, time)
 
     start = (state, jnp.zeros((num_envs, env.action_size)), state)
-    (probed, _, end), seen = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
-    info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], seen)
+    (probed, _, end), steps = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
+    info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], steps)
     info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
     outcome = jax.vmap(env.outcome)(end, probed)
     sound = _is_sound(env, info) & _is_finite((action.swapaxes(0, 1), end.pipeline_state, outcome), num_envs)
-    whole = Trajectory(
+    seen = Trajectory(
         features=info["observation"],
         achieved=info["achieved_goal"],
         desired=info["desired_goal"],
@@ -92,7 +105,11 @@ def rollout(env: GoalEnv, policy: Policy, rng: jax.Array, num_envs: int, probe: 
         overflow=jax.vmap(env.overflow)(probed.pipeline_state),
         outcome=outcome,
     )
-    return _blank(whole, ~sound)
+    of_episodes = ("sound", "overflow", "outcome")  # the others have time for their first axis
+    whole = seen.replace(
+        **{name: gather(values, axis, along=int(name not in of_episodes)) for name, values in vars(seen).items()}
+    )
+    return _blank(whole, ~whole.sound)
 
 
 def _is_sound(env: GoalEnv, info: dict[str, jax.Array]) -> jax.Array:

@@ -75,7 +75,7 @@ def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
 
 
 def train_step(
-    env: GoalEnv, config: Config, state: TrainState, phases: jax.Array | np.ndarray
+    env: GoalEnv, config: Config, state: TrainState, phases: jax.Array | np.ndarray, axis: str | None = None
 ) -> tuple[TrainState, RoundMetrics]:
     """Runs one round. Pure: bind `env` and `config`, then jit, scan over a schedule, or vmap over states.
 
@@ -85,6 +85,7 @@ def train_step(
       state: the learner, from `init_state` or an earlier step.
       phases: `[phases]`, a row of a schedule. Under a vmap over states leave it unbatched, so that a phase runs its
         own update and no other.
+      axis: within a `jax.shard_map`, the mesh axis that the environments are split along; see `rollout`.
 
     Returns:
       The learner after the round, and what the round measured.
@@ -92,7 +93,7 @@ def train_step(
     """
     phases = jnp.asarray(phases)
     state, (episodes, updates, dropped, overflow) = jax.lax.scan(
-        functools.partial(_run_phase, env, config), state, phases
+        functools.partial(_run_phase, env, config, axis), state, phases
     )
     return state, RoundMetrics(
         evaluation=jax.tree.map(lambda values: _masked_mean(values, phases >= EVALUATE), episodes),
@@ -120,7 +121,7 @@ def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
     return _masked_mean(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
 
 
-def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array):
+def _run_phase(env: GoalEnv, config: Config, axis: str | None, state: TrainState, phase: jax.Array):
     def skip(state):
         return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()), jnp.zeros(()), jnp.zeros(()))
 
@@ -128,8 +129,8 @@ def _run_phase(env: GoalEnv, config: Config, state: TrainState, phase: jax.Array
         rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
         evaluating = phase >= EVALUATE
         task = env.exploring(~evaluating if config.explore else False).accurate(phase == EVALUATE_ACCURATELY)
-        policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0))
-        trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating)
+        policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
+        trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating, axis=axis)
         updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
         before = state.replace(rng=None)
         after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave, _leave], before, trajectory, update_rng)

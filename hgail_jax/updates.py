@@ -20,6 +20,7 @@ from hgail_jax.ppo import generalized_advantages, policy_loss, standardize, weig
 from hgail_jax.rewards import imitation_reward
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
+from hgail_jax.sharding import own_part
 from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
 
 
@@ -38,14 +39,18 @@ class UpdateMetrics(struct.PyTreeNode):
     discriminator_accuracy: jax.Array | float = 0.0
 
 
-def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float) -> Policy:
-    """The policy of `state`, to be rolled out: with noise 1 it explores, with noise 0 it takes the mean action."""
+def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None) -> Policy:
+    """The policy of `state`, to be rolled out: with noise 1 it explores, with noise 0 it takes the mean action.
+
+    With `axis` it acts in a device's part of the environments, see `rollout`, and there as it would in all of them.
+    """
     std = jnp.asarray(state.hyperparameters.action_std)
     network = policy_network(config, env.action_size)
 
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
         mean = apply(network, state.actor_critic["policy"], state.normalize(observation))
-        action = mean + noise * std * jax.random.normal(rng, mean.shape)
+        of_all = mean.shape if axis is None else (len(mean) * jax.lax.axis_size(axis), env.action_size)
+        action = mean + noise * std * own_part(jax.random.normal(rng, of_all), axis)
         return action, gaussian_log_prob(action, mean, std)
 
     return policy

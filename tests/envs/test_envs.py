@@ -58,8 +58,8 @@ def test_accurate_physics_is_the_default_and_can_be_asked_for():
     fast = envs.make("reach", substeps=4)
     assert int(fast.accurate().substeps) == 20
     assert int(fast.accurate(jnp.array(False)).substeps) == 4
-    assert float(fast.accurate()._mjx_model.opt.timestep) == pytest.approx(0.002)
-    assert float(fast._mjx_model.opt.timestep) == pytest.approx(0.01)
+    assert float(fast.accurate().engine_model.opt.timestep) == pytest.approx(0.002)
+    assert float(fast.engine_model.opt.timestep) == pytest.approx(0.01)
 
 
 def test_pictures_change_no_dynamics():

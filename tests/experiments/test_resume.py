@@ -32,10 +32,10 @@ compiled = {}
 def tiny(monkeypatch, tmp_path):
     """Makes every run tiny, in a folder of its own, and compiles each size once."""
 
-    def compile_once(env, config, states, phases):
+    def compile_once(env, config, states, phases, mesh):
         key = (type(env), config, states.rng.shape)
         if key not in compiled:
-            compiled[key] = compile_train_step(env, config, states, phases)
+            compiled[key] = compile_train_step(env, config, states, phases, mesh)
         return compiled[key]
 
     monkeypatch.setitem(run.PRESETS, "parallel", Preset(TINY, Hyperparameters()))

@@ -1,0 +1,62 @@
+"""The devices and processes that train together, as command lines name them."""
+
+import contextlib
+import io
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+from jax.sharding import Mesh
+
+from hgail_jax.sharding import is_first_process, make_mesh, most_devices
+from hgail_jax.validation import check_count
+
+
+def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
+    """Joins this process to the others of a training, before JAX is first used; alone without a coordinator.
+
+    Raises:
+      ValueError: the numbers do not fit, or nobody answers.
+
+    """
+    check_count("num_processes", num_processes)
+    check_count("process_id", process_id, least=0, most=num_processes - 1)
+    if coordinator is None:
+        if num_processes > 1:
+            raise ValueError("several processes need --coordinator, the host:port of the first")
+        return
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    try:
+        jax.distributed.initialize(coordinator, num_processes, process_id)
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(f"cannot join the processes at {coordinator}: {str(error).splitlines()[0]}") from None
+
+
+def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
+    """Returns the mesh over `devices` devices, or over as many as seeds and environments divide over.
+
+    Raises:
+      ValueError: there are not so many, or they do not divide, or some process would be left without.
+
+    """
+    available = jax.devices()
+    if devices is None:
+        devices = most_devices(seeds, num_envs, len(available))
+    check_count("devices", devices, most=len(available))
+    if jax.process_count() > 1 and devices < len(available):
+        raise ValueError(
+            f"{seeds} seeds of {num_envs} environments on {devices} devices leave some of the {len(available)} devices"
+            f" of {jax.process_count()} processes without work; they must divide over all"
+        )
+    return make_mesh(seeds, num_envs, available[:devices])
+
+
+@contextlib.contextmanager
+def silent_but_first() -> Iterator[Path | None]:
+    """Yields None in the first process; in another, which prints nothing, a folder whose content nobody wants."""
+    if is_first_process():
+        yield None
+        return
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        yield Path(folder) / "run"

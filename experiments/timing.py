@@ -1,0 +1,41 @@
+"""Measures how long calls take on a device."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from hgail_jax.parallel import compiler_options
+
+_ENOUGH_SECONDS = 4.0
+_MOST_CALLS = 5
+_COPIED = 2**28  # numbers
+_QUICK_COPIED = 2**22
+
+
+def compile_timed(function: Callable, *arguments: Any, **jit_options: Any) -> tuple[Callable, float]:
+    """Returns `function` compiled for `arguments`, with the options of training, and the seconds that this took."""
+    started = time.perf_counter()
+    compiled = jax.jit(function, **jit_options).lower(*arguments).compile(compiler_options=compiler_options())
+    return compiled, time.perf_counter() - started
+
+
+def seconds_per_call(call: Callable[[], Any]) -> float:
+    """Returns the median of a few timed calls, each waited for, after one that is not timed."""
+    jax.block_until_ready(call())
+    taken: list[float] = []
+    while len(taken) < 2 or (len(taken) < _MOST_CALLS and sum(taken) < _ENOUGH_SECONDS):
+        started = time.perf_counter()
+        jax.block_until_ready(call())
+        taken.append(time.perf_counter() - started)
+    return statistics.median(taken)
+
+
+def memory_bandwidth(quick: bool = False) -> float:
+    """Returns the bytes per second, read and written, of a large copy within a device's memory."""
+    numbers = jnp.ones(_QUICK_COPIED if quick else _COPIED)
+    copy = jax.jit(lambda array: array + 1.0)
+    return 2 * numbers.nbytes / seconds_per_call(lambda: copy(numbers))

@@ -1,0 +1,75 @@
+"""Measures whole runs of run.py, each in a process of its own: compilation, and the time to a success rate."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+_RUN = Path(__file__).parent / "run.py"
+SUCCESS = {"reach": 0.98, "grasp": 0.95}
+"""The success rate that every seed is to reach, by task."""
+
+
+def _run(folder: Path, cache: Path, arguments: list[str]) -> tuple[dict, list[dict[str, str]]]:
+    """Runs run.py, its output shown, and returns its summary and the rows of metrics.csv."""
+    command = [sys.executable, str(_RUN), *arguments, "--out", str(folder)]
+    subprocess.run(command, check=True, env=os.environ | {"XDG_CACHE_HOME": str(cache)})
+    with (folder / "metrics.csv").open() as file:
+        return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
+
+
+def _made_by(summary: dict) -> dict:
+    return {name: summary[name] for name in ("command", "device", "versions")}
+
+
+def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:
+    """Compiles a run's program with an empty cache, then from the cache; returns a row and what made it."""
+    with tempfile.TemporaryDirectory() as folder:
+        measured: dict[str, Any] = {"task": task}
+        for name in ("cold", "cached"):
+            call = ["--task", task, "--iterations", "0", *arguments]
+            summary, _ = _run(Path(folder) / name, Path(folder) / "cache", call)
+            measured |= {f"{name}_compile_seconds": summary["wall_seconds"]["compile"]}
+            measured |= {f"{name}_total_seconds": summary["wall_seconds"]["total"]}
+    return measured, _made_by(summary)
+
+
+def measure_time_to_success(task: str, arguments: list[str]) -> tuple[dict, dict]:
+    """Trains by default; returns when every seed had the success rate wanted in one evaluation, and what made it."""
+    with tempfile.TemporaryDirectory() as folder:
+        summary, rows = _run(Path(folder) / "run", Path(folder) / "cache", ["--task", task, *arguments])
+    seconds, steps = first_success(rows, SUCCESS[task])
+    return {
+        "task": task,
+        "seeds": summary["seeds"],
+        "wanted": SUCCESS[task],
+        "seconds_until_every_seed": seconds,
+        "env_steps_per_seed_until_then": steps,
+        "train_seconds": summary["wall_seconds"]["train"],
+        "compile_seconds": summary["wall_seconds"]["compile"],
+        "total_seconds": summary["wall_seconds"]["total"],
+        "train_env_steps_per_second": summary["env_steps_per_second"],
+        "final_success_mean": summary["success_rate"]["mean"],
+        "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
+    }, _made_by(summary)
+
+
+def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
+    """Returns seconds and environment steps per seed at the first round in which every seed has the success rate.
+
+    Both are None if there is no such round. Seconds count from the start of the training, after compilation.
+
+    Args:
+      rows: of metrics.csv.
+      wanted: the success rate.
+
+    """
+    for index in dict.fromkeys(row["round"] for row in rows):
+        seeds = [row for row in rows if row["round"] == index]
+        if all(float(row["success_rate"] or 0.0) >= wanted for row in seeds):
+            return float(seeds[0]["seconds"]), int(seeds[0]["env_steps"])
+    return None, None

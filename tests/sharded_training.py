@@ -1,0 +1,41 @@
+"""Trains tiny seeds over several devices and writes what came of it: the file to write, and trainings as JSON."""
+
+import json
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from support import TINY
+
+import envs
+from hgail_jax import Hyperparameters, schedule
+from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds
+from hgail_jax.sharding import make_mesh, spread
+
+
+def train(task, groups, devices):
+    """Returns every number of the final states, of all metrics and of the final evaluation, `[seeds, ...]` each.
+
+    `groups` lists equally many seeds each; those of a group train side by side, and one program trains all groups.
+    """
+    env = envs.make(task, substeps=4) if task == "reach" else envs.make(task)
+    phases, mesh = schedule(TINY), make_mesh(len(groups[0]), TINY.num_envs, jax.devices()[:devices])
+    step, results = None, []
+    for seeds in groups:
+        states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
+        step = step or compile_train_step(env, TINY, states, phases[0], mesh)
+        states, measured = spread(states, mesh), []
+        for row in phases:
+            states, metrics = step(states, row)
+            measured.append(metrics)
+        states, final = evaluate_seeds(step, TINY, states, 8)
+        numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, final)
+        results.append([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
+    return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]
+
+
+if __name__ == "__main__":
+    path, trainings = sys.argv[1:]
+    leaves = {name: train(**training) for name, training in json.loads(trainings).items()}
+    np.savez(path, **{f"{name} {index:03}": leaf for name, of in leaves.items() for index, leaf in enumerate(of)})
