@@ -34,7 +34,7 @@ def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
 
 
 def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
-    """Returns the mesh over `devices` devices, or over as many as seeds and environments divide over.
+    """Returns the mesh over `devices` devices; by default one, or all that there are where several processes train.
 
     Raises:
       ValueError: there are not so many, or they do not divide, or some process would be left without.
@@ -42,7 +42,7 @@ def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
     """
     available = jax.devices()
     if devices is None:
-        devices = most_devices(seeds, num_envs, len(available))
+        devices = most_devices(seeds, num_envs, len(available)) if jax.process_count() > 1 else 1
     check_count("devices", devices, most=len(available))
     if jax.process_count() > 1 and devices < len(available):
         raise ValueError(

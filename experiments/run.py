@@ -73,7 +73,7 @@ class Options:
     action_std: tuple[float, ...] | None = None
     """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
     devices: int | None = None
-    """Devices to spread seeds, and then environments, over; by default all that they divide over."""
+    """Devices to spread seeds, and then environments, over: by default one, or all of several processes."""
     coordinator: str | None = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
