@@ -72,7 +72,8 @@ def prepare() -> None:
     if threads is not None:
         os.environ.setdefault("NPROC", str(threads))
     backend = headless_backend(ctypes.util.find_library)
-    if sys.platform == "linux" and not {"DISPLAY", "MUJOCO_GL"} & os.environ.keys() and backend is not None:
+    chosen = any(os.environ.get(name) for name in ("DISPLAY", "MUJOCO_GL"))
+    if sys.platform == "linux" and not chosen and backend is not None:
         os.environ["MUJOCO_GL"] = backend
         if "mujoco" in sys.modules:  # it has read the variable already
             importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))

@@ -1,8 +1,5 @@
 """Shows a policy on a Fetch task: as a film, or in MuJoCo's viewer."""
 
-import envs  # noqa: F401  (says what MuJoCo renders with, which reads it when it is imported)
-
-# isort: split
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -61,19 +58,6 @@ class Stage:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         yield
-
-
-def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Returns a renderer of a scene, to be closed.
-
-    Raises:
-      RuntimeError: MuJoCo cannot render here.
-
-    """
-    try:
-        return mujoco.Renderer(model, height, width)
-    except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
-        raise RuntimeError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
 
 
 def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
