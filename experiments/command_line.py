@@ -3,9 +3,12 @@
 import contextlib
 import io
 import itertools
+import os
 import sys
+from pathlib import Path
 from typing import NoReturn, TypeVar
 
+import jax
 import tyro
 
 OptionsT = TypeVar("OptionsT")
@@ -30,3 +33,9 @@ def fail(program: str, message: object, code: int) -> NoReturn:
     """Ends the process with one line."""
     print(f"{program}: {' '.join(str(message).split())}", file=sys.stderr)
     raise SystemExit(code)
+
+
+def cache_compilations() -> None:
+    """Keeps compiled programs in the user's cache folder, where the next process finds them."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
+    jax.config.update("jax_compilation_cache_dir", str(cache))

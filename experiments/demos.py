@@ -5,8 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-import jax
-from command_line import fail, parse
+from command_line import cache_compilations, fail, parse
 from recording import record
 from sizes import make_env, platform_name
 
@@ -56,7 +55,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache_compilations()
     sys.path.append(os.getcwd())
     main()

@@ -1,11 +1,9 @@
 """Trains the detector that finds the target in pictures, and measures how far off its positions are."""
 
 import dataclasses
-import os
 from pathlib import Path
 
-import jax
-from command_line import fail, parse
+from command_line import cache_compilations, fail, parse
 from keypoint_network import load_detector, save_weights
 from keypoint_training import train
 from localisation_error import measure
@@ -103,6 +101,5 @@ def _evaluate(options: Evaluate, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache_compilations()
     main()

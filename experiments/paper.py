@@ -11,8 +11,7 @@ import threading
 from pathlib import Path
 from typing import Literal
 
-import jax
-from command_line import fail, parse
+from command_line import cache_compilations, fail, parse
 from recording import load_or_record
 from reporting import draw_figure, files, write_study
 from run_folder import provenance, sole_user, write_json
@@ -257,7 +256,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache_compilations()
     sys.path.append(os.getcwd())
     main()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import jax
-from command_line import fail, parse
+from command_line import cache_compilations, fail, parse
 from defaults import EVALUATION_EPISODES, Defaults, defaults
 from processes import choose_mesh, join, silent_but_first
 from run_folder import create_folder, newest_folder, next_folder, provenance, reopen_folder, sole_user, write_json
@@ -24,14 +24,11 @@ from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import PRESETS, REWARDS, STRATEGIES, Preset
 from hgail_jax.demonstrations import load_demonstrations
 from hgail_jax.files import remove_partial_files
-from hgail_jax.methods import METHODS
+from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
 from hgail_jax.parallel import check_seeds
 from hgail_jax.policy import MeanPolicy, load_policy
 from hgail_jax.train import schedule
 from hgail_jax.validation import check_count
-
-LIKELIHOOD_BATCH = 512
-"""Relabelled samples beside a minibatch of PPO where `--likelihood` asks for it and the task has no size of its own."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -301,7 +298,6 @@ def report(summary: dict, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache_compilations()
     sys.path.append(os.getcwd())  # where --task finds a module of the user's own
     main()

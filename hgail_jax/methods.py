@@ -4,7 +4,8 @@ import dataclasses
 
 from hgail_jax.config import BEST, DEMONSTRATIONS, Preset
 
-_LIKELIHOOD_BATCH = 512
+LIKELIHOOD_BATCH = 512
+"""Expert samples beside a minibatch of PPO where a method or a user asks for them and nothing says how many."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +46,7 @@ METHODS = {
         "hindsight maximum likelihood alone: the pre-training's objective, iterated (Ghosh et al. 2021)",
         {"discriminator_phases": 0},
         {"ppo_weight": 0.0, "environment_reward": 1.0},
-        {"likelihood_batch": _LIKELIHOOD_BATCH},
+        {"likelihood_batch": LIKELIHOOD_BATCH},
     ),
 }
 """Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is
