@@ -71,18 +71,20 @@ class GoalVectorEnv(VectorEnv):
           options: none are known.
 
         Raises:
-          ValueError: not as many seeds as environments.
+          ValueError: not as many seeds as environments, or a seed out of range.
 
         """
         del options
         if seed is None and self._keys is not None:
             return self._start(self._next(self._keys))
-        if seed is None or isinstance(seed, int):
-            super().reset(seed=seed)
-            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else seed
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=None if seed is None else int(seed))
+            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(seed)
             seed = [first + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments")
+        if not all(0 <= one < 2**32 for one in seed):
+            raise ValueError(f"seeds are {list(seed)}; they must be from 0 to {2**32 - 1}")
         return self._start(jax.vmap(jax.random.key)(np.asarray(seed, np.uint32)))
 
     def step(

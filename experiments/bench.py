@@ -11,6 +11,8 @@ from typing import Any, Literal
 from command_line import fail, parse
 from run_folder import write_json
 
+from hgail_jax.validation import check_count
+
 RESULTS = Path(__file__).parent / "results" / "bench.json"
 
 _SPEED = ("physics", "rollout", "train", "shares")
@@ -57,22 +59,27 @@ class Results:
         self._path, self._rows = path, []
         self.added: list[dict] = []
         """The rows of this process."""
+        if not path.parent.is_dir():
+            raise ValueError(f"there is no folder {path.parent}")
         if path.exists():
             try:
                 self._rows = json.loads(path.read_text())["rows"]
-            except (ValueError, KeyError, TypeError) as error:
+                for row in self._rows:
+                    _key(row)
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"{path} is no file of measurements: {error!r}") from None
 
     def add(self, row: dict, made_by: dict) -> None:
         """Adds a row, in place of an older one of the same."""
-
-        def key(row: dict) -> tuple:
-            return *(row.get(name) for name in _SAME), json.dumps(row["made_by"]["device"], sort_keys=True)
-
         self.added.append(row)
         row = row | {"made_by": made_by}
-        self._rows = [old for old in self._rows if key(old) != key(row)] + [row]
+        self._rows = [old for old in self._rows if _key(old) != _key(row)] + [row]
         write_json(self._path, {"rows": self._rows})
+
+
+def _key(row: dict) -> tuple:
+    """Returns what a row that takes its place agrees in."""
+    return *(row.get(name) for name in _SAME), json.dumps(row["made_by"]["device"], sort_keys=True)
 
 
 def table(rows: list[dict]) -> str:
@@ -119,7 +126,11 @@ def speed_rows(options: Options) -> Iterator[dict]:
     bandwidth = memory_bandwidth(options.quick)
     for size in _sizes(options):
         row: dict[str, Any] = {"section": "speed", "task": size.task, "impl": size.env.impl}
-        row |= {"num_envs": size.num_envs, "substeps": size.substeps}
+        row |= {
+            "num_envs": size.num_envs,
+            "substeps": size.substeps,
+            "what": ", ".join(filter(wanted.__contains__, _SPEED)),
+        }
         if "physics" in wanted:
             row |= measure_physics(size) | measure_floor(size, bandwidth)
         if "rollout" in wanted:
@@ -149,7 +160,7 @@ def scaling_rows(options: Options, section: str) -> Iterator[dict]:
     import envs
 
     default = defaults(envs.find_class(options.task), platform_name()).config["num_envs"]
-    options = options if options.num_envs else dataclasses.replace(options, num_envs=(default,))
+    options = dataclasses.replace(options, num_envs=(options.num_envs or (default,))[:1])
     for size in _sizes(options):
         if section == "seeds":
             rows = measure_seeds(size, (1, 2) if options.quick else options.seeds)
@@ -183,16 +194,31 @@ def measure(options: Options) -> Iterator[tuple[dict, dict]]:
             yield row, provenance()
 
 
+def _check(options: Options) -> None:
+    """Raises a ValueError if a list of options is empty or holds a number that it cannot have."""
+    for name in ("section", "impl", "seeds"):
+        if not getattr(options, name):
+            raise ValueError(f"--{name} names nothing")
+    for name in ("seeds", "num_envs", "substeps"):
+        for count in getattr(options, name) or ():
+            check_count(name, count)
+    if options.seeds[0] != 1:
+        raise ValueError(f"seeds is {' '.join(map(str, options.seeds))}; the first must be 1")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, "bench.py", __doc__, arguments)
     try:
+        _check(options)
         results = Results(options.out)
         for row, made_by in measure(options):
             results.add(row | ({"quick": True} if options.quick else {}), made_by)
             print(table([row]), flush=True)
     except (ValueError, OSError, subprocess.CalledProcessError) as error:
         fail("bench.py", error, 2)
+    except RuntimeError as error:  # out of memory, most likely; what was measured before is in the file
+        fail("bench.py", str(error).splitlines()[0], 1)
     for section in dict.fromkeys(row["section"] for row in results.added):
         print(f"\n{table([row for row in results.added if row['section'] == section])}")
 

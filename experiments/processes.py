@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import socket
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,9 @@ from jax.sharding import Mesh
 
 from hgail_jax.sharding import is_first_process, make_mesh, most_devices
 from hgail_jax.validation import check_count
+
+_MOST_PORT = 65535
+_PATIENCE = 300.0  # seconds to wait for the first process
 
 
 def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
@@ -26,11 +31,28 @@ def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
         if num_processes > 1:
             raise ValueError("several processes need --coordinator, the host:port of the first")
         return
+    host, _, port = coordinator.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) <= _MOST_PORT):
+        raise ValueError(f"coordinator is {coordinator!r}; it must be host:port")
+    if process_id > 0:
+        _wait_for(host.strip("[]"), int(port))
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         jax.distributed.initialize(coordinator, num_processes, process_id)
     except (RuntimeError, ValueError) as error:
         raise ValueError(f"cannot join the processes at {coordinator}: {str(error).splitlines()[0]}") from None
+
+
+def _wait_for(host: str, port: int) -> None:
+    """Returns once the first process answers; JAX itself ends the process with a dump where nobody does."""
+    end = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            return socket.create_connection((host, port), timeout=5.0).close()
+        except OSError as error:
+            if time.monotonic() > end:
+                raise ValueError(f"nobody answers at {host}:{port}: {error.strerror or error}") from None
+            time.sleep(0.5)
 
 
 def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:

@@ -27,6 +27,7 @@ from hgail_jax.files import remove_partial_files
 from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
 from hgail_jax.parallel import check_seeds
 from hgail_jax.policy import MeanPolicy, load_policy
+from hgail_jax.sharding import any_process
 from hgail_jax.train import schedule
 from hgail_jax.validation import check_count
 
@@ -228,6 +229,20 @@ def open_folder(
     return folder, checkpoints, restored
 
 
+def open_together(
+    options: Options, run: Run, held: contextlib.ExitStack, unwanted: Path | None
+) -> tuple[Path, Checkpoints, Checkpoint | None]:
+    """Opens the folder as `open_folder` does; where one process cannot, none of them goes on."""
+    refusal: Exception | None = None
+    try:
+        opened = open_folder(options, run, held, unwanted)
+    except (ValueError, OSError) as error:
+        refusal = error
+    if any_process(refusal is not None):
+        raise refusal or ValueError("another process cannot go on, and says why")
+    return opened
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, "run.py", __doc__, arguments)
@@ -237,7 +252,7 @@ def main(arguments: list[str] | None = None) -> None:
             join(options.coordinator, options.num_processes, options.process_id)
             run = prepare(options, "cpu" if jax.default_backend() == "cpu" else "gpu")
             unwanted = held.enter_context(silent_but_first())
-            folder, checkpoints, restored = open_folder(options, run, held, unwanted)
+            folder, checkpoints, restored = open_together(options, run, held, unwanted)
         except (ValueError, OSError) as error:
             fail("run.py", error, 2)
         print(f"{options.method} on {options.task}, {options.seeds} seeds × {run.config.num_envs} envs -> {folder}")

@@ -136,6 +136,7 @@ def _begin(run: Run, restored: Checkpoint | None) -> Progress:
     if restored is not None:
         progress = Progress(restored.state, restored.record["rows"], restored.rounds, restored.record["seconds"])
     progress.rounds = int(from_first_process(np.array(progress.rounds)))
+    progress.seconds = float(from_first_process(np.array(progress.seconds)))
     progress.states = spread(from_first_process(progress.states), run.mesh)
     return progress
 

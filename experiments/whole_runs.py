@@ -17,7 +17,8 @@ SUCCESS = {"reach": 0.98, "grasp": 0.95}
 def _run(folder: Path, cache: Path, arguments: list[str]) -> tuple[dict, list[dict[str, str]]]:
     """Runs run.py, its output shown, and returns its summary and the rows of metrics.csv."""
     command = [sys.executable, str(_RUN), *arguments, "--out", str(folder)]
-    subprocess.run(command, check=True, env=os.environ | {"XDG_CACHE_HOME": str(cache)})
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
+    subprocess.run(command, check=True, env=environment | {"XDG_CACHE_HOME": str(cache)})
     with (folder / "metrics.csv").open() as file:
         return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
 

@@ -249,7 +249,8 @@ def _positives(env: GoalEnv, config: Config, state: TrainState, trajectory: Traj
 def _observe(state: TrainState, samples: Samples) -> TrainState:
     """Counts samples into the state's statistics; how often they are to be drawn does not matter here.
 
-    Expert samples where there are any, and else the policy's own. A policy forgets as far as the statistics move, and
-    after the pre-training they move less if they begin with what it is to imitate, not with how it behaved before.
+    Expert samples in the pre-training and in the discriminator's updates, the policy's own in the policy's. A policy
+    forgets as far as the statistics move, and after the pre-training they move less if they begin with what it is to
+    imitate, not with how it behaved before.
     """
     return state.observe(samples.observation, (samples.weight > 0).astype(jnp.float32))

@@ -8,7 +8,7 @@ import pytest
 
 import envs
 from envs import controllers
-from envs.fetch import _DISPLACEMENT_SCALE, _DOWNWARD, ACCURATE_SUBSTEPS, CONTROL_PERIOD, resolve_impl, settle
+from envs.fetch import _DOWNWARD, ACCURATE_SUBSTEPS, CONTROL_PERIOD, LEAD, resolve_impl, settle
 from envs.scenes import load_scene
 from hgail_jax import Config, Hyperparameters, schedule
 from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
@@ -39,7 +39,7 @@ class GraspOnC:
 
     def step(self, action):
         data, gripper = self.data, self.data.body("gripper")
-        data.mocap_pos[0] = gripper.xpos + _DISPLACEMENT_SCALE * action[:3]
+        data.mocap_pos[0] = gripper.xpos + LEAD * action[:3]
         data.mocap_quat[0] = gripper.xquat + _DOWNWARD
         data.ctrl[:] = data.qpos[self.fingers] + action[3]
         mujoco.mj_step(self.model, data, ACCURATE_SUBSTEPS)
