@@ -12,9 +12,9 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 from episode import Policy, Robot, run_episode
-from video import open_renderer
 
 from envs import find_class
+from envs.rgbd import open_renderer
 from hgail_jax.files import replace_file
 
 _PANELS = {

@@ -63,19 +63,6 @@ class Stage:
         yield
 
 
-def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Returns a renderer of a scene, to be closed.
-
-    Raises:
-      RuntimeError: MuJoCo cannot render here.
-
-    """
-    try:
-        return mujoco.Renderer(model, height, width)
-    except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
-        raise RuntimeError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
-
-
 def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
     """Writes an mp4 of a few episodes with the target as a red ball, in real time; returns which were successes.
 
