@@ -89,7 +89,7 @@ def measure(
         "achieved_rate": float(sum(outcome.achieved for outcome in outcomes) / episodes),
         "distance_l1": _mean([outcome.distance_l1 for outcome in outcomes]),
         "distance_l2": _mean([outcome.distance_l2 for outcome in outcomes]),
-        "not_seen": 1 - len(outcomes) / episodes,
+        "not_seen": (episodes - len(outcomes)) / episodes,
     }
 
 
