@@ -37,6 +37,7 @@ class Reference:
     """
 
     offset = np.zeros(3)
+    cube = "object0"
 
     def __init__(self, task: str):
         gymnasium.register_envs(gymnasium_robotics)
@@ -69,6 +70,6 @@ class Reference:
         self.env.step(np.asarray(action, np.float64))
 
     def _touching(self) -> bool:
-        cube = self.model.geom("object0").id
+        cube = self.model.geom(self.cube).id
         pairs = self.data.contact.geom
         return self._pads <= set(pairs[(pairs == cube).any(axis=1)].ravel())

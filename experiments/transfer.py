@@ -1,7 +1,10 @@
 """Carries policies that were trained in MJX, unchanged, to another simulator and to another robot."""
 
+import contextlib
+import csv
 import dataclasses
-from collections.abc import Iterable
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +13,7 @@ from episode import Conditions, mistaken
 from run_folder import provenance, write_json, write_metrics
 from tqdm import tqdm
 from transfer_figures import draw_curves, draw_strip, last_step
-from transfer_studies import RESULTS, TASKS, Point, load_policies, make_robot, measure, sweep, table
+from transfer_studies import RESULTS, STAGES, TASKS, Point, load_policies, make_robot, measure, sweep, table
 
 from hgail_jax.validation import check_count, check_not_negative
 from hgail_jax.versions import installed
@@ -47,6 +50,8 @@ class Options:
     """What displacements are multiplied by on the way to the robot."""
     table: Literal[4] | None = None
     """Measure the rows of the paper's table 4 instead, into table4.csv."""
+    stage: Literal["exact", "camera"] | None = None
+    """Measure the rows of --table that have this goal, exact or as cameras see it, and keep the others."""
     sweep: bool = False
     """Measure success against noise, offset, delay, stride and speed instead, into transfer-sweep.csv and .png."""
     pictures: bool = False
@@ -61,10 +66,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         episodes = _check(options)
         if options.table:
-            _write(options, "table4", list(table()), episodes)
+            _table(options, episodes)
         elif options.sweep:
-            rows = _write(options, "transfer-sweep", list(sweep()), episodes)
-            draw_curves(options.out / "transfer-sweep.png", rows)
+            _sweep(options, episodes)
         elif options.pictures:
             shown = [(make_robot("ur5e", task), load_policies(task)[0], _PICTURES[task]) for task in TASKS]
             draw_strip(options.out / "transfer-ur5e.png", shown, options.seed)
@@ -90,6 +94,8 @@ def _check(options: Options) -> int:
     for name in ("to", "task", "policy", "noise", "offset", "delay", "stride"):
         if not single and getattr(options, name) != defaults[name]:
             raise ValueError(f"--{name} does not go with --table, --sweep or --pictures")
+    if options.stage and not options.table:
+        raise ValueError("--stage goes with --table")
     episodes = options.episodes if options.episodes is not None else 32 if options.sweep else 200
     check_count("episodes", episodes)
     check_count("seed", options.seed, least=0, most=_MOST_SEED)
@@ -116,24 +122,46 @@ def _run(options: Options, episodes: int) -> None:
     )
 
 
-def _write(options: Options, stem: str, points: Iterable[Point], episodes: int) -> list[dict]:
-    """Measures points, writes their rows after each, and then what made them."""
-    points, rows = list(points), []
-    known: dict[tuple, dict[str, float]] = {}
-    path = options.out / f"{stem}.csv"
+def _table(options: Options, episodes: int) -> None:
+    """Measures the rows of the stages asked for; rows of another stage stay, and what made them."""
+    stages = [stage for stage in STAGES if options.stage is None or stage == f"{options.stage} goal"]
+    path, kept, made_by = options.out / "table4.csv", [], {}
+    if options.stage and path.exists():
+        with path.open(newline="") as file:
+            kept = [row for row in csv.DictReader(file) if row["stage"] not in stages]
+        made_by = json.loads(path.with_suffix(".json").read_text())
+    with contextlib.ExitStack() as stack:
+        _write(path, list(table(stages, stack)), options.seed, episodes, kept)
+    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(stages, _made_by(options, episodes)))
+
+
+def _sweep(options: Options, episodes: int) -> None:
+    path = options.out / "transfer-sweep.csv"
+    rows = _write(path, list(sweep()), options.seed, episodes)
+    write_json(path.with_suffix(".json"), _made_by(options, episodes))
+    draw_curves(path.with_suffix(".png"), rows)
+
+
+def _write(path: Path, points: Sequence[Point], seed: int, episodes: int, kept: Sequence[dict] = ()) -> list[dict]:
+    """Measures points, and after each writes the rows: those kept, and those measured."""
+    rows = list(kept)
+    known: dict[tuple, dict[str, float | None]] = {}
     with tqdm(total=len(points) * episodes, unit="episode") as bar:
         for point in points:
             bar.set_description(" ".join(map(str, (point.to, point.task, *point.labels.values()))))
             if point.key() in known:
                 bar.update(episodes)
             else:
-                known[point.key()] = point.measure(episodes, options.seed, bar.update)
+                known[point.key()] = point.measure(episodes, seed, bar.update)
             rows.append(point.row(known[point.key()]))
             write_metrics(path, rows)
+    return rows
+
+
+def _made_by(options: Options, episodes: int) -> dict:
     made_by = provenance()
     made_by["versions"] |= installed(*_PACKAGES)
-    write_json(path.with_suffix(".json"), {"seed": options.seed, "episodes": episodes} | made_by)
-    return rows
+    return {"seed": options.seed, "episodes": episodes} | made_by
 
 
 if __name__ == "__main__":

@@ -1,14 +1,17 @@
 """What is measured when policies go to other robots: the rows of table 4, and the points of the robustness curves."""
 
+import contextlib
 import dataclasses
 import functools
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from camera_goal import from_cameras
 from episode import Conditions, Estimate, Robot, exact, mistaken, run_episodes
+from localiser import TargetNotSeenError
 from scipy import stats
 
 from envs.fetch import CONTROL_PERIOD
@@ -22,8 +25,12 @@ NAMES = {
     "gymnasium": "Fetch, Gymnasium-Robotics on C MuJoCo",
     "ur5e": "UR5e with Robotiq 2F-85, C MuJoCo",
 }
-STAGES: dict[str, Callable[[Robot], Estimate]] = {"exact goal": lambda robot: exact}
-"""How the target is localised at each stage, given the robot whose scene it is in."""
+EXACT = "exact goal"
+STAGES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
+    EXACT: lambda robot, stack: exact,
+    "camera goal": from_cameras,
+}
+"""How the target is localised at each stage, given the robot whose scene it is in, and what closes things later."""
 
 _PAPER = {"reach": (0.95, 0.01), "grasp": (0.93, 0.02)}  # success and L1 in metres, on the real UR5
 
@@ -61,14 +68,15 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
 
 def measure(
     robot: Robot, policies: Sequence[MeanPolicy], episodes: int, seed: int, conditions: Conditions, tick: Callable
-) -> dict[str, float]:
+) -> dict[str, float | None]:
     """Runs episodes, the policies taking turns; returns rates with their 95 % interval by Wilson, and mean distances.
 
-    `tick` is called after each episode.
+    An episode whose target is not seen has failed, without a distance. `tick` is called after each episode.
     """
     outcomes = []
     for index in range(episodes):
-        outcomes += run_episodes(robot, policies, [index], seed, conditions)
+        with contextlib.suppress(TargetNotSeenError):
+            outcomes += run_episodes(robot, policies, [index], seed, conditions)
         tick()
     succeeded = int(sum(outcome.success for outcome in outcomes))
     interval = stats.binomtest(succeeded, episodes).proportion_ci(method="wilson")
@@ -78,9 +86,10 @@ def measure(
         "success_rate": succeeded / episodes,
         "success_low": round(interval.low, 4),
         "success_high": round(interval.high, 4),
-        "achieved_rate": float(np.mean([outcome.achieved for outcome in outcomes])),
-        "distance_l1": round(float(np.mean([outcome.distance_l1 for outcome in outcomes])), 5),
-        "distance_l2": round(float(np.mean([outcome.distance_l2 for outcome in outcomes])), 5),
+        "achieved_rate": float(sum(outcome.achieved for outcome in outcomes) / episodes),
+        "distance_l1": _mean([outcome.distance_l1 for outcome in outcomes]),
+        "distance_l2": _mean([outcome.distance_l2 for outcome in outcomes]),
+        "not_seen": (episodes - len(outcomes)) / episodes,
     }
 
 
@@ -100,11 +109,11 @@ class Point:
         """Returns the robot."""
         return make_robot(self.to, self.task, **self.options)
 
-    def measure(self, episodes: int, seed: int, tick: Callable) -> dict[str, float]:
+    def measure(self, episodes: int, seed: int, tick: Callable) -> dict[str, float | None]:
         """Measures it, with all policies of the task that come with the repository; see `measure`."""
         return measure(self.robot(), load_policies(self.task), episodes, seed, self.conditions, tick)
 
-    def row(self, measured: dict[str, float]) -> dict[str, Any]:
+    def row(self, measured: dict[str, float | None]) -> dict[str, Any]:
         """Returns its row of a table."""
         return {"robot": NAMES[self.to], "task": self.task} | dict(self.labels) | measured
 
@@ -113,14 +122,18 @@ class Point:
         return self.to, self.task, self.conditions, tuple(sorted(self.options.items()))
 
 
-def table() -> Iterator[Point]:
-    """Yields the rows of table 4: each robot, task and stage; and the UR5e's hand at the Fetch's speed and start."""
-    for stage, localise in STAGES.items():
+def table(stages: Iterable[str], stack: contextlib.ExitStack) -> Iterator[Point]:
+    """Yields the rows of table 4: each of `STAGES` asked for, each robot and task.
+
+    With the exact goal, the UR5e also has the Fetch's speed and start. `stack` closes what localises, once rows are
+    measured.
+    """
+    for stage in stages:
         for to in ROBOTS:
             for task in TASKS:
-                for options in _ways(to, task):
+                for options in _ways(to, task) if stage == EXACT else [{}]:
                     robot = make_robot(to, task, **options)
-                    yield Point(to, task, Conditions(localise(robot)), options, _labels(robot, task, stage))
+                    yield Point(to, task, Conditions(STAGES[stage](robot, stack)), options, _labels(robot, task, stage))
 
 
 def sweep() -> Iterator[Point]:
@@ -165,6 +178,10 @@ def condition(quantity: str, value: float) -> Conditions:
     if quantity == "stride":
         return Conditions(stride=value)
     return Conditions(mistaken(offset=value * np.eye(3)["xyz".index(quantity[-1])]))
+
+
+def _mean(distances: list) -> float | None:
+    return round(float(np.mean(distances)), 5) if distances else None
 
 
 def _ways(to: str, task: str) -> list[dict[str, Any]]:

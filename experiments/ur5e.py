@@ -53,6 +53,8 @@ class UR5e:
 
     """
 
+    cube = "cube"
+
     def __init__(self, task: str, slowdown: int = SLOWDOWN, start_closed: bool = False):
         self.task, self.slowdown, self.start_closed = task, slowdown, start_closed
         start = settle(load_scene(f"fetch/{task}")).site("grip").xpos
@@ -61,7 +63,7 @@ class UR5e:
         self.model = load_cell(cube=task == "grasp")
         self.data = mujoco.MjData(self.model)
         self._site = self.model.site(TOOL_CENTRE).id
-        self._cube = self.model.geom("cube").id if task == "grasp" else -1
+        self._cube = self.model.geom(self.cube).id if task == "grasp" else -1
         self._drive = self.model.joint(DRIVE).qposadr[0]
         self._pads = [[self.model.geom(name).id for name in pad] for pad in PADS]
         self._jacobian = np.zeros((3, self.model.nv))

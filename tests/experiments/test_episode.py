@@ -31,7 +31,7 @@ class Dot:
         self.told.append(np.array(action))
         self.position = self.position + 0.03 * action[:3]
         if self.task == "grasp" and self.holds:
-            self.goal = [*self.goal, 0.0, 0.0, 0.03 * action[2]]
+            self.goal = self.goal + np.array([0.0, 0.0, 0.03 * action[2]])
 
 
 def to_the_goal(observation):

@@ -1,13 +1,17 @@
 """The command line of transfer, its table and its pictures."""
 
+import contextlib
 import csv
 import json
+import types
 
+import camera_goal
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 import transfer
 import transfer_studies
+from localiser import TargetNotSeenError
 from transfer_figures import draw_curves
 
 QUICK = ["--episodes", "2"]
@@ -26,6 +30,8 @@ QUICK = ["--episodes", "2"]
         (["--policy", "none.npz"], "none.npz"),
         (["--table", "4", "--sweep"], "choose one of"),
         (["--table", "4", "--to", "ur5e"], "--to does not go with"),
+        (["--stage", "camera"], "--stage goes with --table"),
+        (["--table", "4", "--stage", "none"], "none"),
         (["--sweep", "--out", "nowhere"], "there is no folder nowhere"),
     ],
 )
@@ -61,21 +67,103 @@ def test_one_run(capsys):
     assert "2 episodes, 1 policies" in printed
 
 
+def read_table(folder):
+    with (folder / "table4.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def test_the_table(tmp_path, monkeypatch):
     """A row for each stage, robot, task and way; measured once where only labels differ."""
     monkeypatch.delitem(transfer_studies.ROBOTS, "ur5e")
-    monkeypatch.setitem(transfer_studies.STAGES, "again", lambda robot: transfer_studies.exact)
+    monkeypatch.delitem(transfer_studies.STAGES, "camera goal")
+    monkeypatch.setitem(transfer_studies.STAGES, "again", lambda robot, stack: transfer_studies.exact)
     transfer.main(["--table", "4", *QUICK, "--out", str(tmp_path)])
-    with (tmp_path / "table4.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_table(tmp_path)
     assert [(row["stage"], row["task"]) for row in rows] == [
         (stage, task) for stage in ("exact goal", "again") for task in ("reach", "grasp")
     ]
     assert all(row["episodes"] == "2" and 0 <= float(row["success_low"]) <= float(row["success_rate"]) for row in rows)
     assert [row["success_rate"] for row in rows[:2]] == [row["success_rate"] for row in rows[2:]]
     made_by = json.loads((tmp_path / "table4.json").read_text())
-    assert made_by["episodes"] == 2
-    assert "mujoco" in made_by["versions"]
+    assert made_by["exact goal"] == made_by["again"]
+    assert made_by["again"]["episodes"] == 2
+    assert "mujoco" in made_by["again"]["versions"]
+
+
+class FakeLocaliser(contextlib.AbstractContextManager):
+    """Knows where the target is, and sees it every other time."""
+
+    calls = closed = 0
+
+    def __init__(self, cameras, detect, cube):
+        self.cube = cube
+
+    def __call__(self, model, data, rng, marker=None):
+        FakeLocaliser.calls += 1
+        if FakeLocaliser.calls % 2:
+            raise TargetNotSeenError
+        return data.geom(self.cube).xpos if marker is None else marker
+
+    def __exit__(self, *exception):
+        FakeLocaliser.closed += 1
+
+
+def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch):
+    """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
+    monkeypatch.delitem(transfer_studies.ROBOTS, "ur5e")
+    monkeypatch.setattr(camera_goal, "open_renderer", lambda *arguments: types.SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(camera_goal, "Localiser", FakeLocaliser)
+    for stage in ("exact", "camera", "camera"):
+        transfer.main(["--table", "4", "--stage", stage, *QUICK, "--out", str(tmp_path)])
+    rows = read_table(tmp_path)
+    assert [row["stage"] for row in rows] == ["exact goal"] * 2 + ["camera goal"] * 2
+    assert [row["not_seen"] for row in rows] == ["0.0"] * 2 + ["0.5"] * 2
+    assert [row["success_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
+    assert [row["achieved_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
+    assert all(0.0 < float(row["distance_l2"]) < 0.05 for row in rows)
+    assert FakeLocaliser.closed == 4
+    assert list(json.loads((tmp_path / "table4.json").read_text())) == ["exact goal", "camera goal"]
+
+
+def test_a_target_that_is_never_seen_has_no_distance():
+    def blind(position, rng):
+        raise TargetNotSeenError
+
+    robot, policies = transfer_studies.make_robot("gymnasium", "reach"), transfer_studies.load_policies("reach")
+    measured = transfer_studies.measure(robot, policies, 2, 0, transfer_studies.Conditions(blind), lambda: None)
+    assert (measured["success_rate"], measured["not_seen"], measured["distance_l1"]) == (0.0, 1.0, None)
+
+
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_cameras_see_the_robot_s_own_frame(task):
+    """The ball is put where the target is in the scene; what is seen comes back in the policy's frame."""
+    offset, put = np.array([1.0, 2.0, 3.0]), []
+
+    def localiser(model, data, rng, marker):
+        put.append(marker)
+        return np.array([0.1, 0.2, 0.3])
+
+    robot = types.SimpleNamespace(task=task, offset=offset, model=None, data=None)
+    estimate = camera_goal.seen(robot, localiser)(np.array([1.5, 2.5, 3.5]), np.random.default_rng(0))
+    np.testing.assert_allclose(estimate, [1.1, 2.2, 3.3])
+    if task == "reach":
+        np.testing.assert_allclose(put[0], 0.5)
+    else:
+        assert put == [None]
+
+
+def test_without_a_renderer_nothing_is_measured(tmp_path, monkeypatch, capsys):
+    def refuse(*arguments):
+        raise RuntimeError("MuJoCo cannot render here, install EGL or OSMesa (no display)")
+
+    monkeypatch.setattr(camera_goal, "open_renderer", refuse)
+    with pytest.raises(SystemExit) as exit_info:
+        transfer.main(["--table", "4", *QUICK, "--out", str(tmp_path)])
+    assert exit_info.value.code == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "install EGL or OSMesa" in error
+    assert not list(tmp_path.iterdir())
 
 
 def test_every_quantity_is_varied_from_nothing():
