@@ -36,6 +36,8 @@ class Robot(Protocol):
     """`[3]`: what is added to a position in the scene's world frame to have it in the frame of the policy."""
     cube: str
     """Name of the cube's geom, where the task is `grasp`."""
+    marker: str
+    """Name of the site that shows the target in pictures."""
 
     def reset(self, rng: np.random.Generator) -> None:
         """Puts the robot to its start, and a new target into the scene."""

@@ -76,7 +76,7 @@ def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
 
 @contextlib.contextmanager
 def silent_but_first() -> Iterator[Path | None]:
-    """Yields None in the first process; in another, which prints nothing, a folder whose content nobody wants."""
+    """Yields None in the first process; in another, whose output is dropped, a folder whose content nobody wants."""
     if is_first_process():
         yield None
         return

@@ -18,12 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from envs.camera import Camera
 from envs.fetch import settle
-from envs.grasp import CUBE_WIDTH
+from envs.grasp import CUBE_RANGE, CUBE_WIDTH, LEAST_DISTANCE
+from envs.reach import GOAL_RANGE
 from envs.rgbd import Photographer, Picture, Stage, add_shape
 from envs.scenes import load_scene
 
-_RANGE = 0.15  # metres around the gripper's start, of cubes and markers
-_LEAST_DISTANCE = 0.1  # metres from the gripper's start to a cube, in the plane
 _TABLE = 0.4  # metres
 _AWAY = [0.0, 0.0, -1.0]  # where a cube is that takes no part
 _MOST_CLUTTER = 8
@@ -108,9 +107,10 @@ class Studio(contextlib.AbstractContextManager):
         if randomised:
             for joint in _ARM:
                 self.data.joint(joint).qpos += _POSTURE * rng.standard_normal()
+        width = GOAL_RANGE if marker else CUBE_RANGE
         while True:
-            position = self.start + rng.uniform(-_RANGE, _RANGE, 3)
-            if marker or np.linalg.norm(position[:2] - self.start[:2]) >= _LEAST_DISTANCE:
+            position = self.start + rng.uniform(-width, width, 3)
+            if marker or np.linalg.norm(position[:2] - self.start[:2]) >= LEAST_DISTANCE:
                 break
         cube = np.append(position[:2], _TABLE + CUBE_WIDTH / 2)
         yaw = rng.uniform(0, np.pi) if randomised else 0.0

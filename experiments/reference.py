@@ -38,6 +38,7 @@ class Reference:
 
     offset = np.zeros(3)
     cube = "object0"
+    marker = "target0"
 
     def __init__(self, task: str):
         gymnasium.register_envs(gymnasium_robotics)

@@ -13,7 +13,7 @@ from episode import Conditions, mistaken
 from run_folder import provenance, write_json, write_metrics
 from tqdm import tqdm
 from transfer_figures import draw_curves, draw_strip, last_step
-from transfer_studies import RESULTS, STAGES, TASKS, Point, load_policies, make_robot, measure, sweep, table
+from transfer_studies import RESULTS, ROBOTS, STAGES, TASKS, Point, load_policies, make_robot, measure, sweep, table
 
 from hgail_jax.validation import check_count, check_not_negative
 from hgail_jax.versions import installed
@@ -55,7 +55,7 @@ class Options:
     sweep: bool = False
     """Measure success against noise, offset, delay, stride and speed instead, into transfer-sweep.csv and .png."""
     pictures: bool = False
-    """Draw the UR5e reaching and grasping instead, into transfer-ur5e.png."""
+    """Draw each robot reaching and grasping instead, into transfer-ur5e.png and transfer-gymnasium.png."""
     out: Path = RESULTS
     """Folder of these files."""
 
@@ -70,8 +70,9 @@ def main(arguments: list[str] | None = None) -> None:
         elif options.sweep:
             _sweep(options, episodes)
         elif options.pictures:
-            shown = [(make_robot("ur5e", task), load_policies(task)[0], _PICTURES[task]) for task in TASKS]
-            draw_strip(options.out / "transfer-ur5e.png", shown, options.seed)
+            for to in ROBOTS:
+                shown = [(make_robot(to, task), load_policies(task)[0], _PICTURES[task]) for task in TASKS]
+                draw_strip(options.out / f"transfer-{to}.png", shown, options.seed)
         else:
             _run(options, episodes)
     except (ValueError, OSError) as error:

@@ -82,9 +82,10 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, Policy, Sequence[int]
     for robot, policy, steps in episodes:
         start, error = np.random.default_rng((seed, 0)).spawn(2)
         robot.reset(start)
+        centre = robot.features()[:3] - robot.offset
         frames: list[np.ndarray] = []
         with open_renderer(robot.model, *_SIZE) as renderer:
-            outcome = run_episode(robot, policy, error, watch=lambda: frames.append(_picture(renderer, robot)))  # noqa: B023
+            outcome = run_episode(robot, policy, error, watch=lambda: frames.append(_picture(renderer, robot, centre)))  # noqa: B023
         strips.append(np.concatenate([frames[step] for step in steps], axis=1))
         outcomes.append(bool(outcome.success))
     with replace_file(path, "wb") as file:
@@ -98,11 +99,11 @@ def last_step(task: str) -> int:
     return kind.episode_length + kind.probe_length
 
 
-def _picture(renderer: mujoco.Renderer, robot: Robot) -> np.ndarray:
-    robot.model.site("target").pos = robot.target() - robot.offset
+def _picture(renderer: mujoco.Renderer, robot: Robot, centre: np.ndarray) -> np.ndarray:
+    robot.model.site(robot.marker).pos = robot.target() - robot.offset
     mujoco.mj_kinematics(robot.model, robot.data)
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = robot.model.stat.center
+    camera.lookat[:] = centre
     camera.distance, camera.azimuth, camera.elevation = _VIEW["distance"], _VIEW["azimuth"], _VIEW["elevation"]
     renderer.update_scene(robot.data, camera)
     return renderer.render()

@@ -54,6 +54,7 @@ class UR5e:
     """
 
     cube = "cube"
+    marker = "target"
 
     def __init__(self, task: str, slowdown: int = SLOWDOWN, start_closed: bool = False):
         self.task, self.slowdown, self.start_closed = task, slowdown, start_closed

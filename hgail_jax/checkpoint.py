@@ -16,6 +16,8 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from hgail_jax.sharding import is_first_process
+
 SCHEMA = 1
 """Version of what a checkpoint holds; one of another schema is refused."""
 KEPT = 3
@@ -95,7 +97,7 @@ class Checkpoints:
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
                 raise FloatingPointError(f"{name} is not finite")
         scores = self._scores | {str(rounds): [float(value) for value in score]}
-        if jax.process_index() > 0:
+        if not is_first_process():
             self.saved = rounds
             return
         body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": _plain(record)}
