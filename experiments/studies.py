@@ -171,6 +171,13 @@ _METHODS = Study(
         Setting("GCSL", method="gcsl"),
         Setting("GAIL-demo (5)", _VARIANTS, method="gail-demo", demonstrations=5),
         Setting("GAIL-demo (100)", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
+        Setting(
+            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), the adversary alone",
+            _VARIANTS,
+            method="gail-demo",
+            config={"likelihood_batch": 0},
+            demonstrations=PAPER_DEMONSTRATIONS,
+        ),
         Setting("GASIL, ties by distance", _VARIANTS, method="gasil", hyperparameters={"ties_by_distance": True}),
         Setting("HGAIL, no pre-training", _VARIANTS, config={"pretrain": False}),
     ),
