@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable
 
+import jax
 import jaxlib.version
 
 # Two faults of jaxlib's CPU backend, both mended in the releases that Python 3.12 gets:
@@ -18,6 +19,9 @@ import jaxlib.version
 _FAULTY = [(0, minor) for minor in range(7, 11)]
 _NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _ENOUGH_THREADS = 8
+
+# Shardy, JAX's default partitioner, crashes in these releases over a training step that several devices share.
+_SHARDY_CRASHES = [(0, 11)]
 
 
 def _release(version: str) -> tuple[int, int]:
@@ -53,6 +57,15 @@ def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
     return None
 
 
+def uses_shardy(jaxlib_version: str) -> bool:
+    """Returns whether programs for several devices can be partitioned as JAX does by default.
+
+    >>> uses_shardy("0.11.2"), uses_shardy("0.12.0")
+    (False, True)
+    """
+    return _release(jaxlib_version) not in _SHARDY_CRASHES
+
+
 def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
     """Returns what MuJoCo can render with where there is no display: `"egl"`, `"osmesa"` or nothing.
 
@@ -65,7 +78,7 @@ def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
 
 
 def prepare() -> None:
-    """Sets what XLA and MuJoCo's renderer read when they start; imports MJX without its notices of missing packages."""
+    """Sets what XLA, JAX and MuJoCo's renderer go by; imports MJX without its notices of missing packages."""
     version = jaxlib.version.__version__
     os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
     threads = thread_pool_size(os.cpu_count() or 1, version)
@@ -79,3 +92,5 @@ def prepare() -> None:
             importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")
+    if not uses_shardy(version):
+        jax.config.update("jax_use_shardy_partitioner", False)
