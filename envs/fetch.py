@@ -25,6 +25,8 @@ ACCURATE_SUBSTEPS = 20
 FAST_SUBSTEPS = 4
 """The fewest physics steps per action, 4 of 10 ms: the gripper's weld, of time constant 20 ms, bears no longer ones."""
 
+TABLE_HEIGHT = 0.4
+"""Metres from the floor to the table's top, in every Fetch scene."""
 LEAD = 0.05
 """Metres that the mocap body leads the gripper by for a unit action."""
 

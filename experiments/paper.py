@@ -47,7 +47,7 @@ class Options:
     plots_only: bool = False
     """Draw every figure again from the data in the folder; nothing is trained."""
     task: Literal["reach", "grasp", "point"] | None = None
-    """The task: reach, or point with --quick."""
+    """The task; by default reach, or point with --quick."""
     seeds: int | None = None
     """Number of seeds: 8, or 2 with --quick."""
     quick: bool = False

@@ -15,12 +15,13 @@ from typing import Any
 import jax
 import mujoco
 import numpy as np
+from defaults import defaults
 from timing import compile_timed, seconds_per_call
 
-from envs.fetch import CONTROL_PERIOD, settle
+import envs
+from envs.fetch import ACCURATE_SUBSTEPS, CONTROL_PERIOD, settle
 from envs.scenes import load_scene
 
-_REFERENCE = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
 _SECONDS, _QUICK_SECONDS = 10.0, 0.2
 _LEARNT = 0.98  # success rate at which stable-baselines3 is stopped
 _MOST_STEPS = 60_000
@@ -42,7 +43,7 @@ def peer_rows(task: str, quick: bool) -> Iterator[dict]:
 def rollout_rows(task: str, quick: bool) -> Iterator[dict]:
     """Times C MuJoCo on this project's scene, in as many threads as there are cores, with random targets."""
     threads = os.cpu_count() or 1
-    for substeps in (20, {"reach": 4, "grasp": 8}[task]):
+    for substeps in (ACCURATE_SUBSTEPS, defaults(envs.find_class(task), "cpu").substeps):
         rate = _rollout_rate(task, substeps, threads, 2 if quick else 50)
         yield {"what": f"mujoco.rollout, {threads} threads", "substeps": substeps, "env_steps_per_second": rate}
 
@@ -69,10 +70,11 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict]:
     """Times Gymnasium-Robotics' environment as its users step it, with random actions."""
     import gymnasium
     import gymnasium_robotics
+    from reference import ENVIRONMENTS
 
     gymnasium.register_envs(gymnasium_robotics)
     cores = os.cpu_count() or 1
-    make = functools.partial(gymnasium.make, _REFERENCE[task])
+    make = functools.partial(gymnasium.make, ENVIRONMENTS[task])
     sync, parallel = gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv
     for kind, count in ((sync, 1), (parallel, cores), (parallel, 8 * cores)):
         with contextlib.closing(kind([make] * count)) as vector:
@@ -82,8 +84,8 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict]:
             while (seconds := time.perf_counter() - started) < (_QUICK_SECONDS if quick else _SECONDS):
                 vector.step(vector.action_space.sample())
                 taken += count
-        what = f"{_REFERENCE[task]}, {kind.__name__} of {count}"
-        yield {"what": what, "substeps": 20, "env_steps_per_second": taken / seconds}
+        what = f"{ENVIRONMENTS[task]}, {kind.__name__} of {count}"
+        yield {"what": what, "substeps": ACCURATE_SUBSTEPS, "env_steps_per_second": taken / seconds}
 
 
 def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict]:
@@ -93,9 +95,10 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict]:
     import gymnasium
     import gymnasium_robotics
     import stable_baselines3 as sb3
+    from reference import ENVIRONMENTS
 
     gymnasium.register_envs(gymnasium_robotics)
-    env, test = gymnasium.make(_REFERENCE[task]), gymnasium.make(_REFERENCE[task])
+    env, test = gymnasium.make(ENVIRONMENTS[task]), gymnasium.make(ENVIRONMENTS[task])
     learner = sb3.SAC(
         "MultiInputPolicy",
         env,

@@ -17,13 +17,12 @@ from matplotlib.colors import hsv_to_rgb
 from scipy.spatial.transform import Rotation
 
 from envs.camera import Camera
-from envs.fetch import settle
+from envs.fetch import TABLE_HEIGHT, settle
 from envs.grasp import CUBE_RANGE, CUBE_WIDTH, LEAST_DISTANCE
 from envs.reach import GOAL_RANGE
 from envs.rgbd import Photographer, Picture, Stage, add_shape
 from envs.scenes import load_scene
 
-_TABLE = 0.4  # metres
 _AWAY = [0.0, 0.0, -1.0]  # where a cube is that takes no part
 _MOST_CLUTTER = 8
 _CLUTTER_RANGE = 0.22  # metres around the gripper's start, in the plane
@@ -112,7 +111,7 @@ class Studio(contextlib.AbstractContextManager):
             position = self.start + rng.uniform(-width, width, 3)
             if marker or np.linalg.norm(position[:2] - self.start[:2]) >= LEAST_DISTANCE:
                 break
-        cube = np.append(position[:2], _TABLE + CUBE_WIDTH / 2)
+        cube = np.append(position[:2], TABLE_HEIGHT + CUBE_WIDTH / 2)
         yaw = rng.uniform(0, np.pi) if randomised else 0.0
         self.data.joint("cube").qpos[:] = [*(_AWAY if marker else cube), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         mujoco.mj_kinematics(self.model, self.data)
@@ -174,11 +173,11 @@ def _clutter(rng: np.random.Generator, start: np.ndarray, target: np.ndarray, ma
     shapes = []
     for _ in range(rng.integers(_MOST_CLUTTER + 1)):
         size = rng.uniform(0.012, 0.04, 3)
-        place = np.append(start[:2] + rng.uniform(-_CLUTTER_RANGE, _CLUTTER_RANGE, 2), _TABLE + size[2])
+        place = np.append(start[:2] + rng.uniform(-_CLUTTER_RANGE, _CLUTTER_RANGE, 2), TABLE_HEIGHT + size[2])
         red = rng.random() < _RED_SHARE
         kind = rng.choice(_RED_SHAPES[marker] if red else _SHAPES)
         if kind == _SPHERE:
-            place[2] = _TABLE + size[0]
+            place[2] = TABLE_HEIGHT + size[0]
         elif kind == _CYLINDER:
             size[1] = size[2]
         colour = _reddish(rng) if red else _not_red(rng)

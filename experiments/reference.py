@@ -8,7 +8,8 @@ import numpy as np
 
 from envs.grasp import is_held
 
-_ENVIRONMENTS = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
+ENVIRONMENTS = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
+"""Gymnasium-Robotics' names by task."""
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LONGEST = np.array([2.0, 2.0, 2.0, 1.0])  # see `Robot.step`
 _MOST_SEED = 2**31
@@ -43,7 +44,7 @@ class Reference:
     def __init__(self, task: str):
         gymnasium.register_envs(gymnasium_robotics)
         self.task = task
-        env: Any = gymnasium.make(_ENVIRONMENTS[task], disable_env_checker=True).unwrapped
+        env: Any = gymnasium.make(ENVIRONMENTS[task], disable_env_checker=True).unwrapped
         self.env = env
         env.action_space = gymnasium.spaces.Box(-_LONGEST, _LONGEST, dtype=np.float64)  # it clips to this
         self.model, self.data = env.model, env.data

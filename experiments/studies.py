@@ -142,6 +142,7 @@ def _both(*settings: Setting) -> tuple[Setting, ...]:
 
 
 _VARIANTS = "variants"
+_GAIL_DEMO = {"reach": (".98 ± .02", ".03 ± .01"), "grasp": (".95 ± .02", ".02 ± .003")}
 
 _METHODS = Study(
     "table1",
@@ -151,7 +152,7 @@ _METHODS = Study(
             f"GAIL-demo ({PAPER_DEMONSTRATIONS})",
             method="gail-demo",
             demonstrations=PAPER_DEMONSTRATIONS,
-            paper={"reach": (".98 ± .02", ".03 ± .01"), "grasp": (".95 ± .02", ".02 ± .003")},
+            paper=_GAIL_DEMO,
         ),
         Setting(
             "GASIL",
@@ -172,11 +173,12 @@ _METHODS = Study(
         Setting("GAIL-demo (5)", _VARIANTS, method="gail-demo", demonstrations=5),
         Setting("GAIL-demo (100)", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
         Setting(
-            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), the adversary alone",
+            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), no likelihood",
             _VARIANTS,
             method="gail-demo",
             config={"likelihood_batch": 0},
             demonstrations=PAPER_DEMONSTRATIONS,
+            paper=_GAIL_DEMO,
         ),
         Setting("GASIL, ties by distance", _VARIANTS, method="gasil", hyperparameters={"ties_by_distance": True}),
         Setting("HGAIL, no pre-training", _VARIANTS, config={"pretrain": False}),

@@ -7,7 +7,7 @@ from responses import FingerResponse, GripperResponse
 from ur5e_model import DRIVE, PADS, TOOL_CENTRE, load_arm, load_cell
 
 from envs import grasp
-from envs.fetch import ACCURATE_SUBSTEPS, CONTROL_PERIOD, settle
+from envs.fetch import ACCURATE_SUBSTEPS, CONTROL_PERIOD, TABLE_HEIGHT, settle
 from envs.reach import GOAL_RANGE
 from envs.scenes import load_scene
 
@@ -18,7 +18,6 @@ WIDEST_GAP = 0.085
 """Metres between the pads of the open hand."""
 
 _GAPS = ([0.0, grasp.CUBE_WIDTH, WIDEST_GAP], [0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP])  # this hand's, the Fetch's
-_TABLE = 0.4  # metres, the height of the table's top in the Fetch scene; here it is 0
 _WORKSPACE = np.array([0.5, 0.0])  # metres in front of the base, what stands for x and y of the Fetch's start
 _NEAR_START = np.array([-3.413, -1.466, 2.001, -2.105, -1.571, -3.413])  # radians, elbow up
 _DOWNWARD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # the hand closes along y, as the Fetch's
@@ -59,7 +58,7 @@ class UR5e:
     def __init__(self, task: str, slowdown: int = SLOWDOWN, start_closed: bool = False):
         self.task, self.slowdown, self.start_closed = task, slowdown, start_closed
         start = settle(load_scene(f"fetch/{task}")).site("grip").xpos
-        self.offset = np.array([*(start[:2] - _WORKSPACE), _TABLE])
+        self.offset = np.array([*(start[:2] - _WORKSPACE), TABLE_HEIGHT])  # its own table's top is at 0
         self._start = start - self.offset
         self.model = load_cell(cube=task == "grasp")
         self.data = mujoco.MjData(self.model)
