@@ -31,7 +31,7 @@ METHODS = {
     "hgail": Method("hindsight supplies the expert samples of a discriminator"),
     "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
     "gail-demo": Method(
-        "demonstrations supply the expert samples (Ho & Ermon 2016), whose likelihood stays on (after Jena et al. 2020)",
+        "demonstrations supply the expert samples (Ho & Ermon 2016), likelihood kept on (after Jena et al. 2020)",
         {"positives": DEMONSTRATIONS, "explore": False},
         {"likelihood_weight": 1.0},
         {"likelihood_batch": LIKELIHOOD_BATCH},
