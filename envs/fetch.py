@@ -114,7 +114,7 @@ class FetchEnv(GoalEnv):
         self.model.opt.timestep = CONTROL_PERIOD / substeps
         self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
-        self._mjx_data = mjx.put_data(self.model, settled, impl=self.impl, **sizes)
+        self._blank_data = jax.tree.map(np.asarray, mjx.make_data(self.model, impl=self.impl, **sizes))
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
@@ -160,7 +160,7 @@ class FetchEnv(GoalEnv):
             their closed position instead.
 
         """
-        data = self._mjx_data.replace(
+        data = jax.tree.map(_as_constant, self._blank_data).replace(
             qpos=physics.qpos,
             qvel=physics.qvel,
             qacc_warmstart=physics.warmstart,
@@ -196,6 +196,13 @@ class FetchEnv(GoalEnv):
             sensordata=data.sensordata,
             overflow=physics.overflow | overflow,
         )
+
+
+def _as_constant(values: np.ndarray) -> jax.Array:
+    """Returns values as part of a program: where all are equal as a broadcast, since buffers are many megabytes."""
+    if values.size and (values == values.flat[0]).all():
+        return jnp.full(values.shape, values.flat[0], values.dtype)
+    return jnp.asarray(values)
 
 
 def resolve_impl(impl: str) -> str:
