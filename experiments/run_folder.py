@@ -18,7 +18,19 @@ from hgail_jax.checkpoint import refuse_another_run
 from hgail_jax.files import replace_file
 from hgail_jax.versions import installed
 
-_PACKAGES = ("hgail-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy")
+_PACKAGES = (
+    "hgail-jax",
+    "jax",
+    "jaxlib",
+    "mujoco",
+    "mujoco-mjx",
+    "brax",
+    "flax",
+    "optax",
+    "orbax-checkpoint",
+    "numpy",
+    "warp-lang",
+)
 
 
 def next_folder(parent: Path, stem: str) -> Path:
@@ -92,12 +104,17 @@ def sole_user(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def own_command() -> str:
+    """Returns the command that started this process."""
+    return shlex.join(["python", *sys.argv])
+
+
 def provenance() -> dict:
     """Returns what made a result: command, device and versions."""
     device = jax.devices()[0]
     name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind
     return {
-        "command": shlex.join(["python", *sys.argv]),
+        "command": own_command(),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
         "versions": {"python": platform.python_version()} | installed(*_PACKAGES),
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),

@@ -9,6 +9,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from run_folder import own_command
+
 _RUN = Path(__file__).parent / "run.py"
 SUCCESS = {"reach": 0.98, "grasp": 0.95}
 """The success rate that every seed is to reach, by task."""
@@ -24,7 +26,7 @@ def _run(folder: Path, cache: Path, arguments: list[str]) -> tuple[dict, list[di
 
 
 def _made_by(summary: dict) -> dict:
-    return {name: summary[name] for name in ("command", "device", "versions")}
+    return {"command": own_command(), "device": summary["device"], "versions": summary["versions"]}
 
 
 def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:
