@@ -117,13 +117,11 @@ def _sizes(options: Options) -> Iterator:
 
 def speed_rows(options: Options) -> Iterator[dict]:
     """Yields a row for each size, with the columns that the sections ask for and the ratios between them."""
-    from floors import measure_floor
+    from floors import measure_floors
     from shares import measure_rollout, measure_training, shares
     from speed import measure_physics
-    from timing import memory_bandwidth
 
     wanted = set(_SPEED if "shares" in options.section else options.section)
-    bandwidth = memory_bandwidth(options.quick)
     for size in _sizes(options):
         row: dict[str, Any] = {"section": "speed", "task": size.task, "impl": size.env.impl}
         row |= {
@@ -132,7 +130,7 @@ def speed_rows(options: Options) -> Iterator[dict]:
             "what": ", ".join(filter(wanted.__contains__, _SPEED)),
         }
         if "physics" in wanted:
-            row |= measure_physics(size) | measure_floor(size, bandwidth)
+            row |= measure_physics(size) | measure_floors(size)
         if "rollout" in wanted:
             row |= measure_rollout(size)
         if "train" in wanted:

@@ -1,14 +1,15 @@
-"""Works out how fast stepping could be: bytes against the memory's bandwidth."""
+"""Works out how fast stepping could be: bytes against the memory's bandwidth, operations against the arithmetic's."""
 
 import jax
 from mujoco import mjx
 from speed import Size
+from timing import arithmetic_rate, memory_bandwidth
 
 from envs.fetch import settle
 
 
-def measure_floor(size: Size, bandwidth: float) -> dict[str, float]:
-    """Returns bytes and operations of a physics step, and the env steps per second that the bytes alone allow.
+def measure_floors(size: Size) -> dict[str, float]:
+    """Returns bytes and operations of a physics step, and the env steps per second that a device could do of either.
 
     State bytes are positions, velocities and the solver's start, read and written once in each step: no engine moves
     less. Engine bytes are all that MJX-JAX holds of an environment, likewise; operations are its own, the loop of the
@@ -16,17 +17,21 @@ def measure_floor(size: Size, bandwidth: float) -> dict[str, float]:
 
     Args:
       size: what is stepped.
-      bandwidth: bytes per second, read and written.
 
     """
-    model, settled = size.env.model, settle(size.env.model)
-    engine, data = mjx.put_model(model, impl="jax"), mjx.put_data(model, settled, impl="jax")
-    cost = jax.jit(mjx.step).lower(engine, data).cost_analysis() or {}
+    model, settled, host = size.env.model, settle(size.env.model), jax.devices("cpu")[0]
+    engine = mjx.put_model(model, device=host, impl="jax")
+    data = mjx.put_data(model, settled, device=host, impl="jax")
+    with jax.default_device(host):
+        operations = (jax.jit(mjx.step).lower(engine, data).cost_analysis() or {})["flops"]
     state_bytes = 2 * 4 * (model.nq + 2 * model.nv)
+    bandwidth, rate = memory_bandwidth(size.quick), arithmetic_rate(size.quick)
     return {
         "memory_bytes_per_second": bandwidth,
+        "operations_per_second": rate,
         "state_bytes_per_substep": state_bytes,
         "engine_bytes_per_substep": 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(data)),
-        "operations_per_substep": float(cost.get("flops", 0.0)),
+        "operations_per_substep": operations,
         "state_floor_env_steps_per_second": bandwidth / (state_bytes * size.substeps),
+        "operations_floor_env_steps_per_second": rate / (operations * size.substeps),
     }

@@ -1,5 +1,6 @@
 """Measures how long calls take on a device."""
 
+import functools
 import statistics
 import time
 from collections.abc import Callable
@@ -14,6 +15,8 @@ _ENOUGH_SECONDS = 4.0
 _MOST_CALLS = 5
 _COPIED = 2**28  # numbers
 _QUICK_COPIED = 2**22
+_MULTIPLIED = 2**12  # rows and columns
+_QUICK_MULTIPLIED = 2**8
 
 
 def compile_timed(function: Callable, *arguments: Any, **jit_options: Any) -> tuple[Callable, float]:
@@ -34,8 +37,18 @@ def seconds_per_call(call: Callable[[], Any]) -> float:
     return statistics.median(taken)
 
 
+@functools.cache
 def memory_bandwidth(quick: bool = False) -> float:
     """Returns the bytes per second, read and written, of a large copy within a device's memory."""
     numbers = jnp.ones(_QUICK_COPIED if quick else _COPIED)
     copy = jax.jit(lambda array: array + 1.0)
     return 2 * numbers.nbytes / seconds_per_call(lambda: copy(numbers))
+
+
+@functools.cache
+def arithmetic_rate(quick: bool = False) -> float:
+    """Returns the operations per second, in single precision, of a product of large matrices."""
+    size = _QUICK_MULTIPLIED if quick else _MULTIPLIED
+    matrix = jax.random.normal(jax.random.key(0), (size, size))
+    multiply = jax.jit(lambda array: jnp.matmul(array, array, precision="highest"))
+    return 2 * size**3 / seconds_per_call(lambda: multiply(matrix))
