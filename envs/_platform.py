@@ -1,4 +1,4 @@
-"""Works around faults of the installed JAX and MJX before either is first used."""
+"""Works around faults of the installed JAX and MJX, before either has started."""
 
 import contextlib
 import ctypes.util
@@ -92,5 +92,5 @@ def prepare() -> None:
             importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")
-    if not uses_shardy(version):
+    if not uses_shardy(version) and "JAX_USE_SHARDY_PARTITIONER" not in os.environ:
         jax.config.update("jax_use_shardy_partitioner", False)

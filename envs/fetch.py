@@ -27,6 +27,7 @@ FAST_SUBSTEPS = 4
 
 TABLE_HEIGHT = 0.4
 """Metres from the floor to the table's top, in every Fetch scene."""
+
 LEAD = 0.05
 """Metres that the mocap body leads the gripper by for a unit action."""
 
@@ -221,7 +222,7 @@ def resolve_impl(impl: str) -> str:
 
 
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
-    """Returns the most contacts of all worlds together and the most constraint rows of one: `put_data`'s arguments.
+    """Returns the most contacts of all worlds together and the most constraint rows of one: `make_data`'s arguments.
 
     A plane and a box meet in at most four points, two boxes in eight. A contact takes two rows per direction of its
     friction pyramid, a weld six rows, a limited joint one for each limit. There is a quarter to spare: more rows than

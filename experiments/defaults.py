@@ -27,7 +27,7 @@ REACH = {
 }
 """Reach, and any task not named here."""
 
-# A grasp is found by chance, so it takes wide roll-outs and many rounds; the likelihood of relabelled samples beside
+# A grasp is found by chance, so it takes wide roll-outs and many rounds; the likelihood of expert samples beside
 # PPO teaches the hand, and a wide deviation of its command alone finds the order of opening and closing.
 _GRASP_CONFIG = {
     "policy_phases": 4,

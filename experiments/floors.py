@@ -1,5 +1,7 @@
 """Works out how fast stepping could be: bytes against the memory's bandwidth, operations against the arithmetic's."""
 
+import math
+
 import jax
 from mujoco import mjx
 from speed import Size
@@ -12,8 +14,8 @@ def measure_floors(size: Size) -> dict[str, float]:
     """Returns bytes and operations of a physics step, and the env steps per second that a device could do of either.
 
     State bytes are positions, velocities and the solver's start, read and written once in each step: no engine moves
-    less. Engine bytes are all that MJX-JAX holds of an environment, likewise; operations are its own, the loop of the
-    solver run once.
+    less. Engine bytes are all that MJX-JAX holds of an environment, likewise; operations are its own as written, the
+    loop of the solver run once: a scale for other engines, not a bound.
 
     Args:
       size: what is stepped.
@@ -23,7 +25,7 @@ def measure_floors(size: Size) -> dict[str, float]:
     engine = mjx.put_model(model, device=host, impl="jax")
     data = mjx.put_data(model, settled, device=host, impl="jax")
     with jax.default_device(host):
-        operations = (jax.jit(mjx.step).lower(engine, data).cost_analysis() or {})["flops"]
+        operations = (jax.jit(mjx.step).lower(engine, data).cost_analysis() or {}).get("flops", math.nan)
     state_bytes = 2 * 4 * (model.nq + 2 * model.nv)
     bandwidth, rate = memory_bandwidth(size.quick), arithmetic_rate(size.quick)
     return {

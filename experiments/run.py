@@ -67,7 +67,7 @@ class Options:
     reward: Literal["r1", "r2", "r3", "r4"] = "r1"
     """How the discriminator's logit becomes a reward."""
     likelihood: float | None = None
-    """Weight of the likelihood of expert samples in the policy's updates; 0 is the paper."""
+    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's; by default the task's, or 1."""
     action_std: tuple[float, ...] | None = None
     """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
     devices: int | None = None
@@ -101,6 +101,8 @@ def prepare(options: Options, platform: str) -> Run:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
     task_class = _find(options)
     preset = METHODS[options.method].apply(_sized(options, defaults(task_class, platform)))
+    if options.likelihood == 0:  # not even for a method that has it by default
+        preset = Preset(dataclasses.replace(preset.config, likelihood_batch=0), preset.hyperparameters)
     given: dict[str, Any] = {
         "p_ht": options.p_ht,
         "likelihood_weight": options.likelihood,
@@ -142,8 +144,8 @@ def _sized(options: Options, default: Defaults) -> Preset:
     sizes: dict[str, Any] = dict(default.config) if parallel else {}
     given = {"num_envs": options.num_envs, "rounds": options.iterations}
     sizes |= {name: value for name, value in given.items() if value is not None}
-    if options.likelihood is not None:
-        sizes["likelihood_batch"] = (sizes.get("likelihood_batch") or LIKELIHOOD_BATCH) if options.likelihood else 0
+    if options.likelihood:
+        sizes["likelihood_batch"] = sizes.get("likelihood_batch") or LIKELIHOOD_BATCH
     config = dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes)
     return Preset(config, preset.hyperparameters.replace(**(default.hyperparameters if parallel else {})))
 

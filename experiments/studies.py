@@ -149,7 +149,7 @@ _METHODS = Study(
     "methods",
     (
         Setting(
-            f"GAIL-demo ({PAPER_DEMONSTRATIONS})",
+            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), with likelihood",
             method="gail-demo",
             demonstrations=PAPER_DEMONSTRATIONS,
             paper=_GAIL_DEMO,
@@ -170,8 +170,8 @@ _METHODS = Study(
             paper={"reach": (".01 ± .01", ".62 ± .27"), "grasp": (".02 ± .02", "1.49 ± .04")},
         ),
         Setting("GCSL", method="gcsl"),
-        Setting("GAIL-demo (5)", _VARIANTS, method="gail-demo", demonstrations=5),
-        Setting("GAIL-demo (100)", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
+        Setting("GAIL-demo (5), with likelihood", _VARIANTS, method="gail-demo", demonstrations=5),
+        Setting("GAIL-demo (100), with likelihood", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
         Setting(
             f"GAIL-demo ({PAPER_DEMONSTRATIONS}), no likelihood",
             _VARIANTS,

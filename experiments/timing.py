@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from hgail_jax.parallel import compiler_options
 
 _ENOUGH_SECONDS = 4.0
-_MOST_CALLS = 5
+_MOST_CALLS = 50
 _COPIED = 2**28  # numbers
 _QUICK_COPIED = 2**22
 _MULTIPLIED = 2**12  # rows and columns

@@ -16,7 +16,7 @@ class Method:
     config: dict = dataclasses.field(default_factory=dict)
     hyperparameters: dict = dataclasses.field(default_factory=dict)
     at_least: dict = dataclasses.field(default_factory=dict)
-    """Counts of the config that the method cannot do with less of."""
+    """Counts of the config that the method raises to these."""
 
     def apply(self, preset: Preset) -> Preset:
         """Returns `preset` as this method runs it."""

@@ -12,6 +12,15 @@ import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
 from envs.rgbd import open_renderer  # noqa: E402
 from envs.scenes import load_scene  # noqa: E402
 
+_QUICKLY = "--xla_backend_optimization_level=0"
+
+
+def pytest_configure(config):
+    """Has XLA compile quickly, which is most of what these tests do; not the slow ones, which compute."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if config.option.markexpr == "not slow" and "optimization_level" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {_QUICKLY}".strip()
+
 
 @pytest.fixture(scope="session")
 def shipped_policy():

@@ -97,7 +97,7 @@ def test_success_counts_from_the_round_in_which_every_seed_has_it():
 )
 def test_every_section_runs(tmp_path, section):
     path = tmp_path / "bench.json"
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
     flags += " --xla_force_host_platform_device_count=2" if section == ["devices"] else ""
     command = [sys.executable, bench.__file__, "--quick", "--section", *section, "--out", path]
     subprocess.run(command, check=True, env=os.environ | {"XLA_FLAGS": flags}, timeout=900)

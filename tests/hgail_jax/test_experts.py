@@ -187,9 +187,14 @@ def test_methods_in_data():
         return METHODS[name].apply(PRESETS["parallel"])
 
     assert applied("hgail") == PRESETS["parallel"]
-    assert applied("gcsl").config.likelihood_batch == 512
+    for name in ("gcsl", "gail-demo"):
+        assert applied(name).config.likelihood_batch == 512
+        assert applied(name).hyperparameters.likelihood_weight == 1.0
     more = Preset(dataclasses.replace(PRESETS["parallel"].config, likelihood_batch=2048), HYPER)
     assert METHODS["gcsl"].apply(more).config.likelihood_batch == 2048
+    weighted = Preset(more.config, HYPER.replace(likelihood_weight=0.3))
+    assert METHODS["gail-demo"].apply(weighted).config.likelihood_batch == 2048
+    assert METHODS["gail-demo"].apply(weighted).hyperparameters.likelihood_weight == 1.0
     assert METHODS["ppo"].apply(more).config.likelihood_batch == 0
 
 

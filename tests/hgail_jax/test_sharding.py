@@ -17,13 +17,12 @@ from hgail_jax.sharding import make_mesh, most_devices
 ROOT = Path(__file__).parent.parent.parent
 SCRIPT = ROOT / "tests" / "sharded_training.py"
 PATHS = os.pathsep.join(str(path) for path in (ROOT, ROOT / "experiments", ROOT / "tests"))
-FLAGS = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"  # compiles three times as fast
-ENVIRONMENT = os.environ | {"PYTHONPATH": PATHS, "XLA_FLAGS": FLAGS}
+ENVIRONMENT = os.environ | {"PYTHONPATH": PATHS}
 
 
 def train_on_four_devices(path, **trainings):
     """Returns what `sharded_training.train` returns for each of the keyword arguments."""
-    environment = ENVIRONMENT | {"XLA_FLAGS": f"{FLAGS} --xla_force_host_platform_device_count=4"}
+    environment = ENVIRONMENT | {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
     subprocess.run([sys.executable, SCRIPT, path, json.dumps(trainings)], env=environment, check=True, timeout=900)
     with np.load(path) as content:
         return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}

@@ -233,16 +233,16 @@ def test_a_broken_episode_leaves_the_others_and_the_parameters_as_if_it_were_dro
     np.testing.assert_array_equal(sound, np.asarray(whole.features)[:-1, :, 1].max(0) <= Faulty.border)
     for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
         ours, theirs, others = (np.asarray(getattr(t, name)) for t in (broken, whole, large))
-        np.testing.assert_array_equal(ours[:, sound], theirs[:, sound])
+        np.testing.assert_allclose(ours[:, sound], theirs[:, sound], rtol=0, atol=1e-6)  # of programs of their own
         assert (ours[:, ~sound] == 0).all()
-        np.testing.assert_array_equal(ours, others)
+        np.testing.assert_allclose(ours, others, rtol=0, atol=1e-6)
 
     dropped = _blank(whole, jnp.asarray(~sound))
     state = init_state(ENV, config, Hyperparameters(), jax.random.key(0))
     for update in (pretrain, update_policy, update_discriminator):
         learn = jax.jit(functools.partial(update, ENV, config))
         results = [learn(state, trajectory, jax.random.key(4))[0] for trajectory in (broken, dropped)]
-        jax.tree.map(np.testing.assert_array_equal, *map(without_key, results))
+        jax.tree.map(functools.partial(np.testing.assert_allclose, atol=1e-5), *map(without_key, results))
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(without_key(results[0])))
         with_all = jax.tree.leaves(without_key(learn(state, whole, jax.random.key(4))[0]))
         assert not all(map(np.array_equal, with_all, jax.tree.leaves(without_key(results[0]))))
@@ -273,7 +273,7 @@ def test_a_deviation_for_each_number_of_the_action():
 def test_adversarial_rounds_keep_what_demonstrations_taught():
     """GAIL from 20 demonstrations of a solved task: success is 1 after the pre-training, and it stays there."""
     preset = METHODS["gail-demo"].apply(PRESETS["parallel"])
-    config = dataclasses.replace(preset.config, rounds=3)
+    config = dataclasses.replace(preset.config, rounds=3, likelihood_batch=0)
     samples = record(ENV, "point", 20).samples(ENV)
     states = init_seeds(ENV, config, preset.hyperparameters, seed_keys(0, 2), samples)
     phases = schedule(config)
