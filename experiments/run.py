@@ -67,7 +67,7 @@ class Options:
     reward: Literal["r1", "r2", "r3", "r4"] = "r1"
     """How the discriminator's logit becomes a reward."""
     likelihood: float | None = None
-    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's; by default the task's, or 1."""
+    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's; by default the task's."""
     action_std: tuple[float, ...] | None = None
     """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
     devices: int | None = None
