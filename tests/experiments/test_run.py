@@ -153,6 +153,14 @@ def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
     assert "cannot make the folder closed/run" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("likelihood, batch", [(None, 512), (0.5, 512), (0.0, 0)])
+def test_no_likelihood_costs_none(likelihood, batch):
+    """Also of a method that has it by default."""
+    prepared = run.prepare(run.Options(task="point", method="gcsl", likelihood=likelihood), "cpu")
+    assert prepared.config.likelihood_batch == batch
+    assert prepared.hyperparameters.likelihood_weight == (1.0 if likelihood is None else likelihood)
+
+
 def test_every_option_has_a_help_line(capsys):
     with pytest.raises(SystemExit):
         run.main(["--help"])
