@@ -187,8 +187,7 @@ class FetchEnv(GoalEnv):
 
     def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
         """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""
-        data = self.engine_data(physics, displacement, grip)
-        data = self._run(data)
+        data = self._run(self.engine_data(physics, displacement, grip))
         qpos = data.qpos if grip is not None else data.qpos.at[self._finger_qpos].set(0.0)
         overflow = data._impl.overflow != 0 if self.impl == "warp" else False
         return self.place(qpos, data.qvel).replace(
