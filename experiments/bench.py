@@ -134,7 +134,7 @@ def speed_rows(options: Options) -> Iterator[dict]:
         if "rollout" in wanted:
             row |= measure_rollout(size)
         if "train" in wanted:
-            row |= measure_training(size)
+            row |= measure_training(size, each_phase="shares" in wanted)
         if {"physics", "train"} <= wanted:
             row["train_to_raw"] = row["train_env_steps_per_second"] / row["raw_env_steps_per_second"]
         yield row | (shares(size, row) if set(_SPEED) <= wanted else {})

@@ -84,18 +84,22 @@ def measure_rollout(size: Size) -> dict[str, float]:
     }
 
 
-def measure_training(size: Size) -> dict[str, float]:
-    """Times the phases of a round that learn: PPO and discriminator as often as by default."""
+def measure_training(size: Size, each_phase: bool) -> dict[str, float]:
+    """Times the phases of a round that learn, PPO and discriminator as often as by default, and each kind of phase."""
     training = Training(size)
     phases = training.updates()
-    return {
+    measured = {
         "train_env_steps_per_second": len(phases) * size.env_steps / training.seconds(*phases),
         "train_compile_seconds": training.compile_seconds,
-        "ppo_phase_seconds": training.seconds(POLICY),
-        "discriminator_phase_seconds": training.seconds(DISCRIMINATOR),
-        "pretrain_phase_seconds": training.seconds(PRETRAIN),
-        "evaluation_phase_seconds": training.seconds(EVALUATE),
     }
+    if each_phase:
+        measured |= {
+            "ppo_phase_seconds": training.seconds(POLICY),
+            "discriminator_phase_seconds": training.seconds(DISCRIMINATOR),
+            "pretrain_phase_seconds": training.seconds(PRETRAIN),
+            "evaluation_phase_seconds": training.seconds(EVALUATE),
+        }
+    return measured
 
 
 def shares(size: Size, row: dict) -> dict[str, float]:
