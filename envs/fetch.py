@@ -6,6 +6,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 import copy
 import importlib.util
 import math
+import re
 
 import jax
 import jax.numpy as jnp
@@ -115,7 +116,7 @@ class FetchEnv(GoalEnv):
         self.model.opt.timestep = CONTROL_PERIOD / substeps
         self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
-        self._blank_data = jax.tree.map(np.asarray, mjx.make_data(self.model, impl=self.impl, **sizes))
+        self._blank_data = make_blank_data(self.model, self.impl, sizes)
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
@@ -203,6 +204,20 @@ def _as_constant(values: np.ndarray) -> jax.Array:
     if values.size and (values == values.flat[0]).all():
         return jnp.full(values.shape, values.flat[0], values.dtype)
     return jnp.asarray(values)
+
+
+def make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
+    """Returns what a step starts from before anything is set, as NumPy arrays; `sizes` is from `buffer_sizes`.
+
+    MJX-Warp leaves what it would note of islands uninitialised. Zeros there make two processes compile the same
+    program, so that the second finds it in the cache.
+    """
+
+    def initialised(path, values):
+        name = jax.tree_util.keystr(path[-1:], simple=True)
+        return np.zeros_like(values) if re.search("island|idof|iefc", name) else np.asarray(values)
+
+    return jax.tree_util.tree_map_with_path(initialised, mjx.make_data(model, impl=impl, **sizes))
 
 
 def resolve_impl(impl: str) -> str:

@@ -1,5 +1,8 @@
 """The grasp scene on MJX-Warp, on a machine that has it: against C MuJoCo on the same MJCF, and its own limits."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -102,3 +105,20 @@ def test_an_overflow_of_the_contact_buffers_is_an_error():
     step = compile_train_step(env, config, states, schedule(config)[0])
     with pytest.raises(OverflowError, match="ran out of room for contacts"):
         evaluate_seeds(step, config, states, 64)
+
+
+@pytest.mark.parametrize("task", ["grasp", "reach"])
+def test_two_processes_make_the_same_program(task):
+    """Else none of them finds it in the cache of compiled programs."""
+    script = f"""
+import jax, envs
+env = envs.make("{task}", substeps=8, worlds=64)
+state = jax.eval_shape(env.reset, jax.random.key(0))
+print(jax.jit(env.step).lower(state, jax.ShapeDtypeStruct((4,), "float32")).as_text())
+"""
+    first, second = (
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    )
+    assert "custom_call" in first
+    assert first.partition("module @")[2] == second.partition("module @")[2]
