@@ -123,11 +123,8 @@ class GoalEnv(Env):
         del physics
         return jnp.zeros((), bool)
 
-    def accurate(self, when: jax.Array | bool = True) -> "GoalEnv":
-        """Returns the task with its most accurate physics where `when`, which may be traced, and as it is elsewhere.
-
-        A task with one physics only returns itself.
-        """
+    def accurate(self) -> "GoalEnv":
+        """Returns the task with its most accurate physics; a task with one physics only returns itself."""
         return self
 
     def exploring(self, when: jax.Array | bool = True) -> "GoalEnv":

@@ -5,7 +5,6 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 
 import copy
 import importlib.util
-import math
 import re
 
 import jax
@@ -107,8 +106,7 @@ class FetchEnv(GoalEnv):
         if not 0.0 <= raise_start <= _HIGHEST_START:
             raise ValueError(f"raise_start is {raise_start}; it must be from 0 to {_HIGHEST_START} m")
         self.scene, self.impl = scene, resolve_impl(impl)
-        self.substeps: int | jax.Array = substeps
-        self._part = substeps
+        self.substeps = substeps
         self.model = load_scene(scene)
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
         settled = settle(self.model, raise_start)
@@ -120,12 +118,12 @@ class FetchEnv(GoalEnv):
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
-    def accurate(self, when: jax.Array | bool = True) -> "FetchEnv":
-        """Returns the task with `ACCURATE_SUBSTEPS` where `when`, which may be traced, and with its own elsewhere."""
+    def accurate(self) -> "FetchEnv":
+        """Returns the task with `ACCURATE_SUBSTEPS`."""
         env = copy.copy(self)
-        env.substeps = jnp.where(when, ACCURATE_SUBSTEPS, self.substeps)
-        env._part = math.gcd(ACCURATE_SUBSTEPS, self._part)
-        env.engine_model = self.engine_model.tree_replace({"opt.timestep": CONTROL_PERIOD / env.substeps})
+        env.substeps = ACCURATE_SUBSTEPS
+        timestep = jnp.float32(CONTROL_PERIOD / ACCURATE_SUBSTEPS)
+        env.engine_model = self.engine_model.tree_replace({"opt.timestep": timestep})
         return env
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
@@ -172,19 +170,8 @@ class FetchEnv(GoalEnv):
         return data if grip is None else data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
 
     def _run(self, data: mjx.Data) -> mjx.Data:
-        """Takes `substeps` physics steps.
-
-        A GPU waits for the host wherever a loop's length is not known to the compiler. Where `accurate` is traced, the
-        loop over single steps is within one over parts of them, and has a length that is known.
-        """
-
-        def step(_, data):
-            return _engine_step(self.engine_model, data)
-
-        def part(_, data):
-            return jax.lax.fori_loop(0, self._part, step, data)
-
-        return jax.lax.fori_loop(0, self.substeps // self._part, part, data)
+        """Takes `substeps` physics steps, a number that the compiler knows: else a GPU waits for the host at each."""
+        return jax.lax.fori_loop(0, self.substeps, lambda _, data: _engine_step(self.engine_model, data), data)
 
     def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
         """Runs the physics for `CONTROL_PERIOD`; see `engine_data` for the arguments."""

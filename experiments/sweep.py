@@ -70,21 +70,19 @@ def train_program(
     if stop.is_set():
         return None
     trained = time.perf_counter()
-    states, final = evaluate_seeds(step, trials[0].config, progress.states, trials[0].evaluation_episodes)
+    final = evaluate_seeds(env, trials[0].config, progress.states, trials[0].evaluation_episodes)
     evaluation_seconds = time.perf_counter() - trained
     seconds = {"compile": compile_seconds, "train": progress.seconds, "evaluation": evaluation_seconds}
-    return _results(env, trials, progress, states, {"settings": len(trials), "seconds": seconds}, vars(final))
+    return _results(env, trials, progress, {"settings": len(trials), "seconds": seconds}, vars(final))
 
 
-def _results(
-    env: envs.GoalEnv, trials: list[Trial], progress: "_Progress", states: TrainState, program: dict, final: dict
-) -> list[dict]:
+def _results(env: envs.GoalEnv, trials: list[Trial], progress: "_Progress", program: dict, final: dict) -> list[dict]:
     """Takes what came of a program apart into its trials."""
     worst = {name: max(max(row[name]) for row in progress.rows) for name in ("dropped", "overflow")}
     if worst["overflow"] > 0:
         raise OverflowError("the simulation ran out of room for contacts")
     measured = {name: np.stack([row[name] for row in progress.rows], axis=1) for name in ("success", "distance_l1")}
-    final, curves, diverged = split_sweep((final, measured, _diverged(states)), len(trials))
+    final, curves, diverged = split_sweep((final, measured, _diverged(progress.states)), len(trials))
     steps = env_steps(env, trials[0].config, schedule(trials[0].config)).cumsum()
     return [
         {

@@ -120,13 +120,13 @@ def train(
     if _stopped(stop):
         return None
     started = time.perf_counter()
-    states, final = evaluate_seeds(train_step, run.config, progress.states, run.evaluation_episodes)
+    final = evaluate_seeds(run.env, run.config, progress.states, run.evaluation_episodes, run.mesh)
     timing = {
         "compile": compile_seconds,
         "train": progress.seconds,
         "evaluation": time.perf_counter() - started,
     }
-    write_results(run, folder, collect(states), progress.rows)
+    write_results(run, folder, collect(progress.states), progress.rows)
     return summarize(run, final, int(steps[-1]), timing)
 
 

@@ -9,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding
 
-from envs import GoalEnv
+from envs import EpisodeMetrics, GoalEnv
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.evaluate import EpisodeMetrics
+from hgail_jax.evaluate import mean_outcome
+from hgail_jax.rollout import rollout
 from hgail_jax.samples import Samples
 from hgail_jax.sharding import ALONG_SEEDS, ENVS, EVERYWHERE, per_device
 from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import RoundMetrics, final_evaluation, train_step
+from hgail_jax.train import RoundMetrics, train_step
+from hgail_jax.updates import act
 from hgail_jax.validation import check_count
 
 _MOST_SEEDS = 2**31 - 1
@@ -129,38 +131,75 @@ def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
     def step(axis, states, phases):
         return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
 
+    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, EVERYWHERE), (ALONG_SEEDS, EVERYWHERE), donate_argnums=0)
+
+
+def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
+    """Jits a function, each device of the mesh running its part.
+
+    Args:
+      mesh: None is one device.
+      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
+        over seeds.
+      given: how the arrays are laid out.
+      returned: how the results are to be.
+      options: of `jax.jit`.
+
+    """
     if mesh is None or mesh.size == 1:
-        return jax.jit(functools.partial(step, None), donate_argnums=0)
+        return jax.jit(functools.partial(function, None), **options)
     axis = ENVS if mesh.shape[ENVS] > 1 else None
-    sharded = per_device(functools.partial(step, axis), mesh, (ALONG_SEEDS, EVERYWHERE), (ALONG_SEEDS, ALONG_SEEDS))
-    along_seeds, everywhere = NamedSharding(mesh, ALONG_SEEDS), NamedSharding(mesh, EVERYWHERE)
-    return jax.jit(
-        sharded, in_shardings=(along_seeds, everywhere), out_shardings=(along_seeds, everywhere), donate_argnums=0
-    )
+    place = functools.partial(jax.tree.map, functools.partial(NamedSharding, mesh))
+    sharded = per_device(functools.partial(function, axis), mesh, given, ALONG_SEEDS)
+    return jax.jit(sharded, in_shardings=place(given), out_shardings=place(returned), **options)
 
 
 def evaluate_seeds(
-    step: SeedsStep, config: Config, states: TrainState, num_episodes: int
-) -> tuple[TrainState, EpisodeMetrics]:
-    """Evaluates every seed's mean action in the task's most accurate physics, with the compiled `step`.
+    env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
+) -> EpisodeMetrics:
+    """Evaluates every seed's mean action in the task's most accurate physics, by a program that it compiles for that.
 
-    Consumes the states; returns them as they were but for their keys, and the means over the episodes, `[seeds]`. There
-    are at least `num_episodes` episodes per seed: whole roll-outs.
+    Args:
+      env: the task.
+      config: sizes and counts.
+      states: with an axis over seeds; with a mesh as `spread` placed them.
+      num_episodes: that each seed has at least: whole roll-outs.
+      mesh: see `compile_train_step`.
+
+    Returns:
+      The means over the episodes, `[seeds]`.
 
     Raises:
+      ValueError: `num_episodes` is no count from 1.
       OverflowError: the simulation ran out of room for contacts.
 
     """
-    measured, weights = [], []
-    for phases in final_evaluation(config, num_episodes):
-        states, metrics = step(states, phases)
-        if np.any(np.asarray(metrics.overflow) > 0):
-            raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
-        measured.append(metrics.evaluation)
-        weights.append(np.count_nonzero(phases))
-    return states, jax.tree.map(lambda *means: np.average(means, axis=0, weights=weights), *measured)
+    accurate, rollouts = env.accurate(), evaluation_episodes(config, num_episodes) // config.num_envs
+
+    def measure(axis, states):
+        def roll_out(state, rng):
+            policy = act(accurate, config, state, noise=0.0, axis=axis)
+            trajectory = rollout(accurate, policy, rng, config.num_envs, probe=True, axis=axis)
+            return mean_outcome(trajectory), trajectory.overflow.any()
+
+        def of_seed(state):
+            return jax.lax.map(functools.partial(roll_out, state), jax.random.split(state.rng, rollouts))
+
+        return jax.vmap(of_seed)(states)
+
+    lowered = _jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE).lower(states)
+    outcomes, overflow = lowered.compile(compiler_options=compiler_options())(states)
+    if np.any(overflow):
+        raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
+    return jax.tree.map(lambda means: np.mean(means, axis=1), outcomes)
 
 
 def evaluation_episodes(config: Config, num_episodes: int) -> int:
-    """Returns how many episodes per seed `evaluate_seeds` runs: `num_episodes`, rounded up to whole roll-outs."""
-    return int(np.count_nonzero(final_evaluation(config, num_episodes))) * config.num_envs
+    """Returns how many episodes per seed `evaluate_seeds` runs: `num_episodes`, rounded up to whole roll-outs.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1.
+
+    """
+    check_count("num_episodes", num_episodes)
+    return -(-num_episodes // config.num_envs) * config.num_envs

@@ -19,11 +19,9 @@ from hgail_jax.evaluate import mean_outcome
 from hgail_jax.rollout import rollout
 from hgail_jax.state import TrainState
 from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
-from hgail_jax.validation import check_count
 
-SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE, EVALUATE_ACCURATELY = range(6)
-"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action, in the physics
-trained in or in the task's most accurate one."""
+SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = range(5)
+"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action."""
 
 
 class RoundMetrics(struct.PyTreeNode):
@@ -48,24 +46,6 @@ def schedule(config: Config) -> np.ndarray:
     updates = [POLICY] * config.policy_phases + [DISCRIMINATOR] * config.discriminator_phases
     first = [PRETRAIN if config.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
     return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
-
-
-def final_evaluation(config: Config, num_episodes: int) -> np.ndarray:
-    """Returns phases, `[rows, phases]` as in `schedule`, that evaluate accurately in at least `num_episodes` episodes.
-
-    Every row has the length of a schedule's rows, so that the same compiled `train_step` runs it.
-
-    Raises:
-      ValueError: `num_episodes` is no count from 1.
-
-    """
-    check_count("num_episodes", num_episodes)
-    width = schedule(config).shape[1]
-    rollouts = -(-num_episodes // config.num_envs)
-    rows = -(-rollouts // width)
-    phases = np.full(rows * width, SKIP)
-    phases[:rollouts] = EVALUATE_ACCURATELY
-    return phases.reshape(rows, width)
 
 
 def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
@@ -96,7 +76,7 @@ def train_step(
         functools.partial(_run_phase, env, config, axis), state, phases
     )
     return state, RoundMetrics(
-        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases >= EVALUATE), episodes),
+        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases == EVALUATE), episodes),
         training=jax.tree.map(lambda values: _masked_mean(values, (phases != SKIP) & (phases < EVALUATE)), episodes),
         update=UpdateMetrics(**{name: _mean_over(phases, name, values) for name, values in vars(updates).items()}),
         dropped=_masked_mean(dropped, phases != SKIP),
@@ -127,13 +107,13 @@ def _run_phase(env: GoalEnv, config: Config, axis: str | None, state: TrainState
 
     def run(state):
         rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
-        evaluating = phase >= EVALUATE
-        task = env.exploring(~evaluating if config.explore else False).accurate(phase == EVALUATE_ACCURATELY)
+        evaluating = phase == EVALUATE
+        task = env.exploring(~evaluating if config.explore else False)
         policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating, axis=axis)
         updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
         before = state.replace(rng=None)
-        after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave, _leave], before, trajectory, update_rng)
+        after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave], before, trajectory, update_rng)
         after = jax.tree.map(lambda new, old: jnp.where(trajectory.sound.any(), new, old), after, before)
         broken = 1.0 - trajectory.sound.mean()
         return after.replace(rng=rng), (

@@ -29,7 +29,7 @@ def train(task, groups, devices):
         for row in phases:
             states, metrics = step(states, row)
             measured.append(metrics)
-        states, final = evaluate_seeds(step, TINY, states, 8)
+        final = evaluate_seeds(env, TINY, states, 8, mesh)
         numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, final)
         results.append([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
     return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]

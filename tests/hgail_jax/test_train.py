@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 import functools
 
@@ -12,18 +13,11 @@ from support import TINY
 import envs
 from envs.point import Point
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
-from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds, seed_keys
+from hgail_jax.evaluate import evaluate
+from hgail_jax.parallel import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
 from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
-from hgail_jax.train import (
-    DISCRIMINATOR,
-    EVALUATE,
-    EVALUATE_ACCURATELY,
-    POLICY,
-    PRETRAIN,
-    SKIP,
-    final_evaluation,
-)
+from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.updates import act, pretrain, update_discriminator, update_policy
 
 ENV = envs.make("point")
@@ -127,7 +121,6 @@ def changed(before, after, name):
         (POLICY, {"actor_critic", "statistics"}),
         (DISCRIMINATOR, {"discriminator", "statistics"}),
         (EVALUATE, set()),
-        (EVALUATE_ACCURATELY, set()),
     ],
 )
 def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
@@ -147,13 +140,32 @@ def test_schedule_and_its_steps():
     np.testing.assert_array_equal(env_steps(ENV, TINY, PHASES), np.array([1, 3, 3]) * 4 * 50)
 
 
-def test_final_evaluation_has_enough_episodes_in_rows_of_the_schedule():
-    for episodes in (1, 4, 5, 20, 21, 100):
-        rows = final_evaluation(TINY, episodes)
-        assert rows.shape[1] == PHASES.shape[1]
-        count = 4 * (rows == EVALUATE_ACCURATELY).sum()
-        assert episodes <= count < episodes + 4
-        assert ((rows == EVALUATE_ACCURATELY) | (rows == SKIP)).all()
+class Refined(Point):
+    """`Point` whose accurate physics moves half as far."""
+
+    gain = 1.0
+
+    def accurate(self):
+        env = copy.copy(self)
+        env.gain = 0.5
+        return env
+
+    def step_physics(self, physics, action):
+        return super().step_physics(physics, self.gain * action)
+
+
+def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physics():
+    env = Refined()
+    states = init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 2))
+    for episodes, rollouts in ((1, 1), (4, 1), (5, 2)):
+        assert evaluation_episodes(TINY, episodes) == 4 * rollouts
+        measured = evaluate_seeds(env, TINY, states, episodes)
+        for seed in range(2):
+            state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)
+            policy = act(env, TINY, state, noise=0.0)
+            alone = [evaluate(env.accurate(), policy, rng, 4) for rng in jax.random.split(state.rng, rollouts)]
+            expected = np.mean([outcome.distance_l1 for outcome in alone])
+            np.testing.assert_allclose(measured.distance_l1[seed], expected, rtol=1e-4)
 
 
 def test_relabelled_samples_keep_state_and_action():
@@ -176,7 +188,7 @@ def solve_point(method, rounds, **changes):
     step = compile_train_step(ENV, config, states, phases[0])
     for row in phases:
         states, _ = step(states, row)
-    return evaluate_seeds(step, config, states, 256)[1].success
+    return evaluate_seeds(ENV, config, states, 256).success
 
 
 def test_hgail_solves_the_probe_task_without_pretraining():
