@@ -73,7 +73,7 @@ def table_rows(task: str, study: Study, results: list[dict]) -> list[dict]:
 
 
 def curve_rows(task: str, study: Study, results: list[dict]) -> list[dict]:
-    """Returns the rows of a figure's data, one per setting, seed and round."""
+    """Returns the rows of a figure's data, one per setting, seed and round that was evaluated."""
     return [
         {
             "task": task,
@@ -87,8 +87,8 @@ def curve_rows(task: str, study: Study, results: list[dict]) -> list[dict]:
             "distance": distance[seed],
         }
         for setting, result in zip(study.settings, results, strict=True)
-        for index, (steps, success, distance) in enumerate(
-            zip(result["env_steps"], result["success"], result["distance_l1"], strict=True)
+        for index, steps, success, distance in zip(
+            *(result[name] for name in ("rounds", "env_steps", "success", "distance_l1")), strict=True
         )
         for seed in range(len(success))
     ]

@@ -13,7 +13,7 @@ import envs
 from envs.fetch import FetchEnv, resolve_impl
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES, Config, Hyperparameters
 from hgail_jax.methods import METHODS
-from hgail_jax.train import env_steps, schedule
+from hgail_jax.train import EVALUATE, SKIP, env_steps, schedule
 
 PAPER_DEMONSTRATIONS = 20
 MOST_DEMONSTRATIONS = 100
@@ -81,6 +81,16 @@ class Trial:
             "hyperparameters": {name: np.asarray(value).tolist() for name, value in vars(self.hyperparameters).items()},
         }
         return json.loads(json.dumps(identity))
+
+    def phases(self) -> np.ndarray:
+        """Returns the schedule. Of a setting that takes k times the steps every k-th round is evaluated, and the last.
+
+        An evaluation costs as much as a roll-out to learn from, and a curve needs no more points for being longer.
+        """
+        rows = schedule(self.config)
+        rows[np.arange(len(rows)) % self.setting.steps > 0, -1] = SKIP
+        rows[-1, -1] = EVALUATE
+        return rows
 
     def key(self) -> str:
         """Returns a hash of the identity."""

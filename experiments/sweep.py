@@ -27,7 +27,7 @@ from hgail_jax.parallel import (
 )
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState
-from hgail_jax.train import env_steps, schedule
+from hgail_jax.train import EVALUATE, env_steps, schedule
 
 _CHECKPOINT_SECONDS = 60.0
 
@@ -53,8 +53,8 @@ def train_program(
       stop: once it is set, the training ends with the round that it is in, and a checkpoint.
 
     Returns:
-      What came of each trial: lists over rounds `[rounds + 1]` and seeds, and the seconds that the program took. None
-      if it was stopped.
+      What came of each trial: lists over the rounds evaluated and seeds, and the seconds that the program took. None if
+      it was stopped.
 
     Raises:
       OSError: a checkpoint cannot be written.
@@ -81,11 +81,17 @@ def _results(env: envs.GoalEnv, trials: list[Trial], progress: "_Progress", prog
     worst = {name: max(max(row[name]) for row in progress.rows) for name in ("dropped", "overflow")}
     if worst["overflow"] > 0:
         raise OverflowError("the simulation ran out of room for contacts")
-    measured = {name: np.stack([row[name] for row in progress.rows], axis=1) for name in ("success", "distance_l1")}
+    phases = trials[0].phases()
+    evaluated = np.flatnonzero(phases[:, -1] == EVALUATE)
+    measured = {
+        name: np.stack([progress.rows[index][name] for index in evaluated], axis=1)
+        for name in ("success", "distance_l1")
+    }
     final, curves, diverged = split_sweep((final, measured, _diverged(progress.states)), len(trials))
-    steps = env_steps(env, trials[0].config, schedule(trials[0].config)).cumsum()
+    steps = env_steps(env, trials[0].config, phases).cumsum()[evaluated]
     return [
         {
+            "rounds": evaluated.tolist(),
             "env_steps": steps.tolist(),
             "success": curves["success"][index].T.tolist(),
             "distance_l1": curves["distance_l1"][index].T.tolist(),
@@ -139,7 +145,7 @@ class _Progress:
 
     states: TrainState
     rows: list[dict[str, list[float]]] = dataclasses.field(default_factory=list)
-    """What each round measured of each state."""
+    """What each round measured of each state; success and distance only where it was evaluated."""
     seconds: float = 0.0
     """Time spent in the rounds."""
 
@@ -164,17 +170,14 @@ def _train(
     stop: threading.Event | None = None,
 ) -> None:
     """Takes `progress` through the rounds left, or until `stop`, with a checkpoint now and then."""
-    phases = schedule(trials[0].config)
+    phases = trials[0].phases()
     started, saved = time.perf_counter() - progress.seconds, time.perf_counter()
     label = f"{len(trials)} × {trials[0].seeds}"
     for row in tqdm(phases[len(progress.rows) :], initial=len(progress.rows), total=len(phases), desc=label):
         progress.states, metrics = step(progress.states, row)
-        measured = {
-            "success": metrics.evaluation.success,
-            "distance_l1": metrics.evaluation.distance_l1,
-            "dropped": metrics.dropped,
-            "overflow": metrics.overflow,
-        }
+        measured = {"dropped": metrics.dropped, "overflow": metrics.overflow}
+        if row[-1] == EVALUATE:
+            measured |= {name: getattr(metrics.evaluation, name) for name in ("success", "distance_l1")}
         progress.rows.append({name: np.asarray(values).tolist() for name, values in measured.items()})
         progress.seconds = time.perf_counter() - started
         stopping = stop is not None and stop.is_set()

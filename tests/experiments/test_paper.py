@@ -16,6 +16,7 @@ from sweep import programs, train_program
 
 import envs
 from hgail_jax import PRESETS, env_steps, load_demonstrations, schedule
+from hgail_jax.train import EVALUATE
 
 QUICK = ["--quick", "--seeds", "3"]
 BY_NAME = {study.name: study for study in STUDIES}
@@ -42,6 +43,7 @@ def results_of(trials):
         found.append(
             curve
             | {
+                "rounds": list(range(len(steps))),
                 "env_steps": steps.tolist(),
                 "final": {name: rng.uniform(size=trial.seeds).tolist() for name in names},
                 "evaluation_episodes": 8,
@@ -96,7 +98,7 @@ def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
     stopped.set()
     assert train_program(env, trials, None, tmp_path / "parts", stopped) is None  # after a round
     (resumed, *_) = train_program(env, trials, None, tmp_path / "parts", threading.Event())
-    for name in ("env_steps", "success", "distance_l1", "final"):
+    for name in ("rounds", "env_steps", "success", "distance_l1", "final"):
         assert resumed[name] == whole[name]
 
 
@@ -234,6 +236,13 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
         assert trial.setting.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
     for trial in trials_of(BY_NAME["table1-longer"], task, platform):
         assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
+
+
+def test_longer_settings_are_evaluated_as_often_in_all_and_at_the_end():
+    for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
+        evaluated = np.flatnonzero(trial.phases()[:, -1] == EVALUATE)
+        assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]
+        np.testing.assert_array_equal(trial.phases()[:, :-1], schedule(trial.config)[:, :-1])
 
 
 def test_settings_that_differ_in_numbers_alone_share_a_program():
