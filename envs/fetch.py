@@ -170,7 +170,7 @@ class FetchEnv(GoalEnv):
         return data if grip is None else data.replace(ctrl=physics.qpos[self._finger_qpos] + grip)
 
     def _run(self, data: mjx.Data) -> mjx.Data:
-        """Takes `substeps` physics steps, a number that the compiler knows: else a GPU waits for the host at each."""
+        """Takes `substeps` physics steps: a constant of the program, or a GPU would wait for the host each time."""
         return jax.lax.fori_loop(0, self.substeps, lambda _, data: _engine_step(self.engine_model, data), data)
 
     def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
@@ -196,13 +196,13 @@ def _as_constant(values: np.ndarray) -> jax.Array:
 def make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
     """Returns what a step starts from before anything is set, as NumPy arrays; `sizes` is from `buffer_sizes`.
 
-    MJX-Warp leaves what it would note of islands uninitialised. Zeros there make two processes compile the same
-    program, so that the second finds it in the cache.
+    MJX-Warp leaves what it would note of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make
+    two processes compile the same program, so that the second finds it in the cache.
     """
 
     def initialised(path, values):
         name = jax.tree_util.keystr(path[-1:], simple=True)
-        return np.zeros_like(values) if re.search("island|idof|iefc", name) else np.asarray(values)
+        return np.zeros_like(values) if re.search("island|idof|iefc|jtdaj", name) else np.asarray(values)
 
     return jax.tree_util.tree_map_with_path(initialised, mjx.make_data(model, impl=impl, **sizes))
 

@@ -29,7 +29,7 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
     start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
 
     def advance():
-        for _ in range(int(env.substeps)):
+        for _ in range(env.substeps):
             mujoco_warp.step(model, data)
 
     def begin(time):
@@ -59,7 +59,7 @@ def measure_native(env: FetchEnv, physics: FetchPhysics, controls: dict[str, jax
     return {
         "bare_warp_env_steps_per_second": num_envs * env.episode_length / seconds,
         "kernels_per_substep": kernels,
-        "launch_floor_env_steps_per_second": num_envs / (kernels * _KERNEL_SECONDS * int(env.substeps)),
+        "launch_floor_env_steps_per_second": num_envs / (kernels * _KERNEL_SECONDS * env.substeps),
     }
 
 

@@ -81,13 +81,13 @@ def curve_rows(task: str, study: Study, results: list[dict]) -> list[dict]:
             "setting": setting.name,
             "panel": setting.panel,
             "seed": seed,
-            "round": index,
+            "round": number,
             "env_steps": steps,
             "success": success[seed],
             "distance": distance[seed],
         }
         for setting, result in zip(study.settings, results, strict=True)
-        for index, steps, success, distance in zip(
+        for number, steps, success, distance in zip(
             *(result[name] for name in ("rounds", "env_steps", "success", "distance_l1")), strict=True
         )
         for seed in range(len(success))

@@ -85,7 +85,10 @@ def measure_rollout(size: Size) -> dict[str, float]:
 
 
 def measure_training(size: Size, each_phase: bool) -> dict[str, float]:
-    """Times the phases of a round that learn, PPO and discriminator as often as by default, and each kind of phase."""
+    """Times the phases of a round that learn, PPO and discriminator as often as by default.
+
+    Where `each_phase`, each kind of phase alone as well.
+    """
     training = Training(size)
     phases = training.updates()
     measured = {

@@ -85,7 +85,7 @@ class Trial:
     def phases(self) -> np.ndarray:
         """Returns the schedule. Of a setting that takes k times the steps every k-th round is evaluated, and the last.
 
-        An evaluation costs as much as a roll-out to learn from, and a curve needs no more points for being longer.
+        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training.
         """
         rows = schedule(self.config)
         rows[np.arange(len(rows)) % self.setting.steps > 0, -1] = SKIP

@@ -36,7 +36,7 @@ def programs(trials: Iterable[Trial]) -> list[list[Trial]]:
     """Returns the trials in groups that one compiled program trains, in the order in which each group first comes."""
     groups: dict[Any, list[Trial]] = {}
     for trial in trials:
-        groups.setdefault((trial.config, trial.demonstrations_sha256), []).append(trial)
+        groups.setdefault((trial.config, trial.setting.steps, trial.demonstrations_sha256), []).append(trial)
     return list(groups.values())
 
 

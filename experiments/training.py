@@ -120,6 +120,7 @@ def train(
     if _stopped(stop):
         return None
     started = time.perf_counter()
+    print("evaluating ...", flush=True)
     final = evaluate_seeds(run.env, run.config, progress.states, run.evaluation_episodes, run.mesh)
     timing = {
         "compile": compile_seconds,

@@ -37,7 +37,9 @@ def _made_by(summary: dict) -> dict:
 
 
 def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:
-    """Compiles a run's program three times; returns a row and what made it.
+    """Compiles the program that a run trains with three times; returns a row and what made it.
+
+    The totals are those of whole runs without rounds, and hold the compilation of the final evaluation too.
 
     At `first` nothing is cached; MuJoCo Warp then compiles its kernels when the program first runs, so that they count
     in the total alone. At `cold` they are there and the program is not, at `cached` both are.

@@ -16,7 +16,7 @@ from hgail_jax.rollout import rollout
 from hgail_jax.samples import Samples
 from hgail_jax.sharding import ALONG_SEEDS, ENVS, EVERYWHERE, per_device
 from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import RoundMetrics, train_step
+from hgail_jax.train import RoundMetrics, evaluation_rng, train_step
 from hgail_jax.updates import act
 from hgail_jax.validation import check_count
 
@@ -142,7 +142,7 @@ def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any,
       function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
         over seeds.
       given: how the arrays are laid out.
-      returned: how the results are to be.
+      returned: how the results are laid out: along the seeds, or whole on each device.
       options: of `jax.jit`.
 
     """
@@ -183,15 +183,17 @@ def evaluate_seeds(
             return mean_outcome(trajectory), trajectory.overflow.any()
 
         def of_seed(state):
-            return jax.lax.map(functools.partial(roll_out, state), jax.random.split(state.rng, rollouts))
+            rngs = jax.random.split(evaluation_rng(state), rollouts)
+            outcomes, overflow = jax.lax.map(functools.partial(roll_out, state), rngs)
+            return jax.tree.map(jnp.mean, outcomes), overflow.any()
 
         return jax.vmap(of_seed)(states)
 
     lowered = _jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE).lower(states)
-    outcomes, overflow = lowered.compile(compiler_options=compiler_options())(states)
-    if np.any(overflow):
+    outcome, overflow = jax.tree.map(np.asarray, lowered.compile(compiler_options=compiler_options())(states))
+    if overflow.any():
         raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
-    return jax.tree.map(lambda means: np.mean(means, axis=1), outcomes)
+    return outcome
 
 
 def evaluation_episodes(config: Config, num_episodes: int) -> int:

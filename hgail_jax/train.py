@@ -101,13 +101,21 @@ def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
     return _masked_mean(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
 
 
+def evaluation_rng(state: TrainState) -> jax.Array:
+    """Returns the key of an evaluation of `state`, apart from those of its training, in which it changes nothing."""
+    return jax.random.fold_in(state.rng, 1)
+
+
 def _run_phase(env: GoalEnv, config: Config, axis: str | None, state: TrainState, phase: jax.Array):
     def skip(state):
         return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()), jnp.zeros(()), jnp.zeros(()))
 
     def run(state):
-        rng, rollout_rng, update_rng = jax.random.split(state.rng, 3)
         evaluating = phase == EVALUATE
+        rng, own_rng = jax.lax.cond(
+            evaluating, lambda: (state.rng, evaluation_rng(state)), lambda: tuple(jax.random.split(state.rng))
+        )
+        rollout_rng, update_rng = jax.random.split(own_rng)
         task = env.exploring(~evaluating if config.explore else False)
         policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating, axis=axis)

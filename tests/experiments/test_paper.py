@@ -69,7 +69,9 @@ def trained(monkeypatch):
 
 def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
     study = BY_NAME["rewards"]
-    with_pretraining = tuple(setting for setting in study.settings if setting.panel == "with pre-training")
+    with_pretraining = tuple(
+        dataclasses.replace(setting, steps=1) for setting in study.settings if setting.panel == "with pre-training"
+    )
     monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=with_pretraining),))
     paper.main(["--quick", "--figure", "7", "--out", str(tmp_path)])
     rows = read(tmp_path / "rewards-point.csv")
@@ -81,8 +83,8 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
     curves = read(tmp_path / "figure7-point.csv")
     last = [row for row in curves if row["env_steps"] == rows[0]["env_steps_per_seed"]]
     assert {row["seed"] for row in last} == {"0", "1"}
-    # r4 is r3 by algebra, so nothing but rounding may tell them apart
-    first = {row["setting"]: float(row["distance"]) for row in curves if row["round"] == "3" and row["seed"] == "0"}
+    # r4 is r3 by algebra, so nothing but rounding may tell them apart before many updates have been made
+    first = {row["setting"]: float(row["distance"]) for row in curves if row["round"] == "1" and row["seed"] == "0"}
     assert first["r3"] == pytest.approx(first["r4"], rel=0.05)
     said = json.loads((tmp_path / "rewards-point.json").read_text())
     assert said["hash"] == hash_json(said["settings"])
@@ -238,7 +240,7 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
         assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
 
 
-def test_longer_settings_are_evaluated_as_often_in_all_and_at_the_end():
+def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_round_and_the_last():
     for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
         evaluated = np.flatnonzero(trial.phases()[:, -1] == EVALUATE)
         assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]

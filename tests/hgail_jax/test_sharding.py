@@ -91,6 +91,8 @@ def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path):
     assert start(tmp_path / "single").wait(timeout=300) == 0
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
+    pair, single = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("pair", "single"))
+    np.testing.assert_allclose(pair["distance_l1"]["mean"], single["distance_l1"]["mean"], rtol=1e-3)
     assert sorted(path.name for path in (tmp_path / "pair" / "checkpoints").iterdir()) == ["1", "2"]
 
 

@@ -17,7 +17,7 @@ from hgail_jax.evaluate import evaluate
 from hgail_jax.parallel import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
 from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
-from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, evaluation_rng
 from hgail_jax.updates import act, pretrain, update_discriminator, update_policy
 
 ENV = envs.make("point")
@@ -59,15 +59,30 @@ def test_every_episode_has_goals_of_its_own():
     assert len(np.unique(goals[:, 0])) == 12
 
 
-def test_a_round_draws_new_goals_in_each_phase(monkeypatch):
-    """Statistics of the goals differ between two phases of the same kind."""
-    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
-    width = PHASES.shape[1]
+class Still(Point):
+    """A point that nothing moves, so that distances are those of the goals."""
+
+    def step_physics(self, physics, action):
+        return physics
+
+
+def test_phases_draw_new_goals():
+    step = jax.jit(functools.partial(train_step, Still(), TINY))
+    state = init_state(Still(), TINY, Hyperparameters(), jax.random.key(0))
     distances = []
-    for _ in range(2):
-        state, metrics = tiny_step(state, np.array([EVALUATE] + [SKIP] * (width - 1)))
-        distances.append(float(metrics.evaluation.distance_l1))
-    assert distances[0] != distances[1]
+    for phase in (DISCRIMINATOR, DISCRIMINATOR, EVALUATE):
+        state, metrics = step(state, np.array([phase] + [SKIP] * (PHASES.shape[1] - 1)))
+        measured = metrics.evaluation if phase == EVALUATE else metrics.training
+        distances.append(float(measured.distance_l1))
+    assert len(set(distances)) == 3
+
+
+def test_an_evaluation_changes_nothing_in_the_training():
+    state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
+    with_one, without = (
+        tiny_step(state, np.array([PRETRAIN, POLICY, phase, DISCRIMINATOR, SKIP]))[0] for phase in (EVALUATE, SKIP)
+    )
+    assert_equal(with_one, without, rtol=0, atol=0)
 
 
 def test_seeds_side_by_side_equal_seeds_alone():
@@ -128,7 +143,7 @@ def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
     after, _ = tiny_step(state, np.array([phase] + [SKIP] * (PHASES.shape[1] - 1)))
     for name in ("actor_critic", "discriminator", "statistics"):
         assert changed(state, after, name) == (name in learns)
-    assert np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(after.rng)) == (phase == SKIP)
+    assert np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(after.rng)) == (phase in (SKIP, EVALUATE))
 
 
 def test_schedule_and_its_steps():
@@ -163,7 +178,8 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
         for seed in range(2):
             state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)
             policy = act(env, TINY, state, noise=0.0)
-            alone = [evaluate(env.accurate(), policy, rng, 4) for rng in jax.random.split(state.rng, rollouts)]
+            rngs = jax.random.split(evaluation_rng(state), rollouts)
+            alone = [evaluate(env.accurate(), policy, rng, 4) for rng in rngs]
             expected = np.mean([outcome.distance_l1 for outcome in alone])
             np.testing.assert_allclose(measured.distance_l1[seed], expected, rtol=1e-4)
 
