@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
             raise ValueError(f"the policy is for {policy.task!r}, not for {options.task!r}")
     except (ValueError, OSError) as error:
         fail("play.py", error, 2)
-    if options.out is None and "DISPLAY" in os.environ:
+    if options.out is None and os.environ.get("DISPLAY"):
         outcomes = show(env, policy, options.episodes, options.seed)
     else:
         path = options.out or Path(f"{options.task}.mp4")

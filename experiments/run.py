@@ -310,7 +310,8 @@ def report(summary: dict, folder: Path) -> None:
         f"success {success['mean']:.3f} ± {success['std']:.3f} (worst seed {min(success['per_seed']):.3f}), "
         f"L1 distance {distance['mean']:.3f} m, {summary['env_steps_per_seed']:,} env steps per seed\n"
         f"compile {seconds['compile']:.1f} s, train {seconds['train']:.1f} s at "
-        f"{summary['env_steps_per_second']:,.0f} env steps/s, total {seconds['total']:.1f} s -> {folder}"
+        f"{summary['env_steps_per_second']:,.0f} env steps/s, evaluate {seconds['evaluation']:.1f} s, "
+        f"total {seconds['total']:.1f} s -> {folder}"
     )
 
 

@@ -120,7 +120,7 @@ def train(
     if _stopped(stop):
         return None
     started = time.perf_counter()
-    print("evaluating ...", flush=True)
+    print("compiling and running the final evaluation ...", flush=True)
     final = evaluate_seeds(run.env, run.config, progress.states, run.evaluation_episodes, run.mesh)
     timing = {
         "compile": compile_seconds,
