@@ -114,7 +114,7 @@ class FetchEnv(GoalEnv):
         self.model.opt.timestep = CONTROL_PERIOD / substeps
         self.engine_model = mjx.put_model(self.model, impl=self.impl)
         sizes = buffer_sizes(self.model, worlds) if self.impl == "warp" else {}
-        self._blank_data = make_blank_data(self.model, self.impl, sizes)
+        self._blank_data = _make_blank_data(self.model, self.impl, sizes)
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
@@ -193,7 +193,7 @@ def _as_constant(values: np.ndarray) -> jax.Array:
     return jnp.asarray(values)
 
 
-def make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
+def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
     """Returns what a step starts from before anything is set, as NumPy arrays; `sizes` is from `buffer_sizes`.
 
     MJX-Warp leaves what it would note of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from hgail_jax.parallel import compiler_options
+from hgail_jax.parallel import compile_program
 
 _ENOUGH_SECONDS = 4.0
 _MOST_CALLS = 50
@@ -19,10 +19,10 @@ _MULTIPLIED = 2**12  # rows and columns
 _QUICK_MULTIPLIED = 2**8
 
 
-def compile_timed(function: Callable, *arguments: Any, **jit_options: Any) -> tuple[Callable, float]:
+def compile_timed(function: Callable, *arguments: Any) -> tuple[Callable, float]:
     """Returns `function` compiled for `arguments`, with the options of training, and the seconds that this took."""
     started = time.perf_counter()
-    compiled = jax.jit(function, **jit_options).lower(*arguments).compile(compiler_options=compiler_options())
+    compiled = compile_program(jax.jit(function), *arguments)
     return compiled, time.perf_counter() - started
 
 

@@ -118,11 +118,11 @@ def compile_train_step(
       A function of states and a row of phases to new states and metrics, each with an axis over seeds.
 
     """
-    return _compile(_jit_train_step(env, config, mesh), states, phases)
+    return compile_program(_jit_train_step(env, config, mesh), states, phases)
 
 
-def _compile(jitted: Any, *arguments: Any) -> Any:
-    """Compiles a jitted function for arguments of these shapes.
+def compile_program(jitted: Any, *arguments: Any) -> Any:
+    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes.
 
     Tracing makes millions of objects, hardly any of them garbage; without a search for it, it takes a sixth less time.
     """
@@ -133,11 +133,10 @@ def _compile(jitted: Any, *arguments: Any) -> Any:
     finally:
         if enabled:
             gc.enable()
-    return lowered.compile(compiler_options=compiler_options())
+    return lowered.compile(compiler_options=_compiler_options())
 
 
-def compiler_options() -> dict[str, Any] | None:
-    """Returns the options that programs with physics in them are compiled with on this platform."""
+def _compiler_options() -> dict[str, Any] | None:
     if jax.default_backend() != "gpu":
         return None
     return {"xla_gpu_autotune_level": 0, "xla_backend_optimization_level": 1}
@@ -205,7 +204,7 @@ def evaluate_seeds(
 
         return jax.vmap(of_seed)(states)
 
-    compiled = _compile(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE), states)
+    compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE), states)
     outcome, overflow = jax.tree.map(np.asarray, compiled(states))
     if overflow.any():
         raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
