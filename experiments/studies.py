@@ -206,6 +206,21 @@ _LONGER = Study(
     table=1,
     figure=3,
 )
+_LIKELIHOOD = Study(
+    "likelihood",
+    f"GAIL-demo ({PAPER_DEMONSTRATIONS}), weights of the likelihood other than its 1",
+    tuple(
+        Setting(
+            f"weight {weight:g}",
+            method="gail-demo",
+            hyperparameters={"likelihood_weight": weight},
+            demonstrations=PAPER_DEMONSTRATIONS,
+            paper=_GAIL_DEMO,
+        )
+        for weight in (3.0, 10.0)
+    ),
+    table=1,
+)
 _CURRICULUM = Study(
     "table2",
     "curriculum",
@@ -255,7 +270,7 @@ _ABLATIONS = Study(
         ),
     ),
 )
-STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS)
+STUDIES = (_METHODS, _LIKELIHOOD, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS)
 """Every study. Of grasp the paper has table 1 alone."""
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}
 """Titles by the paper's number."""

@@ -107,7 +107,7 @@ def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
 def test_every_study_writes_its_files(tmp_path, trained):
     paper.main([*QUICK, "--all", "--out", str(tmp_path)])
     names = {path.name for path in tmp_path.iterdir()} - {"parts", "demonstrations"}
-    tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations")
+    tables = ("table1", "likelihood", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations")
     expected = {f"{name}-point.{ending}" for name in tables for ending in ("csv", "md", "json")}
     expected |= {f"figure{number}{ending}" for number in range(3, 8) for ending in ("-point.csv", ".png")}
     assert names == expected | {"figure3-longer-point.csv"}
@@ -254,6 +254,7 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert len({trial.key() for trial in sweep}) == len(sweep)
     assert len(programs(trials_of(BY_NAME["p_ht"], "reach"))) == 2  # with and without pre-training
     assert len(programs(trials_of(BY_NAME["table2"], "reach"))) == 4
+    assert len(programs(trials_of(BY_NAME["likelihood"], "reach"))) == 1
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
