@@ -4,14 +4,18 @@ MJX's kinematics visit all bodies, level by level, in hundreds of small operatio
 numbers, which XLA fuses into a few.
 """
 
-from typing import NamedTuple
+import functools
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-_Numbers = tuple  # of scalars, each a number or an array `[]`: 3 of a vector, 4 of a quaternion
+_Number = Any  # a float, which is a constant, or an array `[]`
+_Numbers = Sequence  # of these: 3 of a vector, 4 of a quaternion
 
 
 class Pose(NamedTuple):
@@ -63,21 +67,21 @@ class Chain:
         position: _Numbers = (0.0, 0.0, 0.0)
         quaternion: _Numbers = (1.0, 0.0, 0.0, 0.0)
         for body in self._bodies:
-            position = _add(position, _rotate(quaternion, model.body_pos[body]))
+            position = _add(position, _rotate(quaternion, _numbers(model.body_pos[body])))
             quaternion = _multiply(quaternion, _numbers(model.body_quat[body]))
             first = int(model.body_jntadr[body])
             for joint in range(first, first + int(model.body_jntnum[body])):
                 address = int(model.jnt_qposadr[joint])
-                value, axis = qpos[address] - float(model.qpos0[address]), _numbers(model.jnt_axis[joint])
+                value = _sum(qpos[address], -float(model.qpos0[address]))
+                axis, offset = _numbers(model.jnt_axis[joint]), _numbers(model.jnt_pos[joint])
                 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-                    position = _add(position, _rotate(quaternion, axis, value))
+                    position = _add(position, _rotate(quaternion, _scale(value, axis)))
                     continue
-                anchor = _add(position, _rotate(quaternion, model.jnt_pos[joint]))
-                half = jnp.sin(0.5 * value)
-                turn = (jnp.cos(0.5 * value), *(half * component for component in axis))
+                anchor = _add(position, _rotate(quaternion, offset))
+                turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
-                position = _add(anchor, _rotate(quaternion, model.jnt_pos[joint], -1.0))
-        site = _add(position, _rotate(quaternion, model.site_pos[self._site]))
+                position = _subtract(anchor, _rotate(quaternion, offset))
+        site = _add(position, _rotate(quaternion, _numbers(model.site_pos[self._site])))
         return jnp.stack(site), jnp.stack(position), jnp.stack(quaternion)
 
 
@@ -85,26 +89,62 @@ def _numbers(array: np.ndarray) -> _Numbers:
     return tuple(float(value) for value in array)
 
 
+def _product(one: _Number, other: _Number) -> _Number:
+    """Multiplies; where a factor is the constant 0 or 1 there is nothing for the program to do."""
+    for factor, rest in ((one, other), (other, one)):
+        if isinstance(factor, float) and factor in (0.0, 1.0):
+            return rest if factor else 0.0
+    return one * other
+
+
+def _sum(*terms: _Number) -> _Number:
+    """Adds, leaving out constant zeros."""
+    kept = [term for term in terms if not _is_zero(term)]
+    return functools.reduce(operator.add, kept) if kept else 0.0
+
+
+def _difference(one: _Number, other: _Number) -> _Number:
+    """Subtracts, leaving out constant zeros."""
+    if _is_zero(other):
+        return one
+    return -other if _is_zero(one) else one - other
+
+
+def _is_zero(number: _Number) -> bool:
+    return isinstance(number, float) and number == 0.0
+
+
+def _scale(factor: _Number, vector: _Numbers) -> _Numbers:
+    return tuple(_product(factor, component) for component in vector)
+
+
 def _add(one: _Numbers, other: _Numbers) -> _Numbers:
-    return tuple(a + b for a, b in zip(one, other, strict=True))
+    return tuple(map(_sum, one, other))
+
+
+def _subtract(one: _Numbers, other: _Numbers) -> _Numbers:
+    return tuple(map(_difference, one, other))
+
+
+def _cross(one: _Numbers, other: _Numbers) -> _Numbers:
+    a, b, c = one
+    d, e, f = other
+    return (
+        _difference(_product(b, f), _product(c, e)),
+        _difference(_product(c, d), _product(a, f)),
+        _difference(_product(a, e), _product(b, d)),
+    )
 
 
 def _multiply(one: _Numbers, other: _Numbers) -> _Numbers:
     """Hamilton's product of two quaternions."""
-    a, b, c, d = one
-    e, f, g, h = other
-    return (
-        a * e - b * f - c * g - d * h,
-        a * f + b * e + c * h - d * g,
-        a * g - b * h + c * e + d * f,
-        a * h + b * g - c * f + d * e,
-    )
+    (a, *u), (b, *v) = one, other
+    dot = _sum(*map(_product, u, v))
+    return (_difference(_product(a, b), dot), *_add(_add(_scale(a, v), _scale(b, u)), _cross(u, v)))
 
 
-def _rotate(quaternion: _Numbers, vector: np.ndarray | _Numbers, scale: jax.Array | float = 1.0) -> _Numbers:
-    """Returns a constant vector, times `scale`, turned by a quaternion."""
-    if not np.any(vector):
-        return (0.0, 0.0, 0.0)
-    inverse = (quaternion[0], *(-component for component in quaternion[1:]))
-    turned = _multiply(_multiply(quaternion, (0.0, *(scale * float(value) for value in vector))), inverse)
-    return turned[1:]
+def _rotate(quaternion: _Numbers, vector: _Numbers) -> _Numbers:
+    """Returns a vector turned by a quaternion of length 1, by Rodrigues' formula."""
+    real, *imaginary = quaternion
+    twice = _scale(2.0, _cross(imaginary, vector))
+    return _add(vector, _add(_scale(real, twice), _cross(imaginary, twice)))

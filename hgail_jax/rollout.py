@@ -66,7 +66,7 @@ def rollout(
     reset_rng, act_rng = jax.random.split(rng)
     reset_rngs = own_part(jax.random.split(reset_rng, num_envs), axis)
     num_envs = len(reset_rngs)
-    state = _depend_on(reset_rng, jax.vmap(env.reset)(reset_rngs))
+    state, action = _depend_on(reset_rng, (jax.vmap(env.reset)(reset_rngs), jnp.zeros((num_envs, env.action_size))))
     length = env.episode_length + env.probe_length
 
     def take(carry, rng, time):
@@ -88,7 +88,7 @@ def rollout(
             return take(carry, rng, time)
         return jax.lax.cond(probe | (time < env.episode_length), take, stay, carry, rng, time)
 
-    start = (state, jnp.zeros((num_envs, env.action_size)), state)
+    start = (state, action, state)
     (probed, _, end), steps = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
     info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], steps)
     info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
