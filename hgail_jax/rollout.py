@@ -1,5 +1,6 @@
 """Runs a policy for one episode in many environments at once."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from envs import EpisodeMetrics, GoalEnv
+from envs import EpisodeMetrics, GoalEnv, State
 from hgail_jax.sharding import gather, own_part
 from hgail_jax.validation import check_count
 
@@ -66,32 +67,18 @@ def rollout(
     reset_rng, act_rng = jax.random.split(rng)
     reset_rngs = own_part(jax.random.split(reset_rng, num_envs), axis)
     num_envs = len(reset_rngs)
-    state, action = _depend_on(reset_rng, (jax.vmap(env.reset)(reset_rngs), jnp.zeros((num_envs, env.action_size))))
-    length = env.episode_length + env.probe_length
+    start = _depend_on(reset_rng, jax.vmap(env.reset)(reset_rngs))
 
-    def take(carry, rng, time):
-        state, action, end = carry
-        chosen, log_prob = policy(state.obs, rng)
-        action = jnp.where(time < env.episode_length, chosen, jax.vmap(env.probe_action)(action))
+    def step(state, rng):
+        action, log_prob = policy(state.obs, rng)
         following = jax.vmap(env.step)(state, action)
-        end = jax.tree.map(lambda new, old: jnp.where(time < env.episode_length, new, old), following, end)
-        return (following, action, end), (state.info, action, log_prob, following.reward)
+        return following, (state.info, action, log_prob, following.reward)
 
-    def stay(carry, rng, time):
-        del rng, time
-        state, action, _ = carry
-        return carry, (state.info, action, jnp.zeros(num_envs), state.reward)
-
-    def step(carry, inputs):
-        rng, time = inputs
-        if not env.probe_length:
-            return take(carry, rng, time)
-        return jax.lax.cond(probe | (time < env.episode_length), take, stay, carry, rng, time)
-
-    start = (state, action, state)
-    (probed, _, end), steps = jax.lax.scan(step, start, (jax.random.split(act_rng, length), jnp.arange(length)))
-    info, action, log_prob, reward = jax.tree.map(lambda values: values[: env.episode_length], steps)
+    end, (info, action, log_prob, reward) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
     info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
+    probed = end
+    if env.probe_length and probe is not False:
+        probed = jax.lax.cond(probe, functools.partial(_probe, env), lambda end, _: end, end, action[-1])
     outcome = jax.vmap(env.outcome)(end, probed)
     sound = _is_sound(env, info) & _is_finite((action.swapaxes(0, 1), end.pipeline_state, outcome), num_envs)
     seen = Trajectory(
@@ -110,6 +97,17 @@ def rollout(
         **{name: gather(values, axis, along=int(name not in of_episodes)) for name, values in vars(seen).items()}
     )
     return _blank(whole, ~whole.sound)
+
+
+def _probe(env: GoalEnv, end: State, action: jax.Array) -> State:
+    """Returns the states that the task's probe leads to, from the last states and actions of episodes, `[N, ...]`."""
+
+    def step(_, carry):
+        state, action = carry
+        action = jax.vmap(env.probe_action)(action)
+        return jax.vmap(env.step)(state, action), action
+
+    return jax.lax.fori_loop(0, env.probe_length, step, (end, action))[0]
 
 
 def _is_sound(env: GoalEnv, info: dict[str, jax.Array]) -> jax.Array:
