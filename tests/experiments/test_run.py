@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import run
+from defaults import EVALUATION_EPISODES
 from run_folder import newest_folder, next_folder, write_json, write_metrics
 
 from hgail_jax import load_policy
@@ -21,6 +22,14 @@ TINY = ["--seeds", "2", "--num-envs", "2", "--iterations", "1"]
 def in_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_episodes():
+    """Evaluates in 4 episodes: with two environments at a time, more of them take longer than all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(EVALUATION_EPISODES, "cpu", 4)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +59,7 @@ def test_summary_says_what_was_reached_and_what_made_it(reach_run):
     assert summary["env_steps_per_seed"] == 7 * 2 * 50  # pre-training and six phases of one round
     assert set(summary["wall_seconds"]) >= {"compile", "train", "total"}
     assert summary["env_steps_per_second"] > 0
-    assert summary["evaluation_episodes_per_seed"] == 128
+    assert summary["evaluation_episodes_per_seed"] == 4
     assert summary["device"]["platform"] == "cpu"
     assert summary["versions"]["mujoco"] == summary["versions"]["mujoco-mjx"] == "3.11.0"
 
