@@ -103,8 +103,11 @@ class GoalEnv(Env):
         return action
 
     def outcome(self, end: State, probed: State) -> EpisodeMetrics:
-        """Measures an episode by its last state, `end`, and by the state at the end of the probe, `probed`."""
-        del probed  # the same as `end` in a task without a probe
+        """Measures an episode by its last state, `end`, and by the state at the end of the probe, `probed`.
+
+        Without a probe `probed` is `end`; so it is in roll-outs to learn from, of any task.
+        """
+        del probed
         achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
         reached = self.success(achieved, desired).astype(jnp.float32)
         return self.measure(achieved, desired).replace(success=reached, achieved=reached)

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 _Number = Any  # a float, which is a constant, or an array `[]`
-_Numbers = Sequence  # of these: 3 of a vector, 4 of a quaternion
+_Numbers = Sequence[_Number]  # 3 of a vector, 4 of a quaternion
 
 
 class Pose(NamedTuple):
@@ -72,7 +72,7 @@ class Chain:
             first = int(model.body_jntadr[body])
             for joint in range(first, first + int(model.body_jntnum[body])):
                 address = int(model.jnt_qposadr[joint])
-                value = _sum(qpos[address], -float(model.qpos0[address]))
+                value = _difference(qpos[address], float(model.qpos0[address]))
                 axis, offset = _numbers(model.jnt_axis[joint]), _numbers(model.jnt_pos[joint])
                 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
                     position = _add(position, _rotate(quaternion, _scale(value, axis)))

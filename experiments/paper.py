@@ -33,7 +33,8 @@ class Options:
     """Makes the paper's tables and figures. What is there already is left as it is."""
 
     table: tuple[Literal[1, 2, 3], ...] = ()
-    """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
+    """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each.
+    Weights of GAIL-demo's likelihood are part of 1."""
     figure: tuple[Literal[3, 4, 5, 6, 7], ...] = ()
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
     ablations: bool = False

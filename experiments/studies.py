@@ -49,7 +49,7 @@ class Study:
     title: str
     settings: tuple[Setting, ...]
     table: int | None = None
-    """The paper's number."""
+    """The paper's number; more than one study may belong to it."""
     figure: int | None = None
     """The paper's number."""
 
@@ -270,8 +270,8 @@ _ABLATIONS = Study(
         ),
     ),
 )
-STUDIES = (_METHODS, _LIKELIHOOD, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS)
-"""Every study. Of grasp the paper has table 1 alone."""
+STUDIES = (_METHODS, _LONGER, _LIKELIHOOD, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS)
+"""Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}
 """Titles by the paper's number."""
 

@@ -54,7 +54,7 @@ def rollout(
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
 
     Where `probe`, which may be traced, the episodes' outcome takes the task's probe into account: `env.probe_length`
-    further steps, which are no part of the trajectory. Without it a task with a probe counts no success.
+    further steps, which are no part of the trajectory. Without it the outcome is that of a probe that changed nothing.
 
     Within a `jax.shard_map` whose mesh axis `axis` names, each device steps its part of the environments, asks `policy`
     for their actions alone, and returns the trajectory of all of them.
@@ -80,7 +80,8 @@ def rollout(
     if env.probe_length and probe is not False:
         probed = jax.lax.cond(probe, functools.partial(_probe, env), lambda end, _: end, end, action[-1])
     outcome = jax.vmap(env.outcome)(end, probed)
-    sound = _is_sound(env, info) & _is_finite((action.swapaxes(0, 1), end.pipeline_state, outcome), num_envs)
+    of_episodes = (action.swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome)
+    sound = _is_sound(env, info) & _is_finite(of_episodes, num_envs)
     seen = Trajectory(
         features=info["observation"],
         achieved=info["achieved_goal"],
@@ -92,9 +93,9 @@ def rollout(
         overflow=jax.vmap(env.overflow)(probed.pipeline_state),
         outcome=outcome,
     )
-    of_episodes = ("sound", "overflow", "outcome")  # the others have time for their first axis
+    without_time = ("sound", "overflow", "outcome")
     whole = seen.replace(
-        **{name: gather(values, axis, along=int(name not in of_episodes)) for name, values in vars(seen).items()}
+        **{name: gather(values, axis, along=int(name not in without_time)) for name, values in vars(seen).items()}
     )
     return _blank(whole, ~whole.sound)
 

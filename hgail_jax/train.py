@@ -1,7 +1,7 @@
 """The training step: one round of Algorithm 2 as a pure function.
 
 A round is a row of phases, each of which is one roll-out and what is done with it. A scan over the phases runs them,
-so the physics is traced and compiled once whatever the round holds, and `schedule` lists the rounds of a whole run:
+so the roll-out is traced and compiled once whatever the round holds, and `schedule` lists the rounds of a whole run:
 
     state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
 """

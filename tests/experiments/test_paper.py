@@ -257,6 +257,16 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert len(programs(trials_of(BY_NAME["likelihood"], "reach"))) == 1
 
 
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_weights_of_the_likelihood_are_those_of_their_names(task):
+    trials = trials_of(BY_NAME["likelihood"], task)
+    assert [trial.hyperparameters.likelihood_weight for trial in trials] == [3.0, 10.0]
+    assert [trial.setting.name for trial in trials] == ["weight 3", "weight 10"]
+    assert all(trial.config.likelihood_batch > 0 for trial in trials)
+    usual = trials_of(BY_NAME["table1"], task)[0]
+    assert (usual.setting.method, usual.hyperparameters.likelihood_weight) == ("gail-demo", 1.0)
+
+
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
     assert sizes("reach", "gpu", preset="paper").preset.config == dataclasses.replace(
         PRESETS["paper"].config, best_episodes=256

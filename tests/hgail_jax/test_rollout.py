@@ -6,42 +6,105 @@ import pytest
 from envs.point import Point
 from hgail_jax import rollout
 
+NUM_ENVS = 16
+
 
 class Probed(Point):
-    """The point, measured where three further steps, each with half the action before it, bring it."""
+    """The point, measured where three further steps bring it; out of room where its x is negative then."""
 
     probe_length = 3
 
     def probe_action(self, action):
-        return 0.5 * action
+        return 0.5 * action - 0.4
 
     def outcome(self, end, probed):
         return self.measure(probed.info["achieved_goal"], end.info["desired_goal"])
 
+    def overflow(self, physics):
+        return physics[0] < 0.0
 
-def turning(observation, rng):
-    """Goes for the goal in a way that depends on the observation alone, and beyond the bounds of an action."""
+
+def passing(observation, rng):
+    """Goes, at first at full speed, for a point beside the goal."""
     del rng
-    return 9.0 * observation[:, [4, 5, 3]] + 5.0 * observation[:, :3], jnp.zeros(len(observation))
+    position, goal = observation[:, :3], observation[:, 3:]
+    return 10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]], -jnp.square(observation).sum(axis=-1)
 
 
 @pytest.mark.parametrize("probe", [False, True, jnp.array(False), jnp.array(True)])
 def test_a_roll_out_is_the_loop_over_its_steps_and_its_probe(probe):
-    episodes = jax.jit(lambda rng: rollout(Probed(), turning, rng, 4, probe=probe))(jax.random.key(0))
+    episodes = jax.jit(lambda rng: rollout(Probed(), passing, rng, NUM_ENVS, probe=probe))(jax.random.key(0))
     goal = np.asarray(episodes.desired[0], np.float64)
     assert len(np.unique(goal)) == goal.size
-    position = np.zeros((4, 3))
+    position = np.zeros((NUM_ENVS, 3))
     for step in range(50):
         np.testing.assert_allclose(episodes.features[step], position, atol=1e-5)
         np.testing.assert_array_equal(episodes.achieved[step], episodes.features[step])
         np.testing.assert_array_equal(episodes.desired[step], goal)
-        action = 9.0 * goal[:, [1, 2, 0]] + 5.0 * position
+        action = 10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]]
         np.testing.assert_allclose(episodes.action[step], action, atol=1e-4)
+        np.testing.assert_allclose(episodes.log_prob[step], -(position**2 + goal**2).sum(axis=-1), atol=1e-5)
         position = position + 0.03 * np.clip(action, -1.0, 1.0)
         reached = np.linalg.norm(position - goal, axis=-1) <= 0.05
         np.testing.assert_array_equal(episodes.reward[step], np.where(reached, 0.0, -1.0))
     np.testing.assert_allclose(episodes.features[50], position, atol=1e-5)
     assert len(episodes.features) == len(episodes.reward) + 1 == 51
-    for halved in (0.5, 0.25, 0.125) if probe else ():
-        position = position + 0.03 * np.clip(halved * action, -1.0, 1.0)
+    changes = np.diff(episodes.reward, axis=0)
+    assert changes.max() == -changes.min() == 1.0  # goals are reached, and left again
+    before = position
+    for _ in range(3 if probe else 0):
+        action = 0.5 * action - 0.4
+        position = position + 0.03 * np.clip(action, -1.0, 1.0)
     np.testing.assert_allclose(episodes.outcome.distance_l1, np.abs(position - goal).sum(axis=-1), atol=1e-5)
+    np.testing.assert_array_equal(episodes.overflow, position[:, 0] < 0.0)
+    assert ((position[:, 0] < 0.0) != (before[:, 0] < 0.0)).any() == bool(probe)
+
+
+@pytest.mark.parametrize("probe", [False, True])
+def test_seeds_side_by_side_roll_out_as_alone(probe):
+    def roll_out(rng, probe):
+        return rollout(Probed(), passing, rng, NUM_ENVS, probe=probe)
+
+    keys = jax.random.split(jax.random.key(1), 3)
+    together = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))(keys, probe)
+    for seed, key in enumerate(keys):
+        alone, of_seed = jax.jit(roll_out)(key, probe), jax.tree.map(lambda leaf, seed=seed: leaf[seed], together)
+        jax.tree.map(lambda *leaves: np.testing.assert_allclose(*leaves, atol=1e-5), alone, of_seed)
+
+
+def test_every_step_of_every_episode_has_noise_of_its_own():
+    def noise(observation, rng):
+        return jax.random.normal(rng, (len(observation), 3)), jnp.zeros(len(observation))
+
+    action = np.asarray(rollout(Probed(), noise, jax.random.key(0), NUM_ENVS).action)
+    assert len(np.unique(action)) > 0.999 * action.size
+
+
+class Fragile(Probed):
+    """The point, whose simulation breaks down where only the probe brings it."""
+
+    def step_physics(self, physics, action):
+        following = super().step_physics(physics, action)
+        return jnp.where(following[1] > 1.51, jnp.nan, following)
+
+    def probe_action(self, action):
+        return action
+
+    def outcome(self, end, probed):
+        return self.measure(end.info["achieved_goal"], end.info["desired_goal"])
+
+
+@pytest.mark.parametrize("probe", [False, True])
+def test_an_episode_whose_simulation_breaks_down_in_the_probe_is_not_sound(probe):
+    def policy(observation, rng):
+        return jnp.where(observation[:, 4:5] > 0.0, jnp.array([0.0, 1.0, 0.0]), 0.0), jnp.zeros(len(observation))
+
+    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, probe=probe)
+    far = np.asarray(episodes.achieved[-1, :, 1]) > 1.0
+    if probe:
+        assert 0 < episodes.sound.sum() < NUM_ENVS
+        np.testing.assert_array_equal((np.asarray(episodes.desired[0]) == 0.0).all(axis=-1), ~episodes.sound)
+        assert not far.any()
+    else:
+        assert episodes.sound.all()
+        assert 0 < far.sum() < NUM_ENVS
