@@ -68,17 +68,18 @@ def rollout(
     reset_rngs = own_part(jax.random.split(reset_rng, num_envs), axis)
     num_envs = len(reset_rngs)
     start = _depend_on(reset_rng, jax.vmap(env.reset)(reset_rngs))
+    move = jax.jit(jax.vmap(env.step))  # which the probe does not trace again
 
     def step(state, rng):
         action, log_prob = policy(state.obs, rng)
-        following = jax.vmap(env.step)(state, action)
+        following = move(state, action)
         return following, (state.info, action, log_prob, following.reward)
 
     end, (info, action, log_prob, reward) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
     info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
     probed = end
     if env.probe_length and probe is not False:
-        probed = jax.lax.cond(probe, functools.partial(_probe, env), lambda end, _: end, end, action[-1])
+        probed = jax.lax.cond(probe, functools.partial(_probe, env, move), lambda end, _: end, end, action[-1])
     outcome = jax.vmap(env.outcome)(end, probed)
     of_episodes = (action.swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome)
     sound = _is_sound(env, info) & _is_finite(of_episodes, num_envs)
@@ -100,13 +101,13 @@ def rollout(
     return _blank(whole, ~whole.sound)
 
 
-def _probe(env: GoalEnv, end: State, action: jax.Array) -> State:
+def _probe(env: GoalEnv, move: Callable, end: State, action: jax.Array) -> State:
     """Returns the states that the task's probe leads to, from the last states and actions of episodes, `[N, ...]`."""
 
     def step(_, carry):
         state, action = carry
         action = jax.vmap(env.probe_action)(action)
-        return jax.vmap(env.step)(state, action), action
+        return move(state, action), action
 
     return jax.lax.fori_loop(0, env.probe_length, step, (end, action))[0]
 
