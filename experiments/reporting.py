@@ -187,7 +187,7 @@ def write_study(folder: Path, task: str, study: Study, results: list[dict]) -> N
     """Writes all of a study's `files`."""
     rows, paths = table_rows(task, study, results), files(folder, task, study)
     write_metrics(paths["table"], rows)
-    write_markdown(paths["markdown"], f"{study.title.capitalize()}, {task}", rows)
+    write_markdown(paths["markdown"], f"{study.title[0].upper()}{study.title[1:]}, {task}", rows)
     if study.figure is not None:
         write_metrics(paths["curves"], curve_rows(task, study, results))
         draw_figure(folder, study.figure)
