@@ -33,8 +33,7 @@ class Options:
     """Makes the paper's tables and figures. What is there already is left as it is."""
 
     table: tuple[Literal[1, 2, 3], ...] = ()
-    """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each.
-    Weights of GAIL-demo's likelihood are part of 1."""
+    """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
     figure: tuple[Literal[3, 4, 5, 6, 7], ...] = ()
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
     ablations: bool = False
@@ -117,7 +116,7 @@ def plan(options: Options, platform: str) -> Work:
 
 
 def unfinished(work: Work) -> list[tuple[Study, list[Trial]]]:
-    """Returns the studies that are not in the folder yet, with their trials; writes no result.
+    """Returns the studies whose data are not in the folder yet, with their trials; a figure alone is drawn again.
 
     Raises:
       ValueError: the folder holds one of them with other settings.
@@ -130,7 +129,10 @@ def unfinished(work: Work) -> list[tuple[Study, list[Trial]]]:
         if path.exists():
             there = _read_json(path)
             refuse_another_run(path, there.get("settings", {}), _identities(trials))
-            if all(file.exists() for file in files(work.folder, work.task, study).values()):
+            missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
+            if not missing - {"figure"}:
+                if missing and study.figure is not None:
+                    draw_figure(work.folder, study.figure)
                 print(f"{study.name} of {work.task} is there")
                 continue
         found.append((study, trials))
@@ -172,7 +174,7 @@ def _write_complete(work: Work, studies: list[tuple[Study, list[Trial]]]) -> Non
         results = [_read_json(path) for path in parts]
         write_study(work.folder, work.task, study, results)
         made = {
-            _label(trial.setting): {"program": result["program"], "made_by": result["made_by"]}
+            _label(trial.setting): {name: result[name] for name in ("final", "program", "made_by")}
             for trial, result in zip(trials, results, strict=True)
         }
         identities = _identities(trials)

@@ -1,6 +1,7 @@
 """Tables and figures of the paper's experiments, from the results of their trials."""
 
 import csv
+import itertools
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from studies import FIGURES, LONGER, Study
 
 from hgail_jax.files import replace_file
 
+_COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
 _PANELS = (
     ("success", "success rate", (-0.02, 1.02)),
@@ -139,7 +141,7 @@ def draw_figure(folder: Path, number: int) -> Path | None:
     figure, grid = plt.subplots(
         len(panels), 2, figsize=(9.5, 3.2 * len(panels)), constrained_layout=True, squeeze=False
     )
-    colors = {setting: f"C{index % 10}" for index, setting in enumerate(_in_order(row["setting"] for row in rows))}
+    colors = dict(zip(_in_order(row["setting"] for row in rows), itertools.cycle(_COLORS), strict=False))
     for axes, (task, panel) in zip(grid, panels, strict=True):
         of_panel = [row for row in rows if (row["task"], row["panel"]) == (task, panel)]
         for axis, (column, label, limits) in zip(axes, _PANELS, strict=True):
@@ -157,7 +159,7 @@ def draw_figure(folder: Path, number: int) -> Path | None:
     return path
 
 
-def _draw_lines(axis, rows: list[dict], column: str, colors: dict[str, str]) -> None:
+def _draw_lines(axis, rows: list[dict], column: str, colors: dict[str, tuple]) -> None:
     for setting in _in_order(row["setting"] for row in rows):
         of_setting = [row for row in rows if row["setting"] == setting]
         steps = sorted({float(row["env_steps"]) for row in of_setting})

@@ -89,6 +89,8 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
     said = json.loads((tmp_path / "rewards-point.json").read_text())
     assert said["hash"] == hash_json(said["settings"])
     assert said["made"]["r1, with pre-training"]["program"]["settings"] == 4
+    finals = [said["made"][f"{row['setting']}, with pre-training"]["final"]["success"] for row in rows]
+    assert [float(row["success_rate"]) for row in rows] == pytest.approx(np.mean(finals, axis=1))
 
 
 def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
@@ -107,7 +109,7 @@ def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
 def test_every_study_writes_its_files(tmp_path, trained):
     paper.main([*QUICK, "--all", "--out", str(tmp_path)])
     names = {path.name for path in tmp_path.iterdir()} - {"parts", "demonstrations"}
-    tables = ("table1", "likelihood", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations")
+    tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations")
     expected = {f"{name}-point.{ending}" for name in tables for ending in ("csv", "md", "json")}
     expected |= {f"figure{number}{ending}" for number in range(3, 8) for ending in ("-point.csv", ".png")}
     assert names == expected | {"figure3-longer-point.csv"}
@@ -158,6 +160,9 @@ def test_what_is_there_is_left_and_what_is_missing_comes_back(tmp_path, trained)
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir() if path.is_file()}
     paper.main(arguments)
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir() if path.is_file()} == before
+    (tmp_path / "figure4.png").unlink()
+    paper.main(arguments)
+    assert (tmp_path / "figure4.png").exists()
     (tmp_path / "table2-point.md").unlink()
     (tmp_path / "table2-point.json").unlink()
     paper.main(arguments)
@@ -240,7 +245,12 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
         assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
 
 
-def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_round_and_the_last():
+def test_settings_of_few_rounds_are_evaluated_in_every_one():
+    for trial in trials_of(BY_NAME["table1-longer"], "reach", "gpu") + trials_of(BY_NAME["table1"], "grasp", "gpu"):
+        np.testing.assert_array_equal(trial.phases(), schedule(trial.config))
+
+
+def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_of_many_rounds_and_the_last():
     for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
         evaluated = np.flatnonzero(trial.phases()[:, -1] == EVALUATE)
         assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]
@@ -254,17 +264,18 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert len({trial.key() for trial in sweep}) == len(sweep)
     assert len(programs(trials_of(BY_NAME["p_ht"], "reach"))) == 2  # with and without pre-training
     assert len(programs(trials_of(BY_NAME["table2"], "reach"))) == 4
-    assert len(programs(trials_of(BY_NAME["likelihood"], "reach"))) == 1
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
-def test_weights_of_the_likelihood_are_those_of_their_names(task):
-    trials = trials_of(BY_NAME["likelihood"], task)
-    assert [trial.hyperparameters.likelihood_weight for trial in trials] == [3.0, 10.0]
-    assert [trial.setting.name for trial in trials] == ["weight 3", "weight 10"]
-    assert all(trial.config.likelihood_batch > 0 for trial in trials)
-    usual = trials_of(BY_NAME["table1"], task)[0]
-    assert (usual.setting.method, usual.hyperparameters.likelihood_weight) == ("gail-demo", 1.0)
+def test_likelihoods_are_weighed_as_their_names_say(task):
+    trials = {trial.setting.name: trial for trial in trials_of(BY_NAME["table1"], task)}
+    weights = {"with likelihood": 1.0, "likelihood × 3": 3.0, "likelihood × 10": 10.0}
+    for name, weight in weights.items():
+        trial = trials[f"GAIL-demo (20), {name}"]
+        assert (trial.setting.method, trial.setting.demonstrations) == ("gail-demo", 20)
+        assert float(trial.hyperparameters.likelihood_weight) == weight
+        assert trial.config.likelihood_batch > 0
+    assert trials["GAIL-demo (20), no likelihood"].config.likelihood_batch == 0
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
