@@ -16,7 +16,19 @@ from hgail_jax.validation import check_count
 RESULTS = Path(__file__).parent / "results" / "bench.json"
 
 _SPEED = ("physics", "rollout", "train", "shares")
-_SAME = ("section", "task", "impl", "num_envs", "substeps", "seeds", "num_envs_per_seed", "devices", "what", "quick")
+_SAME = (
+    "section",
+    "task",
+    "impl",
+    "num_envs",
+    "substeps",
+    "seeds",
+    "num_envs_per_seed",
+    "devices",
+    "what",
+    "options",
+    "quick",
+)
 """Entries that tell rows apart; a row that agrees with an older one in these, and its device, takes its place."""
 
 
@@ -178,7 +190,8 @@ def measure(options: Options) -> Iterator[tuple[dict, dict]]:
         for section, call in (("compile", measure_compilation), ("time-to-success", measure_time_to_success)):
             if section in whole:
                 row, made_by = call(options.task, [*small, *options.run])
-                yield {"section": section, **row}, made_by
+                given = {"options": " ".join(options.run)} if options.run else {}
+                yield {"section": section, **row, **given}, made_by
     from run_folder import provenance
 
     sections: list[tuple[bool, Callable[[], Iterable[dict]]]] = [
@@ -213,10 +226,12 @@ def main(arguments: list[str] | None = None) -> None:
         for row, made_by in measure(options):
             results.add(row | ({"quick": True} if options.quick else {}), made_by)
             print(table([row]), flush=True)
-    except (ValueError, OSError, subprocess.CalledProcessError) as error:
+    except subprocess.CalledProcessError as error:
+        raise SystemExit(error.returncode) from None  # it has said what is wrong
+    except (ValueError, OSError) as error:
         fail("bench.py", error, 2)
     except RuntimeError as error:  # out of memory, most likely; what was measured before is in the file
-        fail("bench.py", str(error).splitlines()[0], 1)
+        fail("bench.py", (str(error) or repr(error)).splitlines()[0], 1)
     for section in dict.fromkeys(row["section"] for row in results.added):
         print(f"\n{table([row for row in results.added if row['section'] == section])}")
 

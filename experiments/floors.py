@@ -13,9 +13,9 @@ from envs.fetch import settle
 def measure_floors(size: Size) -> dict[str, float]:
     """Returns bytes and operations of a physics step, and the env steps per second that a device could do of either.
 
-    State bytes are positions, velocities and the solver's start, read and written once in each step: no engine moves
-    less. Engine bytes are all that MJX-JAX holds of an environment, likewise; operations are its own as written, the
-    loop of the solver run once: a scale for other engines, not a bound.
+    State bytes are positions, velocities and the solver's start, read and written once in each step, as by an engine
+    that keeps nothing on the chip between steps. Engine bytes are all that MJX-JAX holds of an environment, likewise;
+    operations are its own as written, the loop of the solver run once: a scale for other engines, not a bound.
 
     Args:
       size: what is stepped.

@@ -28,14 +28,13 @@ _MOST_STEPS = 60_000
 
 
 def peer_rows(task: str, quick: bool) -> Iterator[dict]:
-    """Yields a row for each peer that is installed; on a GPU only for those that run there."""
-    peers: list[Callable[[str, bool], Iterator[dict]]] = [jaxgcrl_rows]
-    if jax.default_backend() == "cpu":
-        peers += [rollout_rows, gymnasium_rows, stable_baselines_rows]
-    for peer in peers:
+    """Yields a row for each peer that is installed; but for JaxGCRL they run on the CPU, on any machine."""
+    cpu_peers: list[Callable[[str, bool], Iterator[dict]]] = [rollout_rows, gymnasium_rows, stable_baselines_rows]
+    for peer in (jaxgcrl_rows, *cpu_peers):
+        cores = {"cpu_cores": os.cpu_count()} if peer in cpu_peers else {}
         try:
             for row in peer(task, quick):
-                yield {"task": task, **row}
+                yield {"task": task, **row, **cores}
         except ImportError as error:
             print(f"left out: {peer.__name__.removesuffix('_rows')} ({error})")
 

@@ -1,4 +1,4 @@
-"""The grasp scene on MJX-Warp, on a machine that has it: against C MuJoCo on the same MJCF, and its own limits."""
+"""The scenes on MJX-Warp, on a machine that has it: against C MuJoCo on the same MJCF, and its own limits."""
 
 import os
 import subprocess
@@ -25,33 +25,37 @@ pytestmark = [
 EPISODES = 256
 
 
-class GraspOnC:
-    """`envs.grasp.Grasp` stepped by C MuJoCo, one environment."""
+class OnC:
+    """A Fetch task stepped by C MuJoCo, one environment."""
 
-    def __init__(self):
-        self.model = load_scene("fetch/grasp")
+    def __init__(self, task):
+        self.model = load_scene(f"fetch/{task}")
         self.settled = settle(self.model)
         self.model.opt.timestep = CONTROL_PERIOD / ACCURATE_SUBSTEPS
         self.data = mujoco.MjData(self.model)
         self.fingers = self.model.jnt_qposadr[[self.model.joint(f"{side}_finger").id for side in ("right", "left")]]
 
-    def reset(self, cube):
+    def reset(self):
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = self.settled.qpos, self.settled.qvel
-        self.data.joint("cube").qpos[:3] = cube
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, action):
         data, gripper = self.data, self.data.body("gripper")
         data.mocap_pos[0] = gripper.xpos + LEAD * action[:3]
         data.mocap_quat[0] = gripper.xquat + _DOWNWARD
-        data.ctrl[:] = data.qpos[self.fingers] + action[3]
+        if self.model.nu:
+            data.ctrl[:] = data.qpos[self.fingers] + action[3]
         mujoco.mj_step(self.model, data, ACCURATE_SUBSTEPS)
+        if not self.model.nu:
+            data.qpos[self.fingers] = 0.0
         mujoco.mj_kinematics(self.model, data)
 
     def lifts(self, controller, cube):
-        """Runs an episode and its probe; returns whether the cube has risen by 5 cm."""
-        self.reset(cube)
+        """Runs an episode of grasp and its probe; returns whether the cube has risen by 5 cm."""
+        self.reset()
+        self.data.joint("cube").qpos[:3] = cube
+        mujoco.mj_forward(self.model, self.data)
         for _ in range(50):
             # the controllers read the gripper's position and the goal alone
             observation = np.concatenate([self.data.site("grip").xpos, np.zeros(5), cube, [1.0]])
@@ -71,11 +75,47 @@ def test_controllers_score_as_on_c_mujoco(name):
         return controller(observation), jnp.zeros(observation.shape[:-1])
 
     episodes = jax.jit(lambda rng: rollout(env, policy, rng, EPISODES, probe=True))(jax.random.key(0))
-    on_c, compiled = GraspOnC(), jax.jit(controller, device=jax.devices("cpu")[0])
+    on_c, compiled = OnC("grasp"), jax.jit(controller, device=jax.devices("cpu")[0])
     theirs = np.mean([on_c.lifts(compiled, cube) for cube in np.asarray(episodes.desired[0, :, :3])])
     ours = float(episodes.outcome.success.mean())
     print(f"{name}: {ours:.3f} on MJX-Warp, {theirs:.3f} on C MuJoCo")
     assert ours == pytest.approx(theirs, abs=0.03)
+
+
+@pytest.mark.parametrize("impl", ["warp", "jax"])
+def test_reach_moves_as_on_c_mujoco(impl):
+    """Within the bounds that hold against the reference: an action from equal states, and fifty without feedback.
+
+    Targets are where those of the task are, so that the arm is neither stretched out nor dragged over the table.
+    """
+    episodes, on_c, env, rng = 64, OnC("reach"), envs.make("reach", impl=impl, worlds=64), np.random.default_rng(0)
+    before, actions, after = [], np.zeros((50, episodes, 4), np.float32), np.zeros((50, episodes, 3))
+    for episode in range(episodes):
+        on_c.reset()
+        for time in range(50):
+            if time % 6 == 0:
+                target = env.initial_gripper_position + rng.uniform(-0.15, 0.15, 3)
+            pull = 10 * (target - on_c.data.site("grip").xpos) * rng.uniform()
+            actions[time, episode] = np.clip(np.append(pull, 0) + rng.uniform(-0.7, 0.7, 4), -1, 1)
+            before.append((on_c.data.qpos.astype(np.float32), on_c.data.qvel.astype(np.float32)))
+            on_c.step(actions[time, episode])
+            after[time, episode] = on_c.data.site("grip").xpos
+    qpos, qvel = (np.stack(part).reshape(episodes, 50, -1).swapaxes(0, 1) for part in zip(*before, strict=True))
+    step = jax.jit(jax.vmap(env.step))
+    start = free = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), episodes))
+    place, once, apart = jax.jit(jax.vmap(env.place)), [], []
+    for time in range(50):
+        put = step(start.replace(pipeline_state=place(qpos[time], qvel[time])), actions[time])
+        free = step(free, actions[time])
+        once.append(np.linalg.norm(put.info["achieved_goal"] - after[time], axis=-1))
+        apart.append(np.linalg.norm(free.info["achieved_goal"] - after[time], axis=-1))
+    median, percentile = 1000 * np.percentile(once, [50, 99])
+    drift = 1000 * apart[-1]
+    print(f"one action on {impl}: median {median:.3f} mm, 99th percentile {percentile:.3f} mm")
+    print(f"fifty: median {np.median(drift):.1f} mm, worst {drift.max():.1f} mm")
+    assert median <= 0.5
+    assert percentile <= 1.5
+    assert np.median(drift) <= 25.0
 
 
 @pytest.mark.parametrize("task", ["grasp", "reach"])

@@ -30,6 +30,8 @@ def test_a_row_takes_the_place_of_its_like_and_of_no_other(tmp_path):
     again.add({"section": "speed", "num_envs": 1, "speed": 40.0}, HERE)
     assert rows(path) == [(2, 20.0), (1, 30.0), (1, 40.0)]
     assert [row["speed"] for row in again.added] == [40.0]
+    again.add({"section": "speed", "num_envs": 2, "options": "--seeds=1", "speed": 50.0}, HERE)
+    assert rows(path) == [(2, 20.0), (1, 30.0), (1, 40.0), (2, 50.0)]
 
 
 def test_a_file_of_something_else_is_left_as_it_is(tmp_path, capsys):
@@ -40,6 +42,17 @@ def test_a_file_of_something_else_is_left_as_it_is(tmp_path, capsys):
     assert stop.value.code == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert path.read_text() == "[1, 2]"
+
+
+def test_a_run_that_refuses_its_options_says_so_alone(tmp_path, capfd):
+    path = tmp_path / "bench.json"
+    with pytest.raises(SystemExit) as stop:
+        bench.main(["--section", "compile", "--run=--seeds=0", "--out", str(path)])
+    assert stop.value.code == 2
+    said = capfd.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("run.py: seeds is 0")
+    assert not path.exists()
 
 
 def test_a_table_has_a_column_for_each_row_and_gaps_where_one_lacks_a_quantity():
