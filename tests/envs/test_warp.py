@@ -82,11 +82,14 @@ def test_controllers_score_as_on_c_mujoco(name):
     assert ours == pytest.approx(theirs, abs=0.03)
 
 
-@pytest.mark.parametrize("impl", ["warp", "jax"])
-def test_reach_moves_as_on_c_mujoco(impl):
-    """Within the bounds that hold against the reference: an action from equal states, and fifty without feedback.
+@pytest.mark.parametrize(
+    ("impl", "median_mm", "percentile_mm", "drift_mm"), [("warp", 0.05, 0.2, 2.0), ("jax", 0.5, 1.5, 25.0)]
+)
+def test_reach_moves_as_on_c_mujoco(impl, median_mm, percentile_mm, drift_mm):
+    """After an action from equal states, and after fifty without feedback.
 
-    Targets are where those of the task are, so that the arm is neither stretched out nor dragged over the table.
+    MJX-JAX leaves out how the weld's Jacobian changes in time, hence its wider bounds: those that hold against the
+    reference. Targets are where those of the task are: the arm is neither stretched out nor dragged over the table.
     """
     episodes, on_c, env, rng = 64, OnC("reach"), envs.make("reach", impl=impl, worlds=64), np.random.default_rng(0)
     before, actions, after = [], np.zeros((50, episodes, 4), np.float32), np.zeros((50, episodes, 3))
@@ -113,9 +116,9 @@ def test_reach_moves_as_on_c_mujoco(impl):
     drift = 1000 * apart[-1]
     print(f"one action on {impl}: median {median:.3f} mm, 99th percentile {percentile:.3f} mm")
     print(f"fifty: median {np.median(drift):.1f} mm, worst {drift.max():.1f} mm")
-    assert median <= 0.5
-    assert percentile <= 1.5
-    assert np.median(drift) <= 25.0
+    assert median <= median_mm
+    assert percentile <= percentile_mm
+    assert np.median(drift) <= drift_mm
 
 
 @pytest.mark.parametrize("task", ["grasp", "reach"])
