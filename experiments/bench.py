@@ -13,7 +13,8 @@ from run_folder import write_json
 
 from hgail_jax.validation import check_count
 
-RESULTS = Path(__file__).parent / "results" / "bench.json"
+_RESULTS = Path(__file__).parent / "results" / "bench.json"
+_QUICK = Path("runs") / "quick" / "bench.json"
 
 _SPEED = ("physics", "rollout", "train", "shares")
 _SAME = (
@@ -55,8 +56,8 @@ class Options:
     """Further options of run.py for compile and time-to-success, as one word each: --run=--num-envs=64."""
     quick: bool = False
     """Takes sizes that show that everything runs, and measure nothing."""
-    out: Path = RESULTS
-    """File to add to."""
+    out: Path | None = None
+    """File to add to: experiments/results/bench.json, or runs/quick/bench.json with --quick."""
 
 
 class Results:
@@ -222,7 +223,9 @@ def main(arguments: list[str] | None = None) -> None:
     options = parse(Options, "bench.py", __doc__, arguments)
     try:
         _check(options)
-        results = Results(options.out)
+        if options.quick and options.out is None:
+            _QUICK.parent.mkdir(parents=True, exist_ok=True)
+        results = Results(options.out or (_QUICK if options.quick else _RESULTS))
         for row, made_by in measure(options):
             results.add(row | ({"quick": True} if options.quick else {}), made_by)
             print(table([row]), flush=True)

@@ -5,6 +5,7 @@ import io
 import itertools
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -16,6 +17,8 @@ OptionsT = TypeVar("OptionsT")
 
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
     """Reads a command line into `options`; what it cannot read is said in one line, with exit code 2."""
+    # What is forked here only starts another program: ffmpeg, git, run.py.
+    warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):

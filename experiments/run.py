@@ -120,7 +120,9 @@ def prepare(options: Options, platform: str) -> Run:
     env, task_options = _make(options, task_class, defaults(task_class, platform).substeps, worlds)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
-        raise ValueError("the method gail-demo takes --demos, and no other does")
+        raise ValueError(
+            "--demos goes with the method gail-demo, which needs it; experiments/demos.py makes such a file"
+        )
     return Run(
         task=options.task,
         method=options.method,

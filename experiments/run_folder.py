@@ -3,10 +3,12 @@
 import contextlib
 import csv
 import fcntl
+import functools
 import json
 import os
 import platform
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -109,12 +111,23 @@ def own_command() -> str:
     return shlex.join(["python", *sys.argv])
 
 
+@functools.cache
+def _commit() -> str | None:
+    """Returns the commit of this checkout, "-dirty" behind it where files differ; None where there is none."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
 def provenance() -> dict:
-    """Returns what made a result: command, device and versions."""
+    """Returns what made a result: command, commit, device and versions."""
     device = jax.devices()[0]
     name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind
     return {
         "command": own_command(),
+        "commit": _commit(),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
         "versions": {"python": platform.python_version()} | installed(*_PACKAGES),
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),

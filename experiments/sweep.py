@@ -172,7 +172,7 @@ def _train(
     """Takes `progress` through the rounds left, or until `stop`, with a checkpoint now and then."""
     phases = trials[0].phases()
     started, saved = time.perf_counter() - progress.seconds, time.perf_counter()
-    label = f"{len(trials)} × {trials[0].seeds}"
+    label = f"{len(trials)} settings × {trials[0].seeds} seeds"
     for row in tqdm(phases[len(progress.rows) :], initial=len(progress.rows), total=len(phases), desc=label):
         progress.states, metrics = step(progress.states, row)
         measured = {"dropped": metrics.dropped, "overflow": metrics.overflow}

@@ -33,7 +33,7 @@ def _run(
 
 
 def _made_by(summary: dict) -> dict:
-    return {"command": own_command(), "device": summary["device"], "versions": summary["versions"]}
+    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "versions")}
 
 
 def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:

@@ -41,11 +41,11 @@ class MeanPolicy:
     task: str
     goal_size: int
     """The last numbers of an observation, which are the desired goal."""
-    mean: np.ndarray
+    mean: np.ndarray = dataclasses.field(repr=False)
     """`[observation_size]`: what is taken off an observation."""
-    std: np.ndarray
+    std: np.ndarray = dataclasses.field(repr=False)
     """`[observation_size]`: what it is then divided by."""
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...] = dataclasses.field(repr=False)
     """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""

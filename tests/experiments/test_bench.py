@@ -7,6 +7,7 @@ import sys
 
 import bench
 import pytest
+import run_folder
 import shares
 from bench import Results, table
 from speed import Size
@@ -42,6 +43,22 @@ def test_a_file_of_something_else_is_left_as_it_is(tmp_path, capsys):
     assert stop.value.code == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert path.read_text() == "[1, 2]"
+
+
+def test_quick_rows_go_to_a_file_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bench, "measure", lambda options: iter([({"section": "speed", "num_envs": 4}, HERE)]))
+    bench.main(["--quick"])
+    (row,) = json.loads((tmp_path / "runs" / "quick" / "bench.json").read_text())["rows"]
+    assert (row["num_envs"], row["quick"]) == (4, True)
+
+
+def test_what_made_a_row_has_the_commit_of_the_checkout():
+    found = subprocess.run(
+        ["git", "-C", os.path.dirname(__file__), "rev-parse", "HEAD"], capture_output=True, text=True
+    )
+    commit = run_folder.provenance()["commit"]
+    assert commit is None if found.returncode else found.stdout.startswith(commit.removesuffix("-dirty"))
 
 
 def test_a_run_that_refuses_its_options_says_so_alone(tmp_path, capfd):
