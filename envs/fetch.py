@@ -38,7 +38,12 @@ _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's
 _SETTLE_PERIODS = 10
 _HIGHEST_START = 0.15  # metres above the usual start; the arm reaches no higher in the whole workspace
 
-_engine_step = jax.jit(mjx.step)  # traced once, whatever loops and batches it is then run in
+
+@jax.jit  # traced once, whatever loops and batches it is then run in
+def _engine_step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Takes a physics step, in full single precision: by default GPUs round what they multiply to ten bits."""
+    with jax.default_matmul_precision("highest"):
+        return mjx.step(model, data)
 
 
 class FetchPhysics(struct.PyTreeNode):

@@ -53,6 +53,14 @@ def test_random_steps_stay_finite():
     assert scan(state, jax.random.split(jax.random.key(1), 200)).all()
 
 
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision(task):
+    env = envs.make(task, impl="jax")
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    program = str(jax.make_jaxpr(env.step)(state, jax.ShapeDtypeStruct((4,), jnp.float32)))
+    assert program.count("precision=(Precision.HIGH") == program.count("dot_general[") > 100
+
+
 def test_accurate_physics_is_the_default_and_can_be_asked_for():
     assert envs.make("reach").substeps == 20
     fast = envs.make("reach", substeps=4)
