@@ -150,7 +150,7 @@ def carry_out(work: Work, studies: list[tuple[Study, list[Trial]]], stop: thread
     for index, group in enumerate(groups):
         if stop.is_set():
             return
-        names = "; ".join(trial.setting.name for trial in group)
+        names = "; ".join(_label(trial.setting) for trial in group)
         print(f"program {index + 1} of {len(groups)}: {names}", flush=True)
         env = make_env(work.task, work.platform, len(group) * work.seeds * group[0].config.num_envs)
         count = group[0].setting.demonstrations

@@ -18,7 +18,7 @@ from hgail_jax.train import EVALUATE, SKIP, env_steps, schedule
 PAPER_DEMONSTRATIONS = 20
 MOST_DEMONSTRATIONS = 100
 FEW_ROUNDS = 100
-"""As many are evaluated one and all."""
+"""Up to so many rounds a setting is evaluated in every one of them."""
 LONGER = "table1-longer"
 """Name of the study that takes ten times the steps of table 1."""
 
@@ -85,9 +85,10 @@ class Trial:
         return json.loads(json.dumps(identity))
 
     def phases(self) -> np.ndarray:
-        """Returns the schedule; of more than `FEW_ROUNDS` a setting of k times the steps has every k-th evaluated.
+        """Returns the schedule; a setting of k times the steps and many rounds is evaluated in every k-th and the last.
 
-        And the last. An evaluation costs as much as a roll-out to learn from, and changes nothing in the training.
+        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training. Many rounds are
+        more than `FEW_ROUNDS`.
         """
         rows = schedule(self.config)
         if len(rows) > FEW_ROUNDS:
