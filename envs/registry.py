@@ -7,10 +7,10 @@ from envs.base import GoalEnv
 
 TASKS = {
     "point": "envs.point:Point",
-    "reach": "envs.reach:Reach",
-    "grasp": "envs.grasp:Grasp",
-    "grasp-position": "envs.grasp:GraspPosition",
-    "grasp-aperture": "envs.grasp:GraspAperture",
+    "reach": "envs.fetch.reach:Reach",
+    "grasp": "envs.fetch.grasp:Grasp",
+    "grasp-position": "envs.fetch.grasp:GraspPosition",
+    "grasp-aperture": "envs.fetch.grasp:GraspAperture",
 }
 """Name of each task that comes with the package, and where its class is."""
 

@@ -5,18 +5,18 @@ round measured.
 """
 
 from envs import EpisodeMetrics, GoalEnv, make
-from hgail_jax.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.config import POSITIVES, PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
-from hgail_jax.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.evaluate import evaluate, mean_outcome
-from hgail_jax.export import export_policy
 from hgail_jax.hindsight import Hindsight, relabel
+from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from hgail_jax.io.export import export_policy
+from hgail_jax.io.policy import MeanPolicy, load_policy, save_policy
 from hgail_jax.methods import METHODS, Method
-from hgail_jax.policy import MeanPolicy, load_policy, save_policy
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, init_state
 from hgail_jax.train import RoundMetrics, env_steps, schedule, train_step
+from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.updates import act
 
 __version__ = "0.1.0"

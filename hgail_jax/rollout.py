@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs import EpisodeMetrics, GoalEnv, State
-from hgail_jax.sharding import gather, own_part
+from hgail_jax.distributed.sharding import gather, own_part
 from hgail_jax.validation import check_count
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]

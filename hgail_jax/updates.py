@@ -14,13 +14,13 @@ from flax import struct
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
+from hgail_jax.distributed.sharding import own_part
 from hgail_jax.experts import expert_samples
 from hgail_jax.networks import apply, discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.rewards import imitation_reward
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
-from hgail_jax.sharding import own_part
 from hgail_jax.state import Params, TrainState, actor_critic_optimizer, discriminator_optimizer
 
 

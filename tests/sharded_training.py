@@ -6,12 +6,12 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
-from support import TINY
 
 import envs
 from hgail_jax import Hyperparameters, schedule
-from hgail_jax.parallel import compile_train_step, evaluate_seeds, init_seeds
-from hgail_jax.sharding import make_mesh, spread
+from hgail_jax.distributed.seeds import compile_train_step, evaluate_seeds, init_seeds
+from hgail_jax.distributed.sharding import make_mesh, spread
+from tests.support import TINY
 
 
 def train(task, groups, devices):

@@ -82,7 +82,7 @@ def test_pictures_change_no_dynamics():
     [
         ("poke", {}, "choose from point, reach"),
         ("no.such.module:Task", {}, "cannot load task"),
-        ("envs.fetch:CONTROL_PERIOD", {}, "not a GoalEnv"),
+        ("envs.fetch.arm:CONTROL_PERIOD", {}, "not a GoalEnv"),
         ("point", {"substeps": 4}, "no option 'substeps'"),
         ("reach", {"substeps": 3}, "from 4 to 20"),
         ("reach", {"substeps": 21}, "from 4 to 20"),

@@ -6,15 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support import TINY
 
 import envs
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, Preset, init_state, rollout, schedule, train_step
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN
+from hgail_jax.distributed.seeds import init_sweep, seed_keys, split_sweep
 from hgail_jax.experts import expert_samples, init_expert, keep_best
-from hgail_jax.parallel import init_sweep, seed_keys, split_sweep
 from hgail_jax.samples import Samples, policy_samples, relabelled_samples
 from hgail_jax.train import DISCRIMINATOR, POLICY, PRETRAIN, SKIP
+from tests.support import TINY
 
 ENV = envs.make("point")
 HYPER = Hyperparameters()

@@ -6,19 +6,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recording import record
 from scipy.stats import norm
-from support import TINY
 
 import envs
 from envs.point import Point
 from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
+from hgail_jax.distributed.seeds import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
 from hgail_jax.evaluate import evaluate
-from hgail_jax.parallel import compile_train_step, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
+from hgail_jax.recording import record
 from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, evaluation_rng
 from hgail_jax.updates import act, pretrain, update_discriminator, update_policy
+from tests.support import TINY
 
 ENV = envs.make("point")
 PHASES = schedule(TINY)

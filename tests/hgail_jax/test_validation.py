@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import envs
 from hgail_jax import Config, Hyperparameters, evaluate, init_state, relabel, rollout
-from hgail_jax.parallel import evaluation_episodes, seed_keys
+from hgail_jax.distributed.seeds import evaluation_episodes, seed_keys
 from hgail_jax.validation import MOST
 
 many = settings(max_examples=300, deadline=None, derandomize=True, database=None)

@@ -1,0 +1,229 @@
+"""Grasping a cube from the table, under three readings of what a goal is."""
+
+import copy
+
+import jax
+import jax.numpy as jnp
+
+from envs.base import EpisodeMetrics, State
+from envs.fetch.arm import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
+
+CUBE_WIDTH = 0.05
+"""Metres along each edge."""
+WIDEST_GAP = 0.1
+"""Metres between the fingers of an open hand."""
+
+CUBE_RANGE = 0.15
+"""Metres around the gripper's start, along x and y, in which the cube starts."""
+LEAST_DISTANCE = 0.1
+"""Metres from the gripper's start, in the plane, at which the cube starts at least."""
+LEAST_RISE = 0.05
+"""Metres that a cube rises in the probe if it is held."""
+
+_GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
+_CANDIDATES = 32  # positions drawn to find one far enough; each is with probability 0.65
+_CUBE_HEIGHT = 0.425  # metres, on the table
+_GOAL_RANGE = 0.15  # metres around the gripper's start, of goals that are not the cube
+_LOWEST_GOAL = 0.42  # metres; the pads rest on the table at 0.417
+
+
+def is_held(touching, gap):
+    """Returns whether a hand holds the cube.
+
+    Args:
+      touching: boolean, or an array of them: both pads touch the cube.
+      gap: metres between the fingers, a number or an array as large.
+
+    """
+    return touching & (abs(gap - CUBE_WIDTH) <= _GAP_TOLERANCE)
+
+
+class Grasp(FetchEnv):
+    """FetchPickAndPlace's cube, to be grasped; a goal is a position and whether the cube is held there.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6 | gap between the fingers | m |
+    | 7 | holding: both pads touch the cube, and the gap is its width within 8 mm | 0 or 1 |
+    | 8:11 | target position | m |
+    | 11 | whether to hold the cube there | 0 or 1 |
+
+    The first eleven less 6 and 7 are the paper's observation. Its goal is a position alone, and a position says
+    nothing of the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a
+    later one, so that what is imitated for a goal with holding 1 are real grasps.
+
+    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
+    the gripper in x and y and at least 0.10 m away. It is measured on the goal (cube, 1). Half the goals to learn from
+    (`exploring`) are (a random position, 0).
+
+    Success is strict. After the last step both pads touch the cube and the gap is its width within 8 mm, and in twelve
+    further steps straight up, with the gripper command held, the cube rises by more than 5 cm. `achieved` of the
+    metrics is the first half alone. Distances are between gripper and cube, where it then is.
+
+    Args:
+      impl: see `FetchEnv`.
+      substeps: see `FetchEnv`.
+      worlds: see `FetchEnv`.
+      raise_start: see `FetchEnv`.
+      track_cube: let a goal with holding 1 follow the cube when it is pushed.
+      random_opening: let episodes to learn from start with a hand opened at random.
+
+    Raises:
+      ValueError: see `FetchEnv`; or one of the last two is not a boolean.
+
+    """
+
+    feature_size = 8
+    goal_size = 4
+    goal_kinds = 2
+    probe_length = 12
+
+    def __init__(
+        self,
+        impl: str = "auto",
+        substeps: int = ACCURATE_SUBSTEPS,
+        worlds: int = 4096,
+        raise_start: float = 0.0,
+        track_cube: bool = False,
+        random_opening: bool = False,
+    ):
+        super().__init__("fetch/grasp", impl, substeps, worlds, raise_start)
+        for name, value in (("track_cube", track_cube), ("random_opening", random_opening)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} is {value!r}; it must be True or False")
+        self.track_cube, self.random_opening = track_cube, random_opening
+        self._explores: jax.Array | bool = False
+        self._cube_qpos = int(self.model.jnt_qposadr[self.model.joint("cube").id])
+
+    def exploring(self, when: jax.Array | bool = True) -> "Grasp":
+        env = copy.copy(self)
+        env._explores = when
+        return env
+
+    def gap(self, physics: FetchPhysics) -> jax.Array:
+        """Returns the distance between the fingers, `[]`, metres."""
+        return physics.qpos[self._finger_qpos].sum()
+
+    def holding(self, physics: FetchPhysics) -> jax.Array:
+        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics))
+
+    def cube_position(self, physics: FetchPhysics) -> jax.Array:
+        """Returns the cube's centre, `[3]`, metres, world frame."""
+        return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
+
+    def reset_physics(self, rng: jax.Array) -> FetchPhysics:
+        cube_rng, hand_rng = jax.random.split(rng)
+        offsets = jax.random.uniform(cube_rng, (_CANDIDATES, 2), minval=-CUBE_RANGE, maxval=CUBE_RANGE)
+        far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
+        cube = jnp.append(self.initial_gripper_position[:2] + offsets[jnp.argmax(far)], _CUBE_HEIGHT)
+        qpos = self._initial_physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube)
+        if self.random_opening:
+            opening = jax.random.uniform(hand_rng, maxval=WIDEST_GAP / 2)
+            qpos = qpos.at[self._finger_qpos].set(jnp.where(self._explores, opening, 0.0))
+        return self._initial_physics.replace(qpos=qpos)
+
+    def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
+        return self._move(physics, action[:3], action[3])
+
+    def features(self, physics: FetchPhysics) -> jax.Array:
+        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
+        return jnp.concatenate([physics.gripper_position, physics.gripper_velocity, hand])
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return jnp.append(physics.gripper_position, self.holding(physics).astype(jnp.float32))
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        kind_rng, position_rng = jax.random.split(rng)
+        at_the_cube = jnp.append(self.cube_position(physics), 1.0)
+        elsewhere = jnp.append(self._random_position(position_rng), 0.0)
+        return jnp.where(jax.random.bernoulli(kind_rng) & self._explores, elsewhere, at_the_cube)
+
+    def track_goal(self, desired: jax.Array, physics: FetchPhysics) -> jax.Array:
+        follow = self.track_cube & (desired[3] > 0.5)
+        return jnp.where(follow, jnp.append(self.cube_position(physics), 1.0), desired)
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return (goal[..., 3] > 0.5).astype(jnp.int32)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        return super().success(achieved[..., :3], desired[..., :3]) & (achieved[..., 3] == desired[..., 3])
+
+    def probe_action(self, action: jax.Array) -> jax.Array:
+        return jnp.array([0.0, 0.0, 1.0, 0.0]).at[3].set(action[3])
+
+    def outcome(self, end: State, probed: State) -> EpisodeMetrics:
+        last, lifted = end.pipeline_state, probed.pipeline_state
+        touched = self.holding(last)
+        rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
+        return self.measure(last.gripper_position, self.cube_position(last)).replace(
+            success=(touched & (rise > LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
+        )
+
+    def _random_position(self, rng: jax.Array) -> jax.Array:
+        offset = jax.random.uniform(rng, (3,), minval=-_GOAL_RANGE, maxval=_GOAL_RANGE)
+        position = self.initial_gripper_position + offset
+        return position.at[2].max(_LOWEST_GOAL)
+
+
+class GraspPosition(Grasp):
+    """The paper's literal reading: a goal is a position, for hindsight the gripper's, in an episode the cube's.
+
+    Observation: indices 0 to 10 of `Grasp`. Given the motion, the gripper command is independent of a relabelled goal,
+    so neither the discriminator nor maximum likelihood can teach the hand; published as a negative result.
+    """
+
+    goal_size = 3
+    goal_kinds = 1
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return physics.gripper_position
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        return self.cube_position(physics)
+
+    def track_goal(self, desired: jax.Array, physics: FetchPhysics) -> jax.Array:
+        return self.cube_position(physics) if self.track_cube else desired
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return FetchEnv.goal_kind(self, goal)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        return FetchEnv.success(self, achieved, desired)
+
+
+class GraspAperture(Grasp):
+    """A goal is a gripper position and a gap between the fingers; at test the goals follow a fixed plan.
+
+    Observation: indices 0 to 10 of `Grasp` and, at 11, the desired gap in metres. Goals to learn from are random. The
+    plan is: 10 cm above the cube with an open hand, at the cube with an open hand, at the cube with a closed one. So
+    the control of the arm and the hand is learnt, while the order of a grasp is given.
+    """
+
+    goal_kinds = 1
+
+    _ABOVE = 0.1  # metres
+    _DESCEND, _CLOSE = 18, 36  # steps at which the plan goes on
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return jnp.append(physics.gripper_position, self.gap(physics))
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        position_rng, gap_rng = jax.random.split(rng)
+        gap = jax.random.uniform(gap_rng, maxval=WIDEST_GAP)
+        anywhere = jnp.append(self._random_position(position_rng), gap)
+        return jnp.where(self._explores, anywhere, jnp.append(self.cube_position(physics), WIDEST_GAP))
+
+    def track_goal(self, desired: jax.Array, physics: FetchPhysics) -> jax.Array:
+        height = _CUBE_HEIGHT + jnp.where(physics.steps < self._DESCEND, self._ABOVE, 0.0)
+        gap = jnp.where(physics.steps < self._CLOSE, WIDEST_GAP, 0.0)
+        return jnp.where(self._explores, desired, jnp.array([desired[0], desired[1], height, gap]))
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return FetchEnv.goal_kind(self, goal)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        at = FetchEnv.success(self, achieved[..., :3], desired[..., :3])
+        return at & (jnp.abs(achieved[..., 3] - desired[..., 3]) <= _GAP_TOLERANCE)

@@ -1,0 +1,54 @@
+"""Measures how long calls take on a device."""
+
+import functools
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from hgail_jax.distributed.seeds import compile_program
+
+_ENOUGH_SECONDS = 4.0
+_MOST_CALLS = 50
+_COPIED = 2**28  # numbers
+_QUICK_COPIED = 2**22
+_MULTIPLIED = 2**12  # rows and columns
+_QUICK_MULTIPLIED = 2**8
+
+
+def compile_timed(function: Callable, *arguments: Any) -> tuple[Callable, float]:
+    """Returns `function` compiled for `arguments`, with the options of training, and the seconds that this took."""
+    started = time.perf_counter()
+    compiled = compile_program(jax.jit(function), *arguments)
+    return compiled, time.perf_counter() - started
+
+
+def seconds_per_call(call: Callable[[], Any]) -> float:
+    """Returns the median of timed calls, each waited for, after one that is not timed; a long call is timed once."""
+    jax.block_until_ready(call())
+    taken: list[float] = []
+    while len(taken) < _MOST_CALLS and sum(taken) < _ENOUGH_SECONDS:
+        started = time.perf_counter()
+        jax.block_until_ready(call())
+        taken.append(time.perf_counter() - started)
+    return statistics.median(taken)
+
+
+@functools.cache
+def memory_bandwidth(quick: bool = False) -> float:
+    """Returns the bytes per second, read and written, of a large copy within a device's memory."""
+    numbers = jnp.ones(_QUICK_COPIED if quick else _COPIED)
+    copy = jax.jit(lambda array: array + 1.0)
+    return 2 * numbers.nbytes / seconds_per_call(lambda: copy(numbers))
+
+
+@functools.cache
+def arithmetic_rate(quick: bool = False) -> float:
+    """Returns the operations per second, in single precision, of a product of large matrices."""
+    size = _QUICK_MULTIPLIED if quick else _MULTIPLIED
+    matrix = jax.random.normal(jax.random.key(0), (size, size))
+    multiply = jax.jit(lambda array: jnp.matmul(array, array, precision="highest"))
+    return 2 * size**3 / seconds_per_call(lambda: multiply(matrix))

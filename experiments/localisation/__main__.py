@@ -1,0 +1,106 @@
+"""Trains the detector that finds the target in pictures, and measures how far off its positions are."""
+
+import dataclasses
+from pathlib import Path
+
+from experiments.localisation.error import measure
+from experiments.localisation.figures import draw_examples, draw_sweeps
+from experiments.localisation.keypoint_network import load_detector, save_weights
+from experiments.localisation.keypoint_training import train
+from experiments.localisation.localiser import detect_colour
+from experiments.localisation.random_scenes import Studio
+from hgail_jax.cli.command_line import cache_compilations, fail, parse
+from hgail_jax.trainer.run_folder import create_folder, next_folder
+from hgail_jax.trainer.provenance import provenance
+from hgail_jax.io.files import write_json, write_csv
+from hgail_jax.validation import check_count
+
+WEIGHTS = Path(__file__).resolve().parent / "results" / "localisation" / "weights.npz"
+"""The detector that comes with the repository."""
+
+_MOST_SEED = 2**31 - 1
+_LEAST_PICTURES = 64  # a batch
+
+
+@dataclasses.dataclass(frozen=True)
+class _Options:
+    seed: int = 0
+    """Of the scenes, and of what is learnt from them; an evaluation never has the scenes of a training."""
+    out: Path | None = None
+    """Folder to write, which must not exist; by default runs/localisation-<number>."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Train(_Options):
+    """Takes pictures of randomised scenes and learns from them: a quarter of an hour on two cores."""
+
+    pictures: int = 8000
+    """Pictures to take."""
+    epochs: int = 8
+    """Passes over them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluate(_Options):
+    """Compares the network with the colour detector and adds noise: tables, curves and examples."""
+
+    scenes: int = 500
+    """Scenes of each kind."""
+    weights: Path | None = None
+    """The network's weights; by default those that come with the repository."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line `arguments`, or the process's own."""
+    both = Train | Evaluate  # tyro makes subcommands of a union
+    options: Train | Evaluate = parse(both, "localisation.py", __doc__, arguments)  # type: ignore[arg-type]
+    folder = options.out or next_folder(Path("runs"), "localisation")
+    try:
+        check_count("seed", options.seed, least=0, most=_MOST_SEED)
+        if isinstance(options, Train):
+            check_count("pictures", options.pictures, least=_LEAST_PICTURES)
+            check_count("epochs", options.epochs)
+        else:
+            check_count("scenes", options.scenes)
+            load_detector(options.weights or WEIGHTS)
+        Studio().close()  # where MuJoCo cannot render, say so before anything is written
+        create_folder(folder)
+    except (ValueError, OSError, RuntimeError) as error:
+        fail("localisation.py", error, 2)
+    print(folder, flush=True)
+    write_json(folder / "config.json", {"options": dataclasses.asdict(options)} | provenance())
+    if isinstance(options, Train):
+        _train(options, folder)
+    else:
+        _evaluate(options, folder)
+
+
+def _train(options: Train, folder: Path) -> None:
+    params, rows = train(options.pictures, options.epochs, options.seed)
+    save_weights(folder / "weights.npz", params)
+    write_csv(folder / "training.csv", rows)
+    last = rows[-1]
+    print(
+        f"held-out pictures: {last['median_pixels']:.2f} pixels off in the median, {last['p95_pixels']:.2f} at the 95th"
+        f" percentile, {last['missed_rate']:.3f} missed, {last['imagined_rate']:.3f} of the hidden ones imagined"
+    )
+
+
+def _evaluate(options: Evaluate, folder: Path) -> None:
+    detectors = {"colour": detect_colour, "network": load_detector(options.weights or WEIGHTS)}
+    with Studio() as studio:
+        table, sweeps, examples = measure(studio, detectors, options.scenes, options.seed)
+    write_csv(folder / "errors.csv", table)
+    write_csv(folder / "noise.csv", sweeps)
+    draw_sweeps(folder / "noise.png", sweeps, "network")
+    draw_examples(folder / "examples.png", examples, detectors)
+    for row in table:
+        print(
+            f"{row['target']:6} {row['scenes']:10} cameras {row['cameras']} {row['detector']:7}: median"
+            f" {row['median_mm']:.1f} mm, 95 % {row['p95_mm']:.1f} mm, not found {row['not_found_rate']:.3f}"
+        )
+
+
+if __name__ == "__main__":
+    cache_compilations()
+    main()

@@ -1,0 +1,122 @@
+"""Measures how far from the target a localiser ends up, and what each kind of noise adds to that."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments.localisation.localiser import Detector, Noise, estimate
+from experiments.localisation.random_scenes import Sample, Studio, View
+
+SWEEPS: dict[str, tuple[float, ...]] = {
+    "pixel": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
+    "depth": (0.0, 0.002, 0.005, 0.01, 0.02, 0.04),
+    "rotation": (0.0, 0.25, 0.5, 1.0, 2.0, 4.0),
+    "translation": (0.0, 0.002, 0.005, 0.01, 0.02, 0.04),
+}
+"""Standard deviations to try of each field of `Noise`, in its unit."""
+
+_EXAMPLES = 4  # samples of each kind that are kept for pictures
+_REPEATS = 4  # draws of the noise for each scene
+_FAR = 50.0  # millimetres; a larger error misses the target altogether
+_TARGETS = {"cube": False, "marker": True}
+_SCENES = {"plain": False, "randomised": True}
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """The best view of a target, and where the detector takes its middle to be."""
+
+    view: View
+    pixel: np.ndarray
+    """`[2]`: (u, v)."""
+    position: np.ndarray
+    """`[3]`: the target's true centre, metres."""
+    marker: bool
+
+
+def find(sample: Sample, detect: Detector) -> Found | None:
+    """Returns where a detector finds a sample's target, None where it finds it in no view."""
+    best, score = None, -np.inf
+    for view in sample.views:
+        detection = detect(view.picture, view.camera, sample.marker)
+        if detection is not None and detection.score > score:
+            best, score = Found(view, detection.pixel, sample.position, sample.marker), detection.score
+    return best
+
+
+def errors(found: list[Found], noise: Noise, rng: np.random.Generator, repeats: int = 1) -> np.ndarray:
+    """Returns distances from the truth, `[repeats * found]`, millimetres."""
+    return 1e3 * np.array(
+        [
+            np.linalg.norm(estimate(one.pixel, one.view.picture.depth, one.view.camera, one.marker, noise, rng) - truth)
+            for _ in range(repeats)
+            for one, truth in ((one, one.position) for one in found)
+        ]
+    )
+
+
+def measure(
+    studio: Studio, detectors: Mapping[str, Detector], count: int, seed: int
+) -> tuple[list[dict], list[dict], dict[str, list[Sample]]]:
+    """Measures detectors on `count` scenes of each kind.
+
+    Returns:
+      The table: a row per target, kind of scene, number of cameras and detector, without noise. The sweeps: a row per
+      target, detector, kind of noise and its size, in plain scenes with two cameras. And a few of the samples by name.
+
+    """
+    table, sweeps, examples = [], [], {}
+    for target, marker in _TARGETS.items():
+        for scene, randomised in _SCENES.items():
+            # Randomised scenes are not those of a training, whose generators are of [seed] and [seed, 1].
+            rng = np.random.default_rng([seed, marker, randomised])
+            samples = [
+                studio.draw(rng, marker, randomised)
+                for _ in tqdm(range(count), desc=f"{target}, {scene} scenes", unit="scene")
+            ]
+            examples[f"{target}, {scene}"] = samples[:_EXAMPLES]
+            for cameras in (1, 2):
+                seen = [dataclasses.replace(sample, views=sample.views[:cameras]) for sample in samples]
+                for name, detect in detectors.items():
+                    labels = {"target": target, "scenes": scene, "cameras": cameras, "detector": name}
+                    found = [find(sample, detect) for sample in seen]
+                    table.append(labels | _row(seen, found))
+                    if not randomised and cameras == len(samples[0].views):
+                        kept = [one for one in found if one is not None]
+                        sweeps += [{"target": target, "detector": name} | row for row in _sweep(kept, seed)]
+    return table, sweeps, examples
+
+
+def quantiles(millimetres: np.ndarray) -> dict[str, float]:
+    """Returns the median and the 95th percentile of errors; not a number where there is none.
+
+    >>> quantiles(np.arange(101.0))
+    {'median_mm': 50.0, 'p95_mm': 95.0}
+    """
+    if not len(millimetres):
+        return {"median_mm": np.nan, "p95_mm": np.nan}
+    return {"median_mm": float(np.median(millimetres)), "p95_mm": float(np.quantile(millimetres, 0.95))}
+
+
+def _row(samples: list[Sample], found: list[Found | None]) -> dict[str, float]:
+    hidden = [not any(view.seen for view in sample.views) for sample in samples]
+    none = [one is None for one in found]
+    millimetres = errors([one for one in found if one is not None], Noise(), np.random.default_rng(0))
+    return {
+        "count": len(samples),
+        "hidden_rate": float(np.mean(hidden)),
+        "not_found_rate": float(np.mean(none)),
+        **quantiles(millimetres),
+        "far_rate": float(np.sum(millimetres > _FAR) / len(samples)),
+    }
+
+
+def _sweep(found: list[Found], seed: int) -> list[dict]:
+    rows = []
+    for kind, values in SWEEPS.items():
+        for value in values:
+            distances = errors(found, Noise(**{kind: value}), np.random.default_rng(seed), repeats=_REPEATS)
+            rows.append({"noise": kind, "value": value, **quantiles(distances)})
+    return rows

@@ -1,0 +1,240 @@
+"""Where the target is, from pictures of an RGB-D camera: what an episode knows instead of the exact position.
+
+The target is the cube, painted red, or for reach a red ball at the goal (`MARKER_RADIUS`), which only the camera sees.
+A picture is taken by each camera at the episode's start; in the one that shows the target best, a detector finds the
+pixel of its middle, Eq. 8 makes a point of it, and its size leads from the surface to the centre.
+
+    localiser = Localiser(overhead(gripper_start), detect=load_detector(WEIGHTS), noise=Noise(pixel=1.0))
+    position = localiser(model, data, rng)                 # the cube's centre, [3], metres, world frame
+    position = localiser(model, data, rng, marker=goal)    # the ball's, put at `goal`
+
+`model` is any scene with a z axis that points up and a geom that is the cube; its kinematics must be computed.
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from scipy import ndimage
+
+from envs.fetch.grasp import CUBE_WIDTH
+from envs.vision.camera import Camera, look_at
+from envs.vision.rgbd import Photographer, Picture, Stage, add_shape
+
+MARKER_RADIUS = 0.02
+"""Metres, of the ball that stands for a goal in the air."""
+RED = np.array([0.85, 0.08, 0.08, 1.0])
+"""The target's colour, RGBA."""
+PIXELS = 128
+"""Width and height of the pictures."""
+
+_AZIMUTHS = (90.0, -30.0)  # degrees about z, from x; between them the Fetch arm hides no cube
+_ELEVATION = 55.0  # degrees above the horizon
+_DISTANCE = 1.0  # metres from the middle of the workspace
+_BELOW_START = 0.05  # metres from the gripper's start down to the middle of the workspace
+_FOVY = 34.0  # degrees; every goal of reach is in the picture
+
+_LEAST_REDNESS = 0.5  # of (red - the larger of green and blue) / red
+_LEAST_RED = 50  # of 255
+_LEAST_AREA = 12  # pixels
+_TOP = 0.005  # metres below the highest pixels that still count as the top face
+
+
+class TargetNotSeenError(LookupError):
+    """No camera sees the target."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what a real camera gets wrong, drawn anew for each picture; each is at least 0.
+
+    Raises:
+      ValueError: one is negative or not finite.
+
+    """
+
+    pixel: float = 0.0
+    """Of u and v each, pixels."""
+    depth: float = 0.0
+    """Of the depth that is read, metres."""
+    rotation: float = 0.0
+    """Of the camera's believed orientation about each of its axes, degrees."""
+    translation: float = 0.0
+    """Of the camera's believed position along each axis, metres."""
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} noise is {value}; it must be a number of at least 0")
+
+
+@dataclasses.dataclass(frozen=True)
+class Detection:
+    """Where in a picture the middle of the target's top, or of the ball, is."""
+
+    pixel: np.ndarray
+    """`[2]`: (u, v)."""
+    score: float
+    """Larger where the target is seen better; comparable between pictures of one detector."""
+
+
+Detector = Callable[[Picture, Camera, bool], Detection | None]
+"""Finds the cube in a picture, or the ball where the boolean is set; None where it sees none."""
+
+
+def overhead(start: np.ndarray, pixels: int = PIXELS) -> tuple[Camera, ...]:
+    """Returns two cameras over the workspace around the gripper's start, `[3]`, tilted to opposite sides of the arm."""
+    middle = np.asarray(start, float) - [0.0, 0.0, _BELOW_START]
+    elevation = np.radians(_ELEVATION)
+    cameras = []
+    for azimuth in np.radians(_AZIMUTHS):
+        direction = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+        cameras.append(look_at(middle + _DISTANCE * np.array(direction), middle, _FOVY, pixels, pixels))
+    return tuple(cameras)
+
+
+def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection | None:
+    """Finds the largest red patch: its centroid, of a cube that of the pixels which the depth puts in its top face."""
+    rgb = picture.rgb.astype(float)
+    red = rgb[..., 0]
+    mask = (red >= _LEAST_RED) & (red - rgb[..., 1:].max(axis=-1) >= _LEAST_REDNESS * red)
+    patches, count = ndimage.label(mask)
+    areas = np.bincount(patches.ravel())[1:]
+    if not count or areas.max() < _LEAST_AREA:
+        return None
+    pixels = np.argwhere(patches == 1 + areas.argmax())[:, ::-1] + 0.5
+    if not marker:
+        heights = camera.to_world(pixels, read_depth(picture.depth, pixels))[:, 2]
+        pixels = pixels[heights >= np.quantile(heights, 0.9) - _TOP]
+    return Detection(pixels.mean(axis=0), float(areas.max()))
+
+
+def read_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image, `[height, width]`, interpolated.
+
+    >>> read_depth(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5, 0.5], [1.0, 1.0], [0.5, 1.25]])).tolist()
+    [1.0, 2.5, 2.5]
+    """
+    columns, rows = np.reshape(pixels, (-1, 2)).T - 0.5
+    read = ndimage.map_coordinates(depth.astype(float), [rows, columns], order=1, mode="nearest")
+    return read.reshape(np.shape(pixels)[:-1])
+
+
+def surface_to_centre(camera: Camera, surface: np.ndarray, marker: bool) -> np.ndarray:
+    """Returns the target's centre, `[3]`, from the point of it in view, `[3]`.
+
+    That is the middle of the cube's top face, or the point of the ball on the ray through its centre.
+    """
+    if marker:
+        ray = surface - camera.position
+        return surface + MARKER_RADIUS * ray / np.linalg.norm(ray)
+    return surface - [0.0, 0.0, CUBE_WIDTH / 2]
+
+
+def estimate(
+    pixel: np.ndarray, depth: np.ndarray, camera: Camera, marker: bool, noise: Noise, rng: np.random.Generator
+) -> np.ndarray:
+    """Returns the target's centre, `[3]`, from its pixel and a depth image, with noise on all that is measured."""
+    noisy = pixel + noise.pixel * rng.standard_normal(2)
+    distance = read_depth(depth, noisy) + noise.depth * rng.standard_normal()
+    rotation = np.radians(noise.rotation) * rng.standard_normal(3)
+    believed = camera.moved(rotation, noise.translation * rng.standard_normal(3))
+    return surface_to_centre(believed, believed.to_world(noisy, distance), marker)
+
+
+def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
+    """Returns what paints a geom of the model.
+
+    Raises:
+      ValueError: the model has no such geom.
+
+    """
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+    if number < 0:
+        raise ValueError(f"the scene has no geom {geom!r}")
+
+    def stage(scene: mujoco.MjvScene) -> None:
+        for shown in scene.geoms[: scene.ngeom]:
+            if shown.objtype == mujoco.mjtObj.mjOBJ_GEOM and shown.objid == number:
+                shown.rgba, shown.matid = rgba, -1
+
+    return stage
+
+
+def ball(position: np.ndarray, rgba: np.ndarray = RED) -> Stage:
+    """Returns what puts the marker at a position, `[3]`."""
+
+    def stage(scene: mujoco.MjvScene) -> None:
+        add_shape(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, MARKER_RADIUS), position, rgba)
+
+    return stage
+
+
+class Localiser(contextlib.AbstractContextManager):
+    """Gives the target's position as cameras see it; see the module. For one thread; to be closed.
+
+    Args:
+      cameras: where they truly are; all pictures have one size.
+      detect: finds the target in a picture.
+      noise: of the measurements, and of what is believed of the cameras' poses.
+      cube: name of the cube's geom.
+
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        detect: Detector = detect_colour,
+        noise: Noise | None = None,
+        cube: str = "cube",
+    ):
+        self._cameras, self._detect, self._cube = cameras, detect, cube
+        self._noise = noise or Noise()
+        self._photographer: Photographer | None = None
+        self._model: mujoco.MjModel | None = None
+
+    def __call__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        rng: np.random.Generator,
+        marker: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Returns the centre of the cube, or of the ball put at `marker`: `[3]`, metres, world frame.
+
+        Raises:
+          TargetNotSeenError: no picture shows it.
+          RuntimeError: MuJoCo cannot render here.
+          ValueError: the model has no geom of the cube's name.
+
+        """
+        stage = paint(model, self._cube) if marker is None else ball(marker)
+        photographer = self._open(model)
+        found = []
+        for camera in self._cameras:
+            picture = photographer.shoot(data, camera, stage)
+            detection = self._detect(picture, camera, marker is not None)
+            if detection is not None:
+                found.append((detection, picture, camera))
+        if not found:
+            raise TargetNotSeenError(f"none of {len(self._cameras)} cameras sees the target")
+        detection, picture, camera = max(found, key=lambda view: view[0].score)
+        return estimate(detection.pixel, picture.depth, camera, marker is not None, self._noise, rng)
+
+    def _open(self, model: mujoco.MjModel) -> Photographer:
+        if self._photographer is None or self._model is not model:
+            self.close()
+            self._photographer = Photographer(model, self._cameras[0].width, self._cameras[0].height)
+            self._model = model
+        return self._photographer
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._photographer is not None:
+            self._photographer.close()
+            self._photographer = None
+
+    def __exit__(self, *exception) -> None:
+        self.close()

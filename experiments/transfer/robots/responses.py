@@ -1,0 +1,76 @@
+"""How the Fetch's gripper and fingers answer an action: what another robot is led along to move alike.
+
+Both start each action near where the robot is measured to be, as the Fetch's weld and servos do. Time is the Fetch's,
+in which an action lasts `CONTROL_PERIOD`.
+"""
+
+import numpy as np
+
+from envs.fetch.arm import LEAD
+from envs.fetch.grasp import WIDEST_GAP
+
+# The weld of assets/fetch/robot.xml: critically damped, its time constant times the impedance of its solimp.
+_TIME_CONSTANT = 0.95 * 0.02  # seconds
+_SLACK = 0.003  # metres that the gripper's reference may be away from the gripper: how hard it presses on what it meets
+
+# A finger and its servo, of the same file and of grasp.xml.
+_MASS = 104.0  # kilograms, with the armature
+_STIFFNESS = 30_000.0  # newtons a metre
+_DAMPING = 1_000.0  # newton seconds a metre
+_FARTHEST = 0.2  # metres, to which the servo may be told to move
+_SQUEEZE = 0.01  # metres that a finger's reference may be away from the finger: a cube is squeezed by no more
+
+
+class GripperResponse:
+    """A point that follows a target as the Fetch's gripper follows its mocap body.
+
+    Args:
+      position: where it starts, `[3]`, metres.
+
+    """
+
+    def __init__(self, position: np.ndarray):
+        self.position, self._velocity = position.copy(), np.zeros(3)
+
+    def lead(self, measured: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+        """Returns the target of an action, `[3]`, given where the gripper is, `[3]`, and the action's displacements."""
+        self.position = measured + np.clip(self.position - measured, -_SLACK, _SLACK)
+        return self.position + LEAD * displacement
+
+    def follow(self, target: np.ndarray, time: float) -> None:
+        """Moves towards the target for some time."""
+        behind = self.position - target
+        slope = self._velocity + behind / _TIME_CONSTANT
+        decay = np.exp(-time / _TIME_CONSTANT)
+        self.position = target + (behind + slope * time) * decay
+        self._velocity = (self._velocity - slope * time / _TIME_CONSTANT) * decay
+
+
+class FingerResponse:
+    """A gap that opens and closes as that between the Fetch's fingers.
+
+    Args:
+      gap: metres.
+
+    """
+
+    def __init__(self, gap: float):
+        self._finger, self._velocity = gap / 2, 0.0
+
+    @property
+    def gap(self) -> float:
+        """The gap, metres."""
+        return 2 * self._finger
+
+    def lead(self, measured: float, command: float) -> float:
+        """Returns where an action tells each finger to be, metres, given the gap as it is and the action's number."""
+        self._finger = min(max(self._finger, measured / 2 - _SQUEEZE), measured / 2 + _SQUEEZE)
+        return min(max(self._finger + command, 0.0), _FARTHEST)
+
+    def follow(self, target: float, time: float) -> None:
+        """Moves each finger towards a target for a time that is short, a physics step or so."""
+        self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
+        moved = self._finger + time * self._velocity
+        self._finger = min(max(moved, 0.0), WIDEST_GAP / 2)
+        if moved != self._finger:
+            self._velocity = 0.0

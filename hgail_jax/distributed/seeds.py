@@ -1,0 +1,222 @@
+"""Trains several seeds, and several settings of the hyperparameters, side by side in one compiled program."""
+
+import functools
+import gc
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+
+from envs import EpisodeMetrics, GoalEnv
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.distributed.sharding import ALONG_SEEDS, ENVS, EVERYWHERE, per_device
+from hgail_jax.evaluate import mean_outcome
+from hgail_jax.rollout import rollout
+from hgail_jax.samples import Samples
+from hgail_jax.state import TrainState, init_state
+from hgail_jax.train import RoundMetrics, evaluation_rng, train_step
+from hgail_jax.updates import act
+from hgail_jax.validation import check_count
+
+_MOST_SEEDS = 2**31 - 1
+
+SeedsStep = Callable[[TrainState, np.ndarray], tuple[TrainState, RoundMetrics]]
+"""A compiled function of states and a row of phases to new states and metrics, all with an axis over seeds."""
+
+
+def check_seeds(first: int, count: int) -> None:
+    """Raises a ValueError if there are no seeds, or some are negative or wider than 31 bits."""
+    check_count("seeds", count)
+    check_count("first_seed", first, least=0, most=_MOST_SEEDS - count)
+
+
+def seed_keys(first: int, count: int) -> jax.Array:
+    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others.
+
+    Raises:
+      ValueError: see `check_seeds`.
+
+    """
+    check_seeds(first, count)
+    return jax.vmap(jax.random.key)(jnp.arange(first, first + count))
+
+
+def init_seeds(
+    env: GoalEnv,
+    config: Config,
+    hyperparameters: Hyperparameters,
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over `keys`, `[seeds]`; see `init_state`."""
+    return init_sweep(env, config, [hyperparameters], keys, demonstrations)
+
+
+def init_sweep(
+    env: GoalEnv,
+    config: Config,
+    settings: Sequence[Hyperparameters],
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over settings times seeds, the seeds within a setting.
+
+    Whatever trains several seeds trains this: a grid of settings is one program. `split_sweep` takes its results apart.
+
+    Args:
+      env: the task.
+      config: sizes and counts, which all settings share.
+      settings: the hyperparameters of each.
+      keys: `[seeds]`; every setting has the same seeds.
+      demonstrations: see `init_state`.
+
+    Raises:
+      ValueError: see `init_state`; or there is no setting.
+
+    """
+    check_count("the number of settings", len(settings))
+    for setting in settings:  # once they are being traced, nobody can see them
+        setting.validate()
+    swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
+    swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
+    init = functools.partial(init_state, env, config, demonstrations=demonstrations)
+    return jax.jit(jax.vmap(init))(swept, jnp.tile(keys, len(settings)))
+
+
+def _widen(setting: Hyperparameters) -> Hyperparameters:
+    """Returns the setting with arrays for leaves."""
+    return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(setting).items()})
+
+
+def split_sweep(results: Any, settings: int) -> Any:
+    """Returns `results`, any pytree with leaves `[settings * seeds, ...]`, with leaves `[settings, seeds, ...]`."""
+    return jax.tree.map(lambda leaf: leaf.reshape(settings, -1, *leaf.shape[1:]), results)
+
+
+def compile_train_step(
+    env: GoalEnv, config: Config, states: TrainState, phases: np.ndarray, mesh: Mesh | None = None
+) -> SeedsStep:
+    """Compiles `train_step` for all seeds at once. The step consumes the states that it is given.
+
+    With a mesh of several devices each runs its part, see `hgail_jax.sharding`. The step then takes states that
+    `spread` placed, and every process can read its metrics.
+
+    On a GPU it compiles without autotuning and at a low optimisation level: the program is thousands of small kernels,
+    and on an H200 this took a third off the compilation and nothing off the speed.
+
+    Args:
+      env: the task.
+      config: sizes and counts.
+      states: from `init_seeds`; only its shapes are read.
+      phases: any row of the schedule; only its shape is read.
+      mesh: from `make_mesh`; None is one device.
+
+    Returns:
+      A function of states and a row of phases to new states and metrics, each with an axis over seeds.
+
+    """
+    return compile_program(_jit_train_step(env, config, mesh), states, phases)
+
+
+def compile_program(jitted: Any, *arguments: Any) -> Any:
+    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes.
+
+    Tracing makes millions of objects, hardly any of them garbage; without a search for it, it takes a sixth less time.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        lowered = jitted.lower(*arguments)
+    finally:
+        if enabled:
+            gc.enable()
+    return lowered.compile(compiler_options=_compiler_options())
+
+
+def _compiler_options() -> dict[str, Any] | None:
+    if jax.default_backend() != "gpu":
+        return None
+    return {"xla_gpu_autotune_level": 0, "xla_backend_optimization_level": 1}
+
+
+def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
+    def step(axis, states, phases):
+        return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
+
+    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, EVERYWHERE), (ALONG_SEEDS, EVERYWHERE), donate_argnums=0)
+
+
+def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
+    """Jits a function, each device of the mesh running its part.
+
+    Args:
+      mesh: None is one device.
+      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
+        over seeds.
+      given: how the arrays are laid out.
+      returned: how the results are laid out: along the seeds, or whole on each device.
+      options: of `jax.jit`.
+
+    """
+    if mesh is None or mesh.size == 1:
+        return jax.jit(functools.partial(function, None), **options)
+    axis = ENVS if mesh.shape[ENVS] > 1 else None
+    place = functools.partial(jax.tree.map, functools.partial(NamedSharding, mesh))
+    sharded = per_device(functools.partial(function, axis), mesh, given, ALONG_SEEDS)
+    return jax.jit(sharded, in_shardings=place(given), out_shardings=place(returned), **options)
+
+
+def evaluate_seeds(
+    env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
+) -> EpisodeMetrics:
+    """Evaluates every seed's mean action in the task's most accurate physics, by a program that it compiles for that.
+
+    Args:
+      env: the task.
+      config: sizes and counts.
+      states: with an axis over seeds; with a mesh as `spread` placed them.
+      num_episodes: that each seed has at least: whole roll-outs.
+      mesh: see `compile_train_step`.
+
+    Returns:
+      The means over the episodes, `[seeds]`.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1.
+      OverflowError: the simulation ran out of room for contacts.
+
+    """
+    accurate, rollouts = env.accurate(), evaluation_episodes(config, num_episodes) // config.num_envs
+
+    def measure(axis, states):
+        def roll_out(state, rng):
+            policy = act(accurate, config, state, noise=0.0, axis=axis)
+            trajectory = rollout(accurate, policy, rng, config.num_envs, probe=True, axis=axis)
+            return mean_outcome(trajectory), trajectory.overflow.any()
+
+        def of_seed(state):
+            rngs = jax.random.split(evaluation_rng(state), rollouts)
+            outcomes, overflow = jax.lax.map(functools.partial(roll_out, state), rngs)
+            return jax.tree.map(jnp.mean, outcomes), overflow.any()
+
+        return jax.vmap(of_seed)(states)
+
+    compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE), states)
+    outcome, overflow = jax.tree.map(np.asarray, compiled(states))
+    if overflow.any():
+        raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
+    return outcome
+
+
+def evaluation_episodes(config: Config, num_episodes: int) -> int:
+    """Returns how many episodes per seed `evaluate_seeds` runs: `num_episodes`, rounded up to whole roll-outs.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1.
+
+    """
+    check_count("num_episodes", num_episodes)
+    return -(-num_episodes // config.num_envs) * config.num_envs

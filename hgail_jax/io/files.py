@@ -1,0 +1,64 @@
+"""Writes files, JSON and CSV among them, so that a name never stands for half a file."""
+
+import contextlib
+import csv
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import jax
+import numpy as np
+
+_PARTIAL = ".partial"
+
+
+@contextlib.contextmanager
+def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
+    """Opens a temporary file beside `path` that takes its name once it is whole, and is removed if writing fails."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
+    try:
+        with temporary.open(mode) as file:
+            yield file
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Removes from a folder the temporary files of a process that was killed."""
+    for path in folder.glob(f".*{_PARTIAL}"):
+        path.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Writes a JSON file; what is not a number becomes null."""
+    with replace_file(path) as file:
+        json.dump(_plain(content), file, indent=2)
+        file.write("\n")
+
+
+def write_csv(path: Path, rows: list[dict]) -> None:
+    """Writes rows that all have the columns of the first; None is left empty."""
+    with replace_file(path) as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+        if rows:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | jax.Array):
+        return _plain(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

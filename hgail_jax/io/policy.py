@@ -1,0 +1,161 @@
+"""A trained policy as a file, and as a plain NumPy function.
+
+The file is an npz of float32 arrays, not compressed, with a header in JSON; NumPy alone reads it and nothing in it is
+code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the observation, and the header is
+
+    {"format": "hgail_jax policy 2", "task": "reach",
+     "observation": {"features": 6, "goal": 3, "clip": 5.0},   # features first, then the goal; clipped once normalised
+     "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
+     "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
+     "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
+"""
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from envs import GoalEnv
+from hgail_jax.io.files import replace_file
+from hgail_jax.io.npz import load_npz
+from hgail_jax.io.versions import installed
+
+_FORMAT = "hgail_jax policy 2"
+_CLIP = 5.0
+_ACTION = {"low": -1.0, "high": 1.0}
+_ACTIVATION = "tanh"
+
+
+@dataclasses.dataclass(frozen=True)
+class MeanPolicy:
+    """The mean action of a trained policy, free of JAX.
+
+    Raises:
+      ValueError: the sizes of the arrays do not fit together, or a number is not finite.
+
+    """
+
+    task: str
+    goal_size: int
+    """The last numbers of an observation, which are the desired goal."""
+    mean: np.ndarray = dataclasses.field(repr=False)
+    """`[observation_size]`: what is taken off an observation."""
+    std: np.ndarray = dataclasses.field(repr=False)
+    """`[observation_size]`: what it is then divided by."""
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...] = dataclasses.field(repr=False)
+    """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
+    versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
+    """Versions of the packages that trained it."""
+
+    def __post_init__(self):
+        arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
+        if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays):
+            raise ValueError("not all of its arrays are finite float32 numbers")
+        if not (0 < self.goal_size < self.mean.size and self.mean.shape == self.std.shape and (self.std > 0).all()):
+            raise ValueError("its normalisation does not fit its observation")
+        sizes = [self.mean.shape, *(biases.shape for _, biases in self.layers)]
+        shapes = [before + after for before, after in itertools.pairwise(sizes)]
+        fit = [
+            len(shape) == 2 and weights.shape == shape for shape, (weights, _) in zip(shapes, self.layers, strict=True)
+        ]
+        if not (fit and all(fit)):
+            raise ValueError("its layers do not fit together")
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in an observation: features, then the desired goal."""
+        return self.mean.size
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in an action."""
+        return self.layers[-1][1].size
+
+    def __call__(self, observation: np.ndarray, xp: Any = np) -> np.ndarray:
+        """Returns actions in [-1, 1], `[..., action_size]`, for observations `[..., observation_size]`.
+
+        Args:
+          observation: not normalised.
+          xp: the module that computes, `numpy` or `jax.numpy`.
+
+        Raises:
+          ValueError: the last axis of the observations has another size.
+
+        """
+        if np.shape(observation)[-1:] != self.mean.shape:
+            raise ValueError(f"an observation of {self.task} has {self.observation_size} numbers")
+        hidden = xp.clip((observation - self.mean) / self.std, -_CLIP, _CLIP)
+        for weights, biases in self.layers[:-1]:
+            hidden = xp.tanh(hidden @ weights + biases)
+        weights, biases = self.layers[-1]
+        return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
+
+
+def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
+    """Takes the policy out of a `TrainState` of one seed, trained on `env`, which `task` names."""
+    dense = state.actor_critic["policy"]["params"]
+    layers = [dense[f"Dense_{index}"] for index in range(len(dense))]
+    return MeanPolicy(
+        task=task,
+        goal_size=env.goal_size,
+        mean=np.asarray(state.statistics.mean),
+        std=np.asarray(state.statistics.std),
+        layers=tuple((np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in layers),
+        versions=installed("hgail-jax", "jax", "mujoco-mjx"),
+    )
+
+
+def save_policy(path: Path | str, policy: MeanPolicy) -> None:
+    """Writes a policy; see the module for the format."""
+    header = {
+        "format": _FORMAT,
+        "task": policy.task,
+        "observation": {
+            "features": policy.observation_size - policy.goal_size,
+            "goal": policy.goal_size,
+            "clip": _CLIP,
+        },
+        "action": {"size": policy.action_size, **_ACTION},
+        "layers": len(policy.layers),
+        "activation": _ACTIVATION,
+        "versions": policy.versions,
+    }
+    arrays = {"mean": policy.mean, "std": policy.std}
+    for index, (weights, biases) in enumerate(policy.layers):
+        arrays |= {f"weights_{index}": weights, f"biases_{index}": biases}
+    with replace_file(path, "wb") as file:
+        np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
+
+
+def load_policy(path: Path | str) -> MeanPolicy:
+    """Reads a policy written by `save_policy`; the file need not be trusted.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: the file is not a policy.
+
+    """
+    return load_npz(path, "a policy", _from_file)
+
+
+def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
+    header = json.loads(str(file["header"]))
+    if header["format"] != _FORMAT:
+        raise ValueError(f"its format is {header['format']!r}, not {_FORMAT!r}")
+    observation, action = header["observation"], header["action"]
+    computes = (header["activation"], observation["clip"], action["low"], action["high"])
+    if computes != (_ACTIVATION, _CLIP, _ACTION["low"], _ACTION["high"]):
+        raise ValueError(f"this version does not compute {computes}")
+    if not 0 < header["layers"] <= len(file):
+        raise ValueError(f"it has no {header['layers']} layers")
+    layers = tuple((file[f"weights_{index}"], file[f"biases_{index}"]) for index in range(header["layers"]))
+    policy = MeanPolicy(
+        header["task"], observation["goal"], file["mean"], file["std"], layers, dict(header["versions"])
+    )
+    if (policy.observation_size, policy.action_size) != (observation["features"] + observation["goal"], action["size"]):
+        raise ValueError("its arrays do not have the sizes that its header names")
+    return policy

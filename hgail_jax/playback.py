@@ -1,0 +1,96 @@
+"""Shows a policy on a Fetch task: as a film, or in MuJoCo's viewer."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from envs.fetch.arm import CONTROL_PERIOD, FetchEnv
+from envs.scenes import load_scene
+from envs.vision.rgbd import open_renderer
+from hgail_jax.io.policy import MeanPolicy
+
+_SIZE = (480, 640)  # height, width
+_HOLD = 10  # frames that the last pose of an episode stands still
+
+
+class Stage:
+    """The scene with its pictures, posed frame by frame.
+
+    Args:
+      env: the task.
+      policy: what acts.
+      seed: of the episodes.
+
+    """
+
+    def __init__(self, env: FetchEnv, policy: MeanPolicy, seed: int):
+        self.model = load_scene(env.scene, visual=True)
+        self.data = mujoco.MjData(self.model)
+        self.outcomes: list[bool] = []
+        """Whether each episode so far was a success."""
+        self._env, self._policy, self._seed = env, policy, seed
+
+    def play(self, episodes: int) -> Iterator[None]:
+        """Poses `data` for each frame of some episodes, probe included, with the target's site at the goal."""
+        reset, step, outcome = jax.jit(self._env.reset), jax.jit(self._env.step), jax.jit(self._env.outcome)
+        for key in jax.random.split(jax.random.key(self._seed), episodes):
+            state = end = reset(key)
+            action: np.ndarray | jax.Array = np.zeros(self._env.action_size, np.float32)
+            for frame in range(self._env.episode_length + self._env.probe_length):
+                yield from self._pose(state)
+                acts = frame < self._env.episode_length
+                action = self._policy(np.asarray(state.obs)) if acts else self._env.probe_action(jnp.asarray(action))
+                state = step(state, action)
+                end = state if acts else end
+            self.outcomes.append(bool(outcome(end, state).success))
+            for _ in range(_HOLD):
+                yield from self._pose(state)
+
+    def _pose(self, state) -> Iterator[None]:
+        self.model.site("target").pos = np.asarray(state.info["desired_goal"])[:3]
+        self.data.qpos[:] = np.asarray(state.pipeline_state.qpos)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        yield
+
+
+def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
+    """Writes an mp4 of a few episodes with the target as a red ball, in real time; returns which were successes.
+
+    Raises:
+      RuntimeError: MuJoCo cannot render here.
+
+    """
+    stage = Stage(env, policy, seed)
+    renderer = open_renderer(stage.model, *_SIZE)
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(stage.model, camera)
+    camera.distance = 1.6
+    temporary = path.with_name(f".{path.name}")
+    with renderer, imageio.get_writer(temporary, format="FFMPEG", fps=round(1 / CONTROL_PERIOD)) as writer:
+        for _ in stage.play(episodes):
+            renderer.update_scene(stage.data, camera)
+            writer.append_data(renderer.render())  # type: ignore[attr-defined]
+    temporary.rename(path)
+    return stage.outcomes
+
+
+def show(env: FetchEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
+    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed."""
+    import mujoco.viewer  # needs a display
+
+    stage = Stage(env, policy, seed)
+    with mujoco.viewer.launch_passive(stage.model, stage.data) as viewer:
+        for _ in stage.play(episodes):
+            started = time.perf_counter()
+            if not viewer.is_running():
+                break
+            viewer.sync()
+            time.sleep(max(0.0, CONTROL_PERIOD - (time.perf_counter() - started)))
+    return stage.outcomes

@@ -1,0 +1,94 @@
+"""Records what a scripted controller does as demonstrations."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import envs
+from envs.fetch.controllers import CONTROLLERS
+from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from hgail_jax.io.versions import installed
+from hgail_jax.rollout import Trajectory, rollout
+from hgail_jax.validation import check_count
+
+
+def run_controller(env: envs.GoalEnv, task: str, name: str, episodes: int, seed: int) -> Trajectory:
+    """Runs the controller `name` of a task, on the goals that the task is measured by, with its probe.
+
+    Raises:
+      ValueError: the task has no such controller.
+
+    """
+    if name not in CONTROLLERS.get(task, {}):
+        known = ", ".join(f"{task} {name}" for task, names in CONTROLLERS.items() for name in names)
+        raise ValueError(f"{task!r} has no controller {name!r}; there are {known}")
+    controller = CONTROLLERS[task][name]
+
+    def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+        del rng
+        return controller(observation), jnp.zeros(observation.shape[:-1])
+
+    return jax.jit(lambda rng: rollout(env, policy, rng, episodes, probe=True))(jax.random.key(seed))
+
+
+def demonstrator(task: str) -> str:
+    """Returns the name of the controller that demonstrates a task.
+
+    Raises:
+      ValueError: there is none.
+
+    """
+    if task not in CONTROLLERS:
+        raise ValueError(f"no controller demonstrates {task!r}; there are those of {', '.join(CONTROLLERS)}")
+    return next(iter(CONTROLLERS[task]))
+
+
+def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demonstrations:
+    """Returns the first `episodes` successes of the controller that demonstrates a task.
+
+    Raises:
+      ValueError: none demonstrates it, or it succeeds too rarely.
+
+    """
+    check_count("demonstrations", episodes)
+    name = demonstrator(task)
+    trajectory = run_controller(env, task, name, episodes + episodes // 4 + 4, seed)
+    succeeded = np.flatnonzero(np.asarray(trajectory.outcome.success))[:episodes]
+    if len(succeeded) < episodes:
+        raise ValueError(f"{name} succeeds too rarely on {task}: {len(succeeded)} times, for {episodes} demonstrations")
+
+    def in_order(values, steps):
+        """Time comes first in a trajectory; the last state has no action."""
+        return np.moveaxis(np.asarray(values, np.float32), 0, 1)[succeeded, :steps]
+
+    steps = env.episode_length
+    return Demonstrations(
+        task=task,
+        features=in_order(trajectory.features, steps),
+        goal=in_order(trajectory.desired, steps),
+        action=in_order(trajectory.action, steps),
+        success=np.asarray(trajectory.outcome.success, np.float32)[succeeded],
+        returns=np.asarray(trajectory.reward.sum(axis=0), np.float32)[succeeded],
+        distance_l1=np.asarray(trajectory.outcome.distance_l1, np.float32)[succeeded],
+        made_by={
+            "controller": name,
+            "seed": seed,
+            "physics": {option: getattr(env, option, None) for option in ("impl", "substeps")},
+            "versions": installed("hgail-jax", "jax", "mujoco-mjx"),
+        },
+    )
+
+
+def load_or_record(path: Path, env: envs.GoalEnv, task: str, episodes: int) -> Demonstrations:
+    """Returns `episodes` demonstrations out of a file; where there is no such file, they are recorded into it.
+
+    Raises:
+      ValueError: see `load_demonstrations`, `record` and `Demonstrations.first`.
+
+    """
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_demonstrations(path, record(env, task, episodes))
+    return load_demonstrations(path, task).first(episodes)

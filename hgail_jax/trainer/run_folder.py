@@ -1,0 +1,81 @@
+"""The folder of a run: names it, makes it, and keeps other runs and other processes out of it."""
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from hgail_jax.trainer.checkpoint import refuse_another_run
+
+
+def next_folder(parent: Path, stem: str) -> Path:
+    """Returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
+    return parent / f"{stem}-{1 + max(_numbers(parent, stem), default=0)}"
+
+
+def newest_folder(parent: Path, stem: str) -> Path | None:
+    """Returns `parent/stem-N` for the largest N there is, or None."""
+    numbers = _numbers(parent, stem)
+    return parent / f"{stem}-{max(numbers)}" if numbers else None
+
+
+def _numbers(parent: Path, stem: str) -> list[int]:
+    endings = [path.name.removeprefix(f"{stem}-") for path in parent.glob(f"{stem}-*")]
+    return [int(ending) for ending in endings if ending.isdecimal()]
+
+
+def create_folder(path: Path) -> None:
+    """Makes a run's folder.
+
+    Raises:
+      ValueError: it is there already, or cannot be made.
+
+    """
+    try:
+        path.mkdir(parents=True)
+    except FileExistsError:
+        raise ValueError(f"{path} exists already; name another folder, or none to have one numbered") from None
+    except OSError as error:
+        raise ValueError(f"cannot make the folder {path}: {error.strerror}") from None
+
+
+def reopen_folder(path: Path, identity: dict) -> None:
+    """Checks that a folder is that of the run which has this identity, or empty; writes nothing.
+
+    Raises:
+      ValueError: it is neither.
+
+    """
+    if not path.is_dir():
+        raise ValueError(f"there is no folder {path} to resume")
+    if not any(entry for entry in path.iterdir() if not entry.name.startswith(".")):
+        return
+    try:
+        content = json.loads((path / "config.json").read_text())
+        there = {name: content[name] for name in identity}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path} is not the folder of a run that can be resumed: {error}") from None
+    refuse_another_run(path, there, identity)
+
+
+@contextlib.contextmanager
+def sole_user(path: Path) -> Iterator[None]:
+    """Holds a folder for this process; the system lets go of it however the process ends.
+
+    Raises:
+      ValueError: another process holds it.
+
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{path} is in use by another process") from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,126 @@
+"""The episode runner, on a robot simple enough to be worked out by hand."""
+
+import numpy as np
+import pytest
+
+import envs
+from envs.fetch.grasp import LEAST_RISE
+from experiments.transfer.episode import Conditions, mistaken, run_episode, run_episodes
+
+
+class Dot:
+    """Moves by 0.03 m for a unit action; notes what it is told. A cube that it holds rises with it."""
+
+    offset = np.zeros(3)
+
+    def __init__(self, task="reach", holds=True):
+        self.task, self.holds, self.told = task, holds, []
+        self.position, self.goal = np.zeros(3), np.array([0.1, -0.05, 0.0])
+
+    def reset(self, rng):
+        self.position, self.goal = np.zeros(3), rng.uniform(-0.1, 0.1, 3)
+
+    def features(self):
+        hand = [] if self.task == "reach" else [0.05, float(self.holds)]
+        return np.concatenate([self.position, np.zeros(3), hand])
+
+    def target(self):
+        return self.goal
+
+    def step(self, action):
+        self.told.append(np.array(action))
+        self.position = self.position + 0.03 * action[:3]
+        if self.task == "grasp" and self.holds:
+            self.goal = self.goal + np.array([0.0, 0.0, 0.03 * action[2]])
+
+
+def to_the_goal(observation):
+    return np.append(20 * (observation[-3:] - observation[:3]), 0.7)
+
+
+def run(robot, policy=to_the_goal, **conditions):
+    return run_episode(robot, policy, np.random.default_rng(0), Conditions(**conditions))
+
+
+def test_an_episode_has_the_task_s_steps_and_is_measured_at_its_end():
+    robot, seen = Dot(), []
+    outcome = run_episode(robot, to_the_goal, np.random.default_rng(0), watch=lambda: seen.append(robot.position))
+    assert len(robot.told) == 50
+    assert len(seen) == 51
+    assert outcome.success == outcome.success_l1 == 1.0
+    assert outcome.distance_l2 == pytest.approx(0.0, abs=1e-6)
+    assert np.max(np.abs(robot.told)) <= 1.0
+
+
+@pytest.mark.parametrize("offset", [(0.04, 0.0, 0.0), (0.0, -0.06, 0.0)])
+def test_it_goes_where_the_target_is_believed_and_is_judged_by_where_it_is(offset):
+    robot = Dot()
+    outcome = run(robot, estimate=mistaken(offset=offset))
+    np.testing.assert_allclose(robot.position, robot.goal + offset, atol=1e-5)
+    assert outcome.distance_l1 == pytest.approx(np.abs(offset).sum(), abs=1e-5)
+    assert outcome.success == float(np.linalg.norm(offset) <= 0.05)
+
+
+def test_the_target_is_estimated_once():
+    asked = []
+
+    def estimate(position, rng):
+        asked.append(position)
+        return position + rng.normal(size=3)
+
+    run(Dot(), estimate=estimate)
+    assert len(asked) == 1
+
+
+def test_noise_has_the_standard_deviation_asked_for():
+    estimate, rng = mistaken(noise=0.02, offset=(0.0, 0.0, 0.1)), np.random.default_rng(0)
+    errors = np.stack([estimate(np.zeros(3), rng) for _ in range(4000)])
+    np.testing.assert_allclose(errors.mean(0), [0.0, 0.0, 0.1], atol=1.5e-3)
+    np.testing.assert_allclose(errors.std(0), 0.02, atol=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_actions_come_late(delay):
+    """The action that answers step t arrives at t + delay; until then nothing moves."""
+    robot, decided = Dot(), []
+
+    def count(observation):
+        decided.append(len(decided) / 100)
+        return np.full(4, decided[-1])
+
+    run(robot, count, delay=delay)
+    told = np.array(robot.told)[:, 0]
+    np.testing.assert_array_equal(told[:delay], 0.0)
+    np.testing.assert_allclose(told[delay:], decided[: 50 - delay], atol=1e-6)
+
+
+def test_the_stride_changes_displacements_alone():
+    robot = Dot()
+    run(robot, lambda observation: np.array([2.0, 0.5, -0.5, 0.7]), stride=1.5)
+    np.testing.assert_allclose(robot.told[0], [1.5, 0.75, -0.75, 0.7])
+
+
+def test_grasping_takes_a_lift():
+    """The goal says to hold; the probe goes straight up with the hand as it was."""
+    robot = Dot("grasp")
+    outcome = run(robot, lambda observation: np.array([0.0, 0.0, 0.0, -0.3]) * observation[-1])
+    assert outcome.achieved == outcome.success == 1.0
+    assert len(robot.told) == 50 + 12
+    np.testing.assert_allclose(robot.told[-12:], np.tile([0.0, 0.0, 1.0, -0.3], (12, 1)), atol=1e-6)
+    assert LEAST_RISE < 12 * 0.03
+    assert run(Dot("grasp", holds=False), lambda observation: np.zeros(4)).success == 0.0
+    dropped = Dot("grasp")
+    dropped.step = lambda action: dropped.told.append(action)
+    outcome = run(dropped, lambda observation: np.zeros(4))
+    assert (outcome.achieved, outcome.success) == (1.0, 0.0)
+
+
+def test_starts_depend_on_seed_and_number_alone():
+    robot, policies = Dot(), [to_the_goal, lambda observation: np.zeros(4)]
+    both = run_episodes(robot, policies, range(4), seed=3)
+    assert [outcome.success for outcome in both][::2] == [1.0, 1.0]
+    later = run_episodes(robot, policies, [1, 3], seed=3, conditions=Conditions(mistaken(noise=0.1)))
+    assert [outcome.distance_l1 for outcome in later] == [both[1].distance_l1, both[3].distance_l1]
+    other = run_episodes(robot, policies, [1], seed=4)
+    assert other[0].distance_l1 != both[1].distance_l1
+    assert isinstance(both[0], envs.EpisodeMetrics)

@@ -1,0 +1,73 @@
+"""Policies trained in MJX, unchanged, in Gymnasium-Robotics; and what they are shown there."""
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from envs.fetch import controllers
+from envs.fetch.arm import CONTROL_PERIOD
+from experiments.transfer.episode import run_episode, run_episodes
+from experiments.transfer.robots.reference import Reference
+from hgail_jax.io.policy import load_policy
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return Reference("reach")
+
+
+@pytest.fixture(scope="module")
+def grasp():
+    return Reference("grasp")
+
+
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_features(task, request):
+    """Position and velocity against MuJoCo's own, the gap against the joints."""
+    robot = request.getfixturevalue(task)
+    robot.reset(np.random.default_rng(0))
+    for _ in range(3):
+        robot.step(np.array([0.5, -0.7, 0.2, 1.0]))
+    features, velocity = robot.features(), np.zeros(6)
+    site = robot.model.site("robot0:grip").id
+    mujoco.mj_objectVelocity(robot.model, robot.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+    np.testing.assert_allclose(features[:3], robot.data.site_xpos[site])
+    np.testing.assert_allclose(features[3:6], CONTROL_PERIOD * velocity[3:], rtol=0.1, atol=1e-4)  # a step apart
+    if task == "grasp":
+        assert features[6] == pytest.approx(0.1, abs=5e-3)
+        assert features[7] == 0.0
+        np.testing.assert_allclose(robot.target(), robot.data.body("object0").xpos, atol=1e-6)
+
+
+def test_a_step_may_be_longer_than_the_environment_s(reach):
+    moved = []
+    for length in (1.0, 1.5):
+        reach.reset(np.random.default_rng(0))
+        before = reach.features()[0]
+        reach.step(np.array([-length, 0.0, 0.0, 0.0]))
+        moved.append(before - reach.features()[0])
+    assert moved[1] / moved[0] == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_trained_policy_reaches(reach, shipped_policy):
+    outcomes = run_episodes(reach, [load_policy(shipped_policy)], range(100))
+    assert np.mean([outcome.success for outcome in outcomes]) >= 0.98
+
+
+def test_a_trained_policy_grasps(grasp, grasp_policy):
+    outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(40))
+    assert np.mean([outcome.success for outcome in outcomes]) >= 0.93
+
+
+def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
+    """From above every cube is held; a closed hand holds none."""
+    grasps = {"from above": controllers.grasp, "closed": controllers.closed}
+    for name, controller in grasps.items():
+        grasp.reset(np.random.default_rng(5))
+        low = grasp.target()[2]
+        outcome = run_episode(
+            grasp, lambda seen, act=controller: np.asarray(act(jnp.asarray(seen))), np.random.default_rng(0)
+        )
+        assert outcome.success == outcome.achieved == float(name == "from above")
+        assert (grasp.target()[2] - low > 0.2) == bool(outcome.success)

@@ -1,0 +1,120 @@
+"""The UR5e moves as the Fetch does, and policies trained on the Fetch drive it."""
+
+import itertools
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from envs.fetch import controllers
+from envs.fetch.arm import CONTROL_PERIOD
+from experiments.transfer.episode import run_episode, run_episodes
+from experiments.transfer.robots.inverse_kinematics import DownwardArm
+from experiments.transfer.robots.reference import Reference
+from experiments.transfer.robots.responses import FingerResponse, GripperResponse
+from experiments.transfer.robots.ur5e import UR5e
+from experiments.transfer.robots.ur5e_model import TOOL_CENTRE, load_arm
+from hgail_jax.io.policy import load_policy
+
+
+@pytest.fixture(scope="module")
+def grasp():
+    return UR5e("grasp")
+
+
+@pytest.fixture(scope="module")
+def fetch():
+    return Reference("grasp")
+
+
+def move(robot, actions):
+    """Returns what is seen after each action, from a start."""
+    robot.reset(np.random.default_rng(0))
+    seen = [robot.features()]
+    for action in actions:
+        robot.step(np.array(action))
+        seen.append(robot.features())
+    return np.array(seen)
+
+
+PUSH = [[-1.0, 0.0, 0.0, 1.0]] * 4 + [[0.0, 0.0, 0.0, 1.0]] * 3
+SIDE = [[0.0, 1.0, 0.0, 1.0]] * 4 + [[0.0, 0.0, 0.0, 1.0]] * 3
+
+
+@pytest.mark.parametrize("actions", [PUSH, SIDE])
+def test_the_tool_answers_as_the_fetch_s_gripper(grasp, fetch, actions):
+    """About 33 mm for a unit action, stopping within one, without turning; velocities too are the Fetch's."""
+    ours, theirs = move(grasp, actions), move(fetch, actions)
+    np.testing.assert_allclose(ours[0, :3], theirs[0, :3], atol=2e-3)
+    np.testing.assert_allclose(np.diff(ours[:, :3], axis=0), np.diff(theirs[:, :3], axis=0), atol=3e-3)
+    np.testing.assert_allclose(ours[:, 3:6], theirs[:, 3:6], atol=8e-3)
+    tool = grasp.data.site(TOOL_CENTRE).xmat.reshape(3, 3)
+    assert tool[2, 2] < -0.999
+
+
+def test_the_hand_opens_and_closes_on_the_fetch_s_scale(grasp):
+    seen = move(grasp, [[0.0, 0.0, 0.0, -1.0]] * 6 + [[0.0, 0.0, 0.0, 1.0]] * 6)
+    assert seen[0, 6] == pytest.approx(0.1, abs=2e-3)
+    assert seen[6, 6] == pytest.approx(0.0, abs=5e-3)
+    assert seen[12, 6] == pytest.approx(0.1, abs=5e-3)
+    assert not seen[:, 7].any()
+
+
+def test_velocity_is_metres_an_action(grasp):
+    grasp.reset(np.random.default_rng(0))
+    grasp.step(np.array([0.5, 0.3, -0.2, 0.0]))
+    velocity, site = np.zeros(6), grasp.model.site(TOOL_CENTRE).id
+    mujoco.mj_objectVelocity(grasp.model, grasp.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+    np.testing.assert_allclose(grasp.features()[3:6], 4 * CONTROL_PERIOD * velocity[3:], atol=1e-6)
+
+
+def test_responses_are_the_fetch_s(fetch):
+    """The references alone, against the simulation they stand for."""
+    theirs = move(fetch, [[-1.0, 0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 0.0, -1.0]] * 3)
+    gripper, fingers = GripperResponse(theirs[0, :3]), FingerResponse(0.0)
+    for number, (last, seen) in enumerate(itertools.pairwise(theirs), start=1):
+        before = gripper.position
+        target = gripper.lead(gripper.position, np.array([-1.0, 0.0, 0.0]) if number <= 3 else np.zeros(3))
+        gripper.follow(target, CONTROL_PERIOD)
+        goal = fingers.lead(fingers.gap, 1.0 if number <= 3 else -1.0)
+        for _ in range(20):
+            fingers.follow(goal, CONTROL_PERIOD / 20)
+        np.testing.assert_allclose(gripper.position - before, seen[:3] - last[:3], atol=3e-3)
+        assert fingers.gap == pytest.approx(seen[6], abs=8e-3)
+
+
+def test_joints_keep_to_their_speed():
+    arm = DownwardArm(load_arm(), TOOL_CENTRE, np.diag([1.0, -1.0, -1.0]), fastest=np.pi)
+    velocities = arm.approach(np.array([0.3, 0.5, 0.2]), time=0.01)
+    assert np.abs(velocities).max() == pytest.approx(np.pi, rel=1e-3)
+
+
+def test_targets_are_drawn_as_the_fetch_s(grasp):
+    offsets = []
+    for seed in range(50):
+        grasp.reset(np.random.default_rng(seed))
+        offsets.append(grasp.target() - grasp.features()[:3])
+    offsets = np.array(offsets)
+    assert np.abs(offsets[:, :2]).max() <= 0.151
+    assert np.linalg.norm(offsets[:, :2], axis=1).min() >= 0.099
+    np.testing.assert_allclose(grasp.target()[2], 0.425, atol=1e-3)
+
+
+def test_a_controller_grasps_and_a_closed_hand_does_not(grasp):
+    for controller, grasped in ((controllers.grasp, 1.0), (controllers.closed, 0.0)):
+        grasp.reset(np.random.default_rng(2))
+        outcome = run_episode(
+            grasp, lambda seen, act=controller: np.asarray(act(jnp.asarray(seen))), np.random.default_rng(0)
+        )
+        assert outcome.success == outcome.achieved == grasped
+
+
+def test_a_policy_trained_on_the_fetch_reaches(shipped_policy):
+    outcomes = run_episodes(UR5e("reach"), [load_policy(shipped_policy)], range(6))
+    assert all(outcome.success for outcome in outcomes)
+
+
+def test_a_policy_trained_on_the_fetch_grasps(grasp, grasp_policy):
+    outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(6))
+    assert sum(outcome.success for outcome in outcomes) >= 4  # 92 % of 200; hardly any with a hand led otherwise

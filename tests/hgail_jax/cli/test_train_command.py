@@ -1,0 +1,213 @@
+import csv
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hgail_jax import load_policy
+from hgail_jax.cli import train as run
+from hgail_jax.presets import EVALUATION_EPISODES
+from hgail_jax.trainer.run_folder import newest_folder, next_folder
+from hgail_jax.io.files import write_json, write_csv
+
+ROOT = Path(__file__).parent.parent.parent
+TINY = ["--seeds", "2", "--num-envs", "2", "--iterations", "1"]
+
+
+@pytest.fixture
+def in_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_episodes():
+    """Evaluates in 4 episodes: with two environments at a time, more of them take longer than all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(EVALUATION_EPISODES, "cpu", 4)
+        yield
+
+
+@pytest.fixture(scope="module")
+def reach_run(tmp_path_factory):
+    """A tiny run of the real thing, with a video."""
+    folder = tmp_path_factory.mktemp("runs") / "reach"
+    run.main([*TINY, "--video", "--out", str(folder)])
+    return folder
+
+
+def test_a_run_writes_everything(reach_run):
+    names = {str(path.relative_to(reach_run)) for path in reach_run.rglob("*") if path.is_file()}
+    names = {name for name in names if not name.startswith("checkpoints/")}
+    policies = {f"policies/seed-{seed}.npz" for seed in range(2)}
+    assert names - {"rollout.mp4"} == {"config.json", "metrics.csv", "summary.json", "curves.png"} | policies
+    assert (reach_run / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in (reach_run / "checkpoints").iterdir()} == {"1", "2"}
+
+
+def test_summary_says_what_was_reached_and_what_made_it(reach_run):
+    summary = json.loads((reach_run / "summary.json").read_text())
+    assert (summary["task"], summary["method"], summary["seeds"]) == ("reach", "hgail", 2)
+    for key in ("success_rate", "success_rate_l1", "distance_l1", "distance_l2"):
+        assert len(summary[key]["per_seed"]) == 2
+        assert summary[key]["mean"] == pytest.approx(np.mean(summary[key]["per_seed"]))
+        assert summary[key]["std"] == pytest.approx(np.std(summary[key]["per_seed"]))
+    assert summary["env_steps_per_seed"] == 7 * 2 * 50  # pre-training and six phases of one round
+    assert set(summary["wall_seconds"]) >= {"compile", "train", "total"}
+    assert summary["env_steps_per_second"] > 0
+    assert summary["evaluation_episodes_per_seed"] == 4
+    assert summary["device"]["platform"] == "cpu"
+    assert summary["versions"]["mujoco"] == summary["versions"]["mujoco-mjx"] == "3.11.0"
+
+
+def test_metrics_have_a_row_per_seed_and_round(reach_run):
+    with (reach_run / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["seed"], row["round"], row["env_steps"]) for row in rows] == [
+        ("0", "0", "100"),
+        ("1", "0", "100"),
+        ("0", "1", "700"),
+        ("1", "1", "700"),
+    ]
+    for row in rows:
+        assert 0 <= float(row["success_rate"]) <= 1
+        assert 0 < float(row["distance_l2"]) <= float(row["distance_l1"])
+    assert rows[0]["reward"] == ""  # no policy phase in round 0
+    assert float(rows[2]["reward"]) > 0
+
+
+def test_the_same_command_writes_the_same_numbers(reach_run, tmp_path):
+    run.main([*TINY, "--out", str(tmp_path / "again")])
+
+    def rows(folder):
+        with (folder / "metrics.csv").open() as file:
+            return [row | {"seconds": ""} for row in csv.DictReader(file)]
+
+    assert rows(tmp_path / "again") == rows(reach_run)
+
+
+def test_policies_can_be_loaded(reach_run):
+    action = load_policy(reach_run / "policies" / "seed-1.npz")(np.zeros((5, 9)))
+    assert action.shape == (5, 4)
+    assert (np.abs(action) <= 1).all()
+
+
+def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
+    run.main(["--task", "point", "--first-seed", "5", *TINY])
+    run.main(["--task", "point", "--method", "ppo", *TINY])
+    run.main(["--task", "point", *TINY])
+    assert {path.name for path in Path("runs").iterdir()} == {"point-hgail-1", "point-ppo-1", "point-hgail-2"}
+    assert {path.name for path in Path("runs/point-hgail-1/policies").iterdir()} == {"seed-5.npz", "seed-6.npz"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--task", "poke"], "unknown task 'poke'; choose from point, reach"),
+        (["--seeds", "-1"], "seeds is -1; it must be at least 1"),
+        (["--num-envs", "-4"], "num_envs is -4; it must be at least 1"),
+        (["--iterations", "-1"], "rounds is -1; it must be at least 0"),
+        (["--p-ht", "1.5"], "p_ht is 1.5; it must be from 0 to 1"),
+        (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
+        (["--substeps", "3"], "substeps is 3; it must be from 4 to 20"),
+        (["--substeps", "0"], "substeps is 0; it must be from 4 to 20"),
+        (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
+        (["--likelihood", "-1"], "likelihood_weight is -1.0; it must be at least 0"),
+        (["--action-std", "0"], "action_std is 0.0; it must be positive"),
+        (["--action-std", "1", "2"], "action_std is (1.0, 2.0); it must be one number or 4"),
+        (["--task-options", "track_cube"], "task option 'track_cube' is not name=value"),
+        (["--task-options", "substeps=5"], "has an option of its own here"),
+        (["--task-options", "track_cube=true"], "no option 'track_cube'"),
+        (["--task", "grasp", "--task-options", "track_cube=3"], "track_cube is 3; it must be True or False"),
+        (["--task", "grasp", "--task-options", "raise_start=9"], "raise_start is 9; it must be from 0 to 0.15 m"),
+        (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the Fetch tasks"),
+        (["--method", "magic"], "invalid choice 'magic'"),
+        (["--seeds", "many"], "invalid literal for int()"),
+        (["--sed", "8"], "Unrecognized options: --sed"),
+        (["--first-seed", "-1"], "first_seed is -1; it must be at least 0"),
+        (["--first-seed", "2147483640"], "first_seed is 2147483640; it must be at most 2147483639"),
+        (["--checkpoint-every", "0"], "checkpoint_every is 0; it must be at least 1"),
+        (["--task", ".a:B"], "cannot load task '.a:B'"),
+        (["--resume", "missing"], "there is no folder missing to resume"),
+        (["--resume", "file"], "there is no folder file to resume"),
+        (["--resume", "there", "--out", "here"], "--resume and --out exclude each other"),
+        (["--out", "there"], "there exists already"),
+        (["--out", "file/run"], "cannot make the folder file/run"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(in_folder, capsys, arguments, message):
+    Path("there").mkdir()
+    Path("file").write_text("")
+    with pytest.raises(SystemExit) as exit_info:
+        run.main(arguments)
+    assert exit_info.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert {path.name for path in in_folder.rglob("*")} == {"there", "file"}
+
+
+def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
+    def refuse(*arguments, **options):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)  # root may write anywhere, so no mode of a folder would do
+    with pytest.raises(SystemExit) as exit_info:
+        run.main(["--out", "closed/run"])
+    assert exit_info.value.code == 2
+    assert "cannot make the folder closed/run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("likelihood, batch", [(None, 512), (0.5, 512), (0.0, 0)])
+def test_no_likelihood_costs_none(likelihood, batch):
+    """Also of a method that has it by default."""
+    prepared = run.prepare(run.Options(task="point", method="gcsl", likelihood=likelihood), "cpu")
+    assert prepared.config.likelihood_batch == batch
+    assert prepared.hyperparameters.likelihood_weight == (1.0 if likelihood is None else likelihood)
+
+
+def test_every_option_has_a_help_line(capsys):
+    with pytest.raises(SystemExit):
+        run.main(["--help"])
+    shown = capsys.readouterr().out
+    for option in run.Options.__dataclass_fields__:
+        assert f"--{option.replace('_', '-')}" in shown
+    assert "(default: reach)" in shown
+
+
+def test_next_folder_counts_on(tmp_path):
+    assert newest_folder(tmp_path, "reach-hgail") is None
+    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-1"
+    for name in ("reach-hgail-2", "reach-hgail-10", "reach-hgail-no-30", "reach-hgail-x"):
+        (tmp_path / name).mkdir()
+    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-11"
+    assert newest_folder(tmp_path, "reach-hgail").name == "reach-hgail-10"
+
+
+def test_what_is_not_a_number_is_left_out(tmp_path):
+    write_json(tmp_path / "a.json", {"x": float("nan"), "y": np.float32([1, 2]), "z": Path("p")})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"x": None, "y": [1, 2], "z": "p"}
+    write_csv(tmp_path / "a.csv", [{"x": None, "y": 1.5}])
+    assert (tmp_path / "a.csv").read_text().split() == ["x,y", ",1.5"]
+
+
+def test_a_wheel_finds_its_assets(tmp_path):
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, ROOT]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    code = "import envs.scenes as s; print(s.assets_directory(), s.load_scene('fetch/reach').nv)"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "site")},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == [str(tmp_path / "site" / "envs" / "assets"), "13"]

@@ -1,0 +1,109 @@
+"""Training over several devices: four that XLA makes of one processor, and two processes."""
+
+import csv
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from hgail_jax.distributed.sharding import make_mesh, most_devices
+
+ROOT = Path(__file__).parent.parent.parent
+SCRIPT = ROOT / "tests" / "sharded_training.py"
+PATHS = os.pathsep.join(str(path) for path in (ROOT, ROOT / "experiments", ROOT / "tests"))
+ENVIRONMENT = os.environ | {"PYTHONPATH": PATHS}
+
+
+def train_on_four_devices(path, **trainings):
+    """Returns what `sharded_training.train` returns for each of the keyword arguments."""
+    environment = ENVIRONMENT | {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
+    subprocess.run([sys.executable, SCRIPT, path, json.dumps(trainings)], env=environment, check=True, timeout=900)
+    with np.load(path) as content:
+        return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    return train_on_four_devices(
+        tmp_path_factory.mktemp("sharded") / "point.npz",
+        alone={"task": "point", "groups": [[0], [1], [2], [3]], "devices": 1},
+        seeds={"task": "point", "groups": [[0, 1, 2, 3], [3, 2, 1, 0]], "devices": 4},
+        both={"task": "point", "groups": [[0, 1]], "devices": 4},
+    )
+
+
+def assert_close(ours, expected, **tolerance):
+    for one, other in zip(ours, expected, strict=True):
+        np.testing.assert_allclose(one, other, **tolerance)
+
+
+def test_a_seed_has_the_same_bits_on_whichever_device_and_beside_whichever_others(trained):
+    for leaf in trained["seeds"]:
+        np.testing.assert_array_equal(leaf[:4], leaf[4:][::-1])
+
+
+def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
+    assert_close([leaf[:4] for leaf in trained["seeds"]], trained["alone"], rtol=1e-4, atol=1e-5)
+
+
+def test_a_seed_over_two_devices_agrees_with_the_seed_alone(trained):
+    """Two seeds over four devices, so the environments of each over two."""
+    assert_close(trained["both"], [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
+    one = {"task": "reach", "groups": [[0]], "devices": 1}
+    trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
+    assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("localhost", 0))
+        return listener.getsockname()[1]
+
+
+def start(folder, *arguments):
+    command = [sys.executable, ROOT / "experiments" / "run.py", "--task", "point", "--seeds", "1", "--num-envs", "4"]
+    arguments = ["--iterations", "1", "--out", folder, *arguments]
+    return subprocess.Popen([*command, *arguments], env=ENVIRONMENT, cwd=folder.parent, stdout=subprocess.PIPE)
+
+
+def rows(folder):
+    with (folder / "metrics.csv").open() as file:
+        return [[float(cell or 0) for name, cell in row.items() if name != "seconds"] for row in csv.DictReader(file)]
+
+
+def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path):
+    """The environments of one seed are split between them, so they exchange every trajectory."""
+    coordinator = ["--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
+    pair = [start(tmp_path / "pair", *coordinator, "--process-id", str(process)) for process in range(2)]
+    output = [process.communicate(timeout=300)[0] for process in pair]
+    assert [process.returncode for process in pair] == [0, 0]
+    assert b"success" in output[0] and b"success" not in output[1]
+    assert start(tmp_path / "single").wait(timeout=300) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
+    np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
+    pair, single = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("pair", "single"))
+    np.testing.assert_allclose(pair["distance_l1"]["mean"], single["distance_l1"]["mean"], rtol=1e-3)
+    assert sorted(path.name for path in (tmp_path / "pair" / "checkpoints").iterdir()) == ["1", "2"]
+
+
+def test_a_mesh_takes_seeds_first_and_then_environments():
+    device = jax.devices()[0]
+    for seeds, devices, shape in [(8, 4, (4, 1)), (6, 4, (2, 2)), (3, 4, (1, 4)), (1, 2, (1, 2))]:
+        assert tuple(make_mesh(seeds, 64, [device] * devices).shape.values()) == shape
+        assert most_devices(seeds, 64, devices) == devices
+
+
+def test_what_does_not_divide_is_refused_or_left_out():
+    with pytest.raises(ValueError, match="num_envs must be a multiple of 4"):
+        make_mesh(3, 6, [jax.devices()[0]] * 4)
+    assert most_devices(3, 6, 4) == 3

@@ -1,0 +1,147 @@
+import json
+import zipfile
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlib.mlir import ir
+from jaxlib.mlir.dialects import stablehlo
+
+import envs
+from hgail_jax import Config, Hyperparameters, MeanPolicy, export_policy, init_state, load_policy, save_policy
+from hgail_jax.io.files import replace_file
+from hgail_jax.io.policy import from_state
+from hgail_jax.updates import act
+
+
+@pytest.fixture
+def policy(shipped_policy):
+    return load_policy(shipped_policy)
+
+
+def test_a_saved_policy_is_the_mean_action(tmp_path):
+    env = envs.make("point")
+    state = init_state(env, Config(), Hyperparameters(), jax.random.key(0))
+    state = state.observe(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
+    # weights large enough that some actions are clipped
+    state = state.replace(actor_critic=jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.actor_critic))
+    observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2
+    expected, _ = act(env, Config(), state, noise=0.0)(observation, jax.random.key(3))
+    save_policy(tmp_path / "p.npz", from_state("point", env, state))
+    policy = load_policy(tmp_path / "p.npz")
+    np.testing.assert_allclose(policy(np.asarray(observation)), np.clip(expected, -1, 1), rtol=1e-4, atol=1e-5)
+    assert (policy.task, policy.goal_size, policy.observation_size, policy.action_size) == ("point", 3, 6, 3)
+    assert policy.versions["jax"] == jax.__version__
+    assert [path.name for path in tmp_path.iterdir()] == ["p.npz"]
+
+
+def test_the_file_can_be_read_with_numpy_alone(shipped_policy, policy):
+    """As the documentation of the format has it, without this package."""
+    file = np.load(shipped_policy, allow_pickle=False)
+    header = json.loads(str(file["header"]))
+    observation = np.random.default_rng(0).normal(size=(50, header["observation"]["features"] + 3))
+    hidden = np.clip((observation - file["mean"]) / file["std"], -5.0, header["observation"]["clip"])
+    for index in range(header["layers"]):
+        hidden = hidden @ file[f"weights_{index}"] + file[f"biases_{index}"]
+        hidden = np.tanh(hidden) if index < header["layers"] - 1 else hidden
+    action = np.clip(hidden, header["action"]["low"], header["action"]["high"])
+    np.testing.assert_allclose(policy(observation), action, rtol=1e-6)
+    assert header["observation"] == {"features": 6, "goal": 3, "clip": 5.0}
+    assert header["versions"]["jax"]
+
+
+def test_the_exported_program_is_the_policy(policy, tmp_path):
+    """Run by StableHLO's own interpreter."""
+    export_policy(tmp_path / "p.mlirbc", policy)
+    with ir.Context() as context:
+        stablehlo.register_dialect(context)
+        program = stablehlo.deserialize_portable_artifact(context, (tmp_path / "p.mlirbc").read_bytes())
+        for observation in np.random.default_rng(0).normal(size=(5, 9)).astype(np.float32):
+            (action,) = stablehlo.eval_module(program, [ir.DenseElementsAttr.get(observation)])
+            np.testing.assert_allclose(np.array(action), policy(observation), atol=1e-5)
+
+
+def test_an_observation_of_another_size_is_refused(policy):
+    for observation in (np.zeros(8), np.zeros((9, 2)), 1.0):
+        with pytest.raises(ValueError, match="an observation of reach has 9 numbers"):
+            policy(observation)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04"])
+def test_other_files_are_refused(tmp_path, content):
+    (tmp_path / "p.npz").write_bytes(content)
+    with pytest.raises(ValueError, match="is not a policy file"):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_pickles_are_refused(tmp_path):
+    np.savez(tmp_path / "p.npz", header=np.array([{"format": "hgail_jax policy 2"}], dtype=object))
+    with pytest.raises(ValueError, match=r"is not a policy file.*pickle"):
+        load_policy(tmp_path / "p.npz")
+
+
+def rewrite(source, target, header=None, save=np.savez, **arrays):
+    with np.load(source) as file:
+        content = {name: file[name] for name in file.files}
+    changed = json.loads(str(content["header"])) | (header or {})
+    save(target, **(content | arrays | {"header": np.array(json.dumps(changed))}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"header": {"format": "hgail_jax policy 1"}}, "its format is 'hgail_jax policy 1'"),
+        ({"header": {"layers": 10**9}}, "it has no 1000000000 layers"),
+        ({"header": {"layers": 0}}, "it has no 0 layers"),
+        ({"header": {"layers": 4}}, "weights_3"),
+        ({"header": {"layers": 2}}, "not have the sizes"),
+        ({"header": {"activation": "relu"}}, "does not compute"),
+        ({"header": {"observation": {"features": 7, "goal": 3, "clip": 5.0}}}, "not have the sizes"),
+        ({"header": {"observation": {"features": 0, "goal": 9, "clip": 5.0}}}, "does not fit"),
+        ({"header": {"action": {"size": 3, "low": -1.0, "high": 1.0}}}, "not have the sizes"),
+        ({"header": {"observation": None}}, "not a policy file"),
+        ({"mean": np.zeros(8, np.float32)}, "does not fit"),
+        ({"std": np.zeros(9, np.float32)}, "does not fit"),
+        ({"mean": np.full(9, np.nan, np.float32)}, "not all of its arrays are finite"),
+        ({"mean": np.zeros(9)}, "not all of its arrays are finite float32"),
+        ({"biases_1": np.zeros((64, 64), np.float32)}, "layers do not fit"),
+        ({"weights_2": np.zeros((63, 4), np.float32)}, "layers do not fit"),
+        ({"save": np.savez_compressed}, "it is compressed"),
+    ],
+)
+def test_files_that_do_not_fit_together_are_refused(tmp_path, shipped_policy, changes, message):
+    rewrite(shipped_policy, tmp_path / "same.npz")
+    assert isinstance(load_policy(tmp_path / "same.npz"), MeanPolicy)
+    rewrite(shipped_policy, tmp_path / "p.npz", **changes)
+    with pytest.raises(ValueError, match=message):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_a_truncated_or_altered_file_is_refused(tmp_path, shipped_policy):
+    content = shipped_policy.read_bytes()
+    for length in range(0, len(content), len(content) // 20):
+        (tmp_path / "p.npz").write_bytes(content[:length])
+        with pytest.raises(ValueError, match="is not a policy file"):
+            load_policy(tmp_path / "p.npz")
+    altered = bytearray(content)
+    with zipfile.ZipFile(shipped_policy) as archive:
+        altered[archive.getinfo("weights_0.npy").header_offset + 300] ^= 1
+    (tmp_path / "p.npz").write_bytes(altered)
+    with pytest.raises(ValueError, match="CRC"):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_a_missing_file_is_missing(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), replace_file(path) as file:
+        file.write("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]

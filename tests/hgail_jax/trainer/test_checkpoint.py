@@ -1,0 +1,295 @@
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import envs
+from hgail_jax import Checkpoints, Hyperparameters, schedule
+from hgail_jax.distributed.seeds import compile_train_step, init_seeds, seed_keys
+from hgail_jax.trainer.checkpoint import KEPT, SCHEMA
+from tests.support import TINY, small_files_only
+
+RUN = {"task": "point", "config": {"num_envs": 4, "hidden": (8, 8)}}
+
+
+def small_state(value=0.0):
+    return {
+        "weights": jnp.full((2, 3), float(value)) + jnp.arange(3),
+        "noise": jax.random.normal(jax.random.key(1), (100, 100)),  # too large to be stored in an index
+        "count": jnp.array([1, 2], jnp.int32),
+        "flag": jnp.array(True),
+        "key": jax.random.split(jax.random.key(7), 2),
+    }
+
+
+def numbers(state):
+    return jax.tree.map(
+        lambda leaf: np.asarray(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf),
+        state,
+    )
+
+
+def assert_same(one, other):
+    def same(a, b):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+
+    jax.tree.map(same, numbers(one), numbers(other))
+
+
+def save_small(folder, count, scores=None):
+    with Checkpoints(folder, RUN) as checkpoints:
+        for rounds in range(1, count + 1):
+            score = scores[rounds - 1] if scores else (0.0,)
+            checkpoints.save(rounds, small_state(rounds), {"rows": [rounds, 0.1, None]}, score)
+
+
+def folders(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_state_comes_back_as_it_was(tmp_path):
+    save_small(tmp_path, 2)
+    read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(small_state))
+    assert (read.rounds, read.record, read.damaged) == (2, {"rows": [2, 0.1, None]}, ())
+    assert_same(read.state, small_state(2))
+    assert jnp.issubdtype(read.state["key"].dtype, jax.dtypes.prng_key)
+
+
+def test_where_there_is_none_there_is_none(tmp_path):
+    assert Checkpoints(tmp_path / "missing", RUN).restore(small_state()) is None
+    assert not (tmp_path / "missing").exists()
+
+
+def test_the_last_ones_and_the_best_are_kept(tmp_path):
+    scores = [(0.5, 0.0), (0.9, -2.0), (0.9, -1.0), (0.1, 0.0), (0.2, 0.0), (0.3, 0.0), (0.4, 0.0)]
+    save_small(tmp_path, 7, scores)
+    assert folders(tmp_path) == ["3", "5", "6", "7"]
+    checkpoints = Checkpoints(tmp_path, RUN)  # the best is still known to a run that goes on
+    checkpoints.restore(small_state())
+    with checkpoints:
+        checkpoints.save(8, small_state(8), {}, (0.0, 0.0))
+    assert folders(tmp_path) == ["3", "6", "7", "8"]
+    assert KEPT == 3
+
+
+def test_a_state_may_be_donated_once_it_is_saved(tmp_path):
+    step = jax.jit(lambda values: values + 1.0, donate_argnums=0)
+    values = jnp.zeros(100_000)
+    with Checkpoints(tmp_path, RUN) as checkpoints:
+        for rounds in range(1, 4):
+            checkpoints.save(rounds, {"values": values}, {}, (0.0,))
+            for _ in range(5):
+                values = step(values)
+    read = Checkpoints(tmp_path, RUN).restore({"values": values})
+    np.testing.assert_array_equal(read.state["values"], np.full(100_000, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("run", "message"),
+    [
+        (RUN | {"task": "reach"}, "task is point there and reach here"),
+        (RUN | {"config": {"num_envs": 8, "hidden": (8, 8)}}, "config.num_envs is 4 there and 8 here"),
+        (RUN | {"config": {"num_envs": 4, "hidden": (8,)}}, r"config.hidden is \[8, 8\] there and \[8\] here"),
+        (RUN | {"seeds": 2}, "seeds is absent there and 2 here"),
+        ({"task": "point"}, "config is .* there and absent here"),
+    ],
+)
+def test_another_run_is_refused(tmp_path, run, message):
+    save_small(tmp_path, 1)
+    with pytest.raises(ValueError, match=message):
+        Checkpoints(tmp_path, run).restore(small_state())
+    assert folders(tmp_path) == ["1"]
+
+
+def test_a_state_of_another_shape_or_another_schema_is_refused(tmp_path, monkeypatch):
+    save_small(tmp_path, 1)
+    for changed, message in (
+        ({"weights": jnp.zeros((2, 4))}, r"weights is \['float32', \[2, 3\]\] there and \['float32', \[2, 4\]\] here"),
+        ({"count": jnp.zeros(2)}, "count is .*int32"),
+        ({"more": jnp.zeros(2)}, "more is absent there"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Checkpoints(tmp_path, RUN).restore(small_state() | changed)
+    monkeypatch.setattr("hgail_jax.trainer.checkpoint.SCHEMA", SCHEMA + 1)
+    with pytest.raises(ValueError, match=f"schema {SCHEMA}; this version reads {SCHEMA + 1}"):
+        Checkpoints(tmp_path, RUN).restore(small_state())
+
+
+def arrays_of(folder):
+    """The file in which most of the arrays are."""
+    return max((folder / "state" / "ocdbt.process_0" / "d").iterdir(), key=lambda path: path.stat().st_size)
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def forge(body):
+    """A record whose hash is right."""
+    return json.dumps({"body": body, "sha256": hashlib.sha256(json.dumps(body).encode()).hexdigest()})
+
+
+DAMAGE = {
+    "truncated record": lambda folder: os.truncate(folder / "record" / "metadata", 200),
+    "a bit of the record": lambda folder: flip(folder / "record" / "metadata"),
+    "no record": lambda folder: (folder / "record" / "metadata").unlink(),
+    "truncated arrays": lambda folder: os.truncate(arrays_of(folder), 1000),
+    "a bit of the arrays": lambda folder: flip(arrays_of(folder)),
+    "no arrays": lambda folder: arrays_of(folder).unlink(),
+    "empty manifest": lambda folder: (folder / "state" / "manifest.ocdbt").write_bytes(b""),
+    "a pickle": lambda folder: (folder / "record" / "metadata").write_bytes(b"\x80\x04cos\nsystem\n."),
+    "another form": lambda folder: (folder / "record" / "metadata").write_text(forge({"schema": SCHEMA})),
+    "no list": lambda folder: (folder / "record" / "metadata").write_text("7"),
+    "deep nesting": lambda folder: (folder / "record" / "metadata").write_text("[" * 100_000),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_checkpoint_falls_back_to_the_one_before(tmp_path, capfd, damage):
+    save_small(tmp_path, 3)
+    DAMAGE[damage](tmp_path / "3")
+    checkpoints = Checkpoints(tmp_path, RUN)
+    read = checkpoints.restore(small_state())
+    assert read.rounds == 2
+    assert len(read.damaged) == 1
+    assert f"checkpoint 3 in {tmp_path} is damaged" in read.damaged[0]
+    assert "\n" not in read.damaged[0]
+    assert_same(read.state, small_state(2))
+    assert capfd.readouterr().err == ""
+    with checkpoints:
+        checkpoints.save(3, small_state(30), {}, (0.0,))
+    assert_same(Checkpoints(tmp_path, RUN).restore(small_state()).state, small_state(30))
+
+
+def test_where_all_are_damaged_it_says_so(tmp_path):
+    save_small(tmp_path, 2)
+    for rounds in ("1", "2"):
+        os.truncate(tmp_path / rounds / "record" / "metadata", 10)
+    with pytest.raises(ValueError, match=r"no checkpoint can be read: checkpoint 2 .*; checkpoint 1"):
+        Checkpoints(tmp_path, RUN).restore(small_state())
+
+
+def test_what_a_killed_process_left_is_no_checkpoint_and_is_removed(tmp_path):
+    save_small(tmp_path, 2)
+    (tmp_path / "3.orbax-checkpoint-tmp-17").mkdir()
+    checkpoints = Checkpoints(tmp_path, RUN)
+    assert checkpoints.restore(small_state()).rounds == 2
+    with checkpoints:
+        checkpoints.save(3, small_state(3), {}, (0.0,))
+    assert folders(tmp_path) == ["1", "2", "3"]
+
+
+def test_checkpoints_are_never_overwritten_unread(tmp_path):
+    save_small(tmp_path, 2)
+    with pytest.raises(ValueError, match="restore one before saving more"):
+        save_small(tmp_path, 1)
+    assert folders(tmp_path) == ["1", "2"]
+
+
+def test_a_state_that_is_not_finite_is_not_saved(tmp_path):
+    with Checkpoints(tmp_path, RUN) as checkpoints, pytest.raises(FloatingPointError, match="weights is not finite"):
+        checkpoints.save(1, small_state(float("nan")), {}, (0.0,))
+    assert folders(tmp_path) == []
+
+
+def test_a_full_disk_is_an_error_and_leaves_no_checkpoint(tmp_path):
+    save_small(tmp_path, 1)
+    checkpoints = Checkpoints(tmp_path, RUN)
+    template = small_state() | {"weights": jnp.zeros((2, 3))}
+    checkpoints.restore(template)
+    with (
+        pytest.raises(OSError, match=f"cannot write a checkpoint to {tmp_path}: File too large"),
+        small_files_only(1_000),
+        checkpoints,
+    ):
+        checkpoints.save(2, template, {"text": "x" * 10_000}, (0.0,))
+    assert [name for name in folders(tmp_path) if name.isdecimal()] == ["1"]
+    checkpoints = Checkpoints(tmp_path, RUN)
+    assert checkpoints.restore(template).rounds == 1
+    with checkpoints:
+        checkpoints.save(2, template, {}, (0.0,))
+    assert folders(tmp_path) == ["1", "2"]
+
+
+def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(OSError, match="cannot write a checkpoint"),
+        Checkpoints(tmp_path / "file" / "run", RUN) as checkpoints,
+    ):
+        checkpoints.save(1, small_state(), {}, (0.0,))
+
+
+ON_FOUR_DEVICES = """
+import sys, json
+import jax, jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from hgail_jax import Checkpoints
+mesh = Mesh(jax.devices(), "seeds")
+template = {"values": jax.device_put(jnp.zeros((8, 3)), NamedSharding(mesh, PartitionSpec("seeds")))}
+with Checkpoints(sys.argv[1], {}) as checkpoints:
+    state = checkpoints.restore(template).state
+    print(len(state["values"].sharding.device_set), float(state["values"].sum()))
+    checkpoints.save(2, jax.jit(lambda state: jax.tree.map(lambda leaf: leaf + 1, state))(state), {}, (0.0,))
+"""
+
+
+def test_a_state_is_restored_onto_more_devices_and_onto_fewer(tmp_path):
+    values = jnp.arange(24.0).reshape(8, 3)
+    with Checkpoints(tmp_path, {}) as checkpoints:
+        checkpoints.save(1, {"values": values}, {}, (0.0,))
+    process = subprocess.run(
+        [sys.executable, "-c", ON_FOUR_DEVICES, tmp_path],
+        env=os.environ
+        | {
+            "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4",
+            "JAX_PLATFORMS": "cpu",
+            "PYTHONPATH": str(Path(__file__).parent.parent.parent),
+        },
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert process.stdout.split() == ["4", "276.0"]
+    read = Checkpoints(tmp_path, {}).restore({"values": values})
+    np.testing.assert_array_equal(read.state["values"], values + 1)
+    assert len(read.state["values"].sharding.device_set) == 1
+
+
+def test_eight_seeds_train_on_from_a_checkpoint_as_if_nothing_had_happened(tmp_path):
+    env, schedule_rows = envs.make("point"), schedule(TINY)
+
+    def init():
+        return init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 8))
+
+    step = compile_train_step(env, TINY, jax.eval_shape(init), schedule_rows[0])
+    states = init()
+    with Checkpoints(tmp_path, RUN) as checkpoints:
+        for rounds, phases in enumerate(schedule_rows, start=1):
+            states, _ = step(states, phases)
+            if rounds == 1:
+                checkpoints.save(rounds, states, {}, (0.0,))
+    read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(init))
+    assert (read.rounds, len(schedule_rows)) == (1, 3)
+    resumed = read.state
+    for phases in schedule_rows[read.rounds :]:
+        resumed, _ = step(resumed, phases)
+    assert_same(states, resumed)
+
+
+def test_a_checkpoint_says_what_it_is(tmp_path):
+    save_small(tmp_path, 1)
+    body = json.loads((tmp_path / "1" / "record" / "metadata").read_text())["body"]
+    assert body["schema"] == SCHEMA
+    assert body["run"] == json.loads(json.dumps(RUN))
+    assert set(body["arrays"]) == {"weights", "noise", "count", "flag", "key"}

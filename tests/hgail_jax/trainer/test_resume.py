@@ -1,0 +1,386 @@
+"""Runs that are stopped, killed or broken, and go on as if nothing had happened."""
+
+import csv
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from hgail_jax import METHODS, Hyperparameters, Preset
+from hgail_jax.cli import demos
+from hgail_jax.cli import train as run
+from hgail_jax.distributed.seeds import compile_train_step
+from hgail_jax.trainer import loop as training
+from hgail_jax.trainer.run_folder import sole_user
+from tests.support import TINY, small_files_only
+
+ROOT = Path(__file__).parent.parent.parent
+ROUNDS = 4  # and the pre-training
+compiled = {}
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch, tmp_path):
+    """Makes every run tiny, in a folder of its own, and compiles each size once."""
+
+    def compile_once(env, config, states, phases, mesh):
+        key = (type(env), config, states.rng.shape)
+        if key not in compiled:
+            compiled[key] = compile_train_step(env, config, states, phases, mesh)
+        return compiled[key]
+
+    monkeypatch.setitem(run.PRESETS, "parallel", Preset(TINY, Hyperparameters()))
+    monkeypatch.setitem(run.EVALUATION_EPISODES, "cpu", 8)
+    monkeypatch.setattr(training, "compile_train_step", compile_once)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def demonstrations(tmp_path_factory):
+    path = tmp_path_factory.mktemp("demonstrations") / "point.npz"
+    demos.main(["--task", "point", "--episodes", "5", "--out", str(path)])
+    return path
+
+
+def start(*arguments, method="hgail"):
+    size = ["--seeds", "2", "--num-envs", "4", "--iterations", str(ROUNDS)]
+    run.main(["--task", "point", "--method", method, *size, *arguments])
+
+
+def fail_in_round(monkeypatch, index, failure):
+    """Lets a round's step call `failure`, once the round is computed, instead of returning."""
+    compile_step = training.compile_train_step
+
+    def compile_failing(*arguments):
+        step, calls = compile_step(*arguments), iter(range(1000))
+
+        def failing(states, phases):
+            result = step(states, phases)
+            return failure(result) if next(calls) == index else result
+
+        return failing
+
+    monkeypatch.setattr(training, "compile_train_step", compile_failing)
+
+
+def crash(result):
+    raise RuntimeError("crash")
+
+
+def read_metrics(folder):
+    with (folder / "metrics.csv").open() as file:
+        return [row | {"seconds": ""} for row in csv.DictReader(file)]
+
+
+def outcome(folder):
+    """All that a run computed, to the bit."""
+    summary = json.loads((folder / "summary.json").read_text())
+    for varying in ("wall_seconds", "env_steps_per_second", "command"):
+        del summary[varying]
+    policies = {}
+    for path in sorted((folder / "policies").iterdir()):
+        with np.load(path) as file:
+            policies[path.name] = {name: file[name].tobytes() for name in file.files}
+    record = json.loads((folder / "checkpoints" / str(ROUNDS + 1) / "record" / "metadata").read_text())
+    return summary, policies, read_metrics(folder), record["body"]["arrays"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Returns the outcome of a method's run that nothing interrupted."""
+    outcomes = {}
+
+    def of(method, *arguments):
+        if method not in outcomes:
+            folder = tmp_path_factory.mktemp("whole") / "run"
+            start("--out", str(folder), *arguments, method=method)
+            outcomes[method] = outcome(folder)
+        return outcomes[method]
+
+    return of
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=() if name in ("hgail", "gasil") else pytest.mark.slow) for name in METHODS]
+)
+def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch, whole, demonstrations, method):
+    given = ["--demos", str(demonstrations)] if method == "gail-demo" else []
+    expected = whole(method, *given)
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
+        fail_in_round(patch, 3, crash)
+        start(*given, method=method)
+    folder = tmp_path / "runs" / f"point-{method}-1"
+    assert len(read_metrics(folder)) == 3 * 2
+    start("--resume", "auto", *given, method=method)
+    assert outcome(folder) == expected
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [folder.name]
+
+
+def test_a_round_that_was_measured_but_not_saved_is_in_the_table_once(tmp_path, monkeypatch, whole):
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
+        fail_in_round(patch, 4, crash)
+        start("--out", "run", "--checkpoint-every", "3")
+    assert len(read_metrics(tmp_path / "run")) == 4 * 2
+    with (tmp_path / "run" / "metrics.csv").open("a") as file:
+        file.write("0,4,half a ro")
+    assert [path.name for path in Path("run/checkpoints").iterdir()] == ["3"]
+    start("--resume", "run", "--checkpoint-every", "2")
+    assert outcome(tmp_path / "run") == whole("hgail")
+    assert {path.name for path in Path("run/checkpoints").iterdir()} == {"3", "4", "5"}
+
+
+def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, capsys, whole):
+    def terminate(result):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.0)  # for the thread that watches
+        return result
+
+    handlers = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
+    with monkeypatch.context() as patch:
+        fail_in_round(patch, 1, terminate)
+        start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
+    shown = capsys.readouterr()
+    assert "SIGTERM: stopping after this round" in shown.err
+    assert "stopped after 2 of 5 rounds; go on with --resume run" in shown.out
+    assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
+    assert not Path("run/summary.json").exists()
+    assert handlers == [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
+    start("--resume", "run")
+    assert "run goes on after 2 of 5 rounds" in capsys.readouterr().out
+    assert outcome(tmp_path / "run") == whole("hgail")
+
+
+TWICE = """
+import os, signal, sys, time
+from hgail_jax.trainer.signals import stop_on_signal
+with stop_on_signal() as stop:
+    os.kill(os.getpid(), signal.SIGINT)
+    while not stop.is_set():
+        time.sleep(0.01)
+    print("once", flush=True)
+    os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+    time.sleep(60)
+    print("never")
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_second_signal_exits_at_once(name):
+    command = [sys.executable, "-c", TWICE, name]
+    process = subprocess.run(command, cwd=ROOT / "experiments", capture_output=True, text=True)
+    assert process.returncode == 128 + getattr(signal, name)
+    assert process.stdout == "once\n"
+    assert process.stderr.strip() == "SIGINT: stopping after this round; once more stops at once"
+
+
+def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole):
+    start("--out", "run")
+    for name in ("summary.json", "metrics.csv", "curves.png", "policies/seed-1.npz"):
+        (tmp_path / "run" / name).unlink()
+    config = (tmp_path / "run" / "config.json").read_bytes()
+    start("--resume", "run")
+    assert "run is complete; its results are written again" in capsys.readouterr().out
+    assert outcome(tmp_path / "run") == whole("hgail")
+    assert (tmp_path / "run" / "curves.png").exists()
+    assert (tmp_path / "run" / "config.json").read_bytes() == config
+
+
+def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole):
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
+        fail_in_round(patch, 3, crash)
+        start("--out", "run")
+    os.truncate("run/checkpoints/3/record/metadata", 100)
+    start("--resume", "run")
+    shown = capsys.readouterr()
+    assert f"checkpoint 3 in {tmp_path}/run/checkpoints is damaged" in shown.err
+    assert "run goes on after 2 of 5 rounds" in shown.out
+    assert outcome(tmp_path / "run") == whole("hgail")
+
+
+def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whole):
+    start("--out", "run")
+    shutil.rmtree("run/checkpoints")
+    Path("run/.metrics.csv.17.partial").touch()
+    start("--resume", "run")
+    assert outcome(tmp_path / "run") == whole("hgail")
+    assert not Path("run/.metrics.csv.17.partial").exists()
+    Path("runs/point-hgail-1").mkdir(parents=True)  # killed before its first file
+    start("--resume", "auto")
+    assert outcome(tmp_path / "runs" / "point-hgail-1") == whole("hgail")
+
+
+def test_a_folder_is_trained_in_by_one_process_at_a_time(tmp_path, capsys):
+    start("--out", "run")
+    with sole_user(tmp_path / "run"), pytest.raises(SystemExit) as exit_info:
+        start("--resume", "run")
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "run.py: run is in use by another process"
+    start("--resume", "run")
+
+
+def test_auto_begins_a_run_where_there_is_none(tmp_path):
+    start("--resume", "auto", method="ppo")
+    assert [path.name for path in Path("runs").iterdir()] == ["point-ppo-1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--num-envs", "8"], "config.num_envs is 4 there and 8 here"),
+        (["--iterations", "8"], "config.rounds is 4 there and 8 here"),
+        (["--seeds", "3"], "seeds is 2 there and 3 here"),
+        (["--first-seed", "1"], "first_seed is 0 there and 1 here"),
+        (["--method", "ppo"], "method is hgail there and ppo here"),
+        (["--task", "reach"], "task is point there and reach here"),
+        (["--reward", "r3"], "hyperparameters.reward is 0 there and 2 here"),
+        (["--no-pretrain"], "config.pretrain is True there and False here"),
+    ],
+)
+def test_another_run_is_refused_in_one_line(tmp_path, capsys, arguments, message):
+    start("--out", "run")
+    for checkpoints in ("there", "missing"):
+        if checkpoints == "missing":
+            shutil.rmtree("run/checkpoints")
+        before = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*")}
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_info:
+            start("--resume", "run", *arguments)
+        assert exit_info.value.code == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+        assert {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*")} == before
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[" * 100_000, '{"task": []}', "\x00"])
+def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, capsys, content):
+    Path("run").mkdir()
+    Path("run/config.json").write_text(content)
+    with pytest.raises(SystemExit) as exit_info:
+        start("--resume", "run")
+    assert exit_info.value.code == 2
+    error = capsys.readouterr().err
+    assert "run" in error
+    assert error.count("\n") == 1
+    assert [path.name for path in Path("run").iterdir()] == ["config.json"]
+
+
+def test_divergence_stops_the_run_at_the_last_good_checkpoint(tmp_path, monkeypatch, capsys, whole):
+    def diverge(result):
+        states, metrics = result
+        losses = np.array([0.5, np.inf], np.float32)
+        return states, metrics.replace(update=metrics.update.replace(discriminator_loss=losses))
+
+    with monkeypatch.context() as patch, pytest.raises(SystemExit) as exit_info:
+        fail_in_round(patch, 3, diverge)
+        start("--out", "run")
+    assert exit_info.value.code == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == (
+        "run.py: the training stops: discriminator_loss of seed 1 is not finite in round 3;"
+        f" the last good checkpoint: {tmp_path}/run/checkpoints/3"
+    )
+    assert len(read_metrics(tmp_path / "run")) == 3 * 2
+    start("--resume", "run")
+    assert outcome(tmp_path / "run") == whole("hgail")
+
+
+def test_an_overflow_of_contacts_stops_the_run(monkeypatch, capsys):
+    def overflow(result):
+        states, metrics = result
+        return states, metrics.replace(overflow=np.array([0.0, 0.01], np.float32))
+
+    fail_in_round(monkeypatch, 2, overflow)
+    with pytest.raises(SystemExit) as exit_info:
+        start("--out", "run")
+    assert exit_info.value.code == 1
+    assert "the simulation ran out of room for contacts in round 2; the last good" in capsys.readouterr().err
+
+
+def test_parameters_that_diverge_unmeasured_are_not_saved(tmp_path, monkeypatch, capsys):
+    def diverge(result):
+        states, metrics = result
+        return states.replace(discriminator=jax.tree.map(lambda leaf: leaf * np.nan, states.discriminator)), metrics
+
+    fail_in_round(monkeypatch, 2, diverge)
+    with pytest.raises(SystemExit) as exit_info:
+        start("--out", "run")
+    assert exit_info.value.code == 1
+    assert "discriminator.params.Dense_0.bias is not finite" in capsys.readouterr().err
+    assert {path.name for path in Path("run/checkpoints").iterdir()} == {"1", "2"}
+
+
+def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, monkeypatch, capsys, whole):
+    with monkeypatch.context() as patch, pytest.raises(SystemExit) as exit_info:
+        fail_in_round(patch, 3, lambda result: (full.__enter__(), result)[1])
+        full = small_files_only(2_000)
+        try:
+            start("--out", "run")
+        finally:
+            full.__exit__(None, None, None)
+    assert exit_info.value.code == 1
+    assert "run.py: the run stops: " in capsys.readouterr().err
+    left = {str(path.relative_to("run")) for path in Path("run").rglob("*") if path.is_file()}
+    assert {name for name in left if not name.startswith("checkpoints/")} == {"config.json", "metrics.csv"}
+    assert latest_checkpoint(Path("run")) in (2, 3)  # the third may be on its way when the disk is full
+    start("--resume", "run")
+    assert outcome(tmp_path / "run") == whole("hgail")
+    assert all(name.isdecimal() for name in os.listdir("run/checkpoints"))
+
+
+def latest_checkpoint(folder):
+    names = [path.name for path in (folder / "checkpoints").glob("*")]
+    return max((int(name) for name in names if name.isdecimal()), default=0)
+
+
+@pytest.mark.slow
+def test_twenty_kills_at_random_moments_lose_nothing(tmp_path):
+    """Each kill comes at a random moment after the start, most of them while rounds run and checkpoints are written."""
+    rounds, moments = 250, random.Random(0)
+    size = ["--task", "point", "--seeds", "2", "--num-envs", "2", "--iterations", str(rounds)]
+    command = [sys.executable, str(ROOT / "experiments" / "run.py"), *size]
+
+    def launch(*arguments):
+        with (tmp_path / "output").open("w") as output:
+            environment = os.environ | {"PYTHONPATH": str(ROOT)}
+            return subprocess.Popen([*command, *arguments], cwd=tmp_path, env=environment, stdout=output, stderr=output)
+
+    def finish(*arguments):
+        assert launch(*arguments).wait() == 0, (tmp_path / "output").read_text()
+
+    finish("--out", "whole")
+    folder, done = tmp_path / "runs" / "point-hgail-1", []
+    for kill in range(20):
+        process = launch("--resume", "auto")
+        before = latest_checkpoint(folder)
+        if kill % 5:  # the others come while the program starts
+            while latest_checkpoint(folder) == before and process.poll() is None:
+                time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 3.0))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL, (tmp_path / "output").read_text()
+        done.append(latest_checkpoint(folder))
+        # A checkpoint is written while the next round runs: two rounds may be measured and not saved.
+        assert done[-1] >= before
+        if done[-1]:
+            assert done[-1] <= len(read_metrics(folder)) // 2 <= done[-1] + 2
+    assert len(set(done)) > 10
+    assert done[-1] <= rounds
+    finish("--resume", "auto")
+    assert "is damaged" not in (tmp_path / "output").read_text()
+    assert read_metrics(folder) == read_metrics(tmp_path / "whole")
+    last = [
+        json.loads((run / "checkpoints" / str(rounds + 1) / "record" / "metadata").read_text())
+        for run in (folder, tmp_path / "whole")
+    ]
+    assert last[0]["body"]["arrays"] == last[1]["body"]["arrays"]
+    assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))
