@@ -92,5 +92,7 @@ def prepare() -> None:
             importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")
+    # A program that calls C MuJoCo on the host (`envs.engines.c`) can hang if a CPU dispatches it asynchronously.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     if not uses_shardy(version) and "JAX_USE_SHARDY_PARTITIONER" not in os.environ:
         jax.config.update("jax_use_shardy_partitioner", False)

@@ -1,11 +1,18 @@
 """The interface between a goal-reaching task and the learner."""
 
 import abc
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
 from flax import struct
+
+Controller = Callable[[jax.Array], jax.Array]
+"""A scripted policy without a memory: observations `[..., observation_size]` to actions `[..., action_size]` in
+[-1, 1]."""
 
 
 class EpisodeMetrics(struct.PyTreeNode):
@@ -23,6 +30,18 @@ class EpisodeMetrics(struct.PyTreeNode):
     """Euclidean distance between them."""
 
 
+@dataclasses.dataclass(frozen=True)
+class TrainingDefaults:
+    """What a task is trained with on a platform unless the user says otherwise; it travels with the task."""
+
+    config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Changes to the fields of `hgail_jax.Config`."""
+    hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Changes to the fields of `hgail_jax.Hyperparameters`."""
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of the task's own class, e.g. `substeps` of the Fetch tasks."""
+
+
 class GoalEnv(Env):
     """A task in which a state must be brought to a goal within `episode_length` steps.
 
@@ -34,9 +53,12 @@ class GoalEnv(Env):
     defaults. Episodes never end early: `done` stays 0 and the time limit is the caller's, who treats it as a
     truncation.
 
-    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`).
-    `State.obs` is `goal_observation(observation, desired_goal)`, `[observation_size]`. `State.reward` is -1, or 0
-    where the achieved goal is a success.
+    A task is measured on the goals of `sample_goal`. It may have others to learn from: in an episode that is reset
+    with `exploring`, the goal is one of `sample_exploration_goal`.
+
+    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), and
+    `exploring` (a boolean). `State.obs` is `goal_observation(observation, desired_goal)`, `[observation_size]`.
+    `State.reward` is -1, or 0 where the achieved goal is a success.
     """
 
     episode_length: int
@@ -55,6 +77,17 @@ class GoalEnv(Env):
     """Steps that an evaluation appends to an episode to test what it ended with, see `probe_action`."""
     observation_limit: float = 1e3
     """Largest absolute observation of a sound simulation; beyond it, or not a number, the episode is left out."""
+    max_worlds: int | None = None
+    """Environments that its physics can step at once; None is any number."""
+    scene: str | None = None
+    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show."""
+    controllers: ClassVar[Mapping[str, Controller]] = {}
+    """Scripted controllers by name; the first demonstrates the task."""
+    training: ClassVar[Mapping[str, TrainingDefaults]] = {
+        "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}),
+        "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}),
+    }
+    """What it is trained with by default, by platform."""
 
     @abc.abstractmethod
     def reset_physics(self, rng: jax.Array):
@@ -74,7 +107,11 @@ class GoalEnv(Env):
 
     @abc.abstractmethod
     def sample_goal(self, rng: jax.Array, physics) -> jax.Array:
-        """Draws the desired goal of an episode that starts in `physics`, `[goal_size]`."""
+        """Draws the desired goal of an episode that starts in `physics` and is measured, `[goal_size]`."""
+
+    def sample_exploration_goal(self, rng: jax.Array, physics) -> jax.Array:
+        """Draws the desired goal of an episode to learn from, `[goal_size]`; by default as `sample_goal` does."""
+        return self.sample_goal(rng, physics)
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns the observation of `features`, `[..., feature_size]`, under `goal`, `[..., goal_size]`."""
@@ -93,9 +130,12 @@ class GoalEnv(Env):
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
-    def track_goal(self, desired: jax.Array, physics) -> jax.Array:
-        """Returns the desired goal, `[goal_size]`, as it stands once `physics` is reached; by default it stays."""
-        del physics
+    def track_goal(self, desired: jax.Array, physics, exploring: jax.Array | bool) -> jax.Array:
+        """Returns the desired goal, `[goal_size]`, as it stands once `physics` is reached; by default it stays.
+
+        `exploring` is whether the episode is one to learn from.
+        """
+        del physics, exploring
         return desired
 
     def probe_action(self, action: jax.Array) -> jax.Array:
@@ -130,28 +170,25 @@ class GoalEnv(Env):
         """Returns the task with its most accurate physics; a task with one physics only returns itself."""
         return self
 
-    def exploring(self, when: jax.Array | bool = True) -> "GoalEnv":
-        """Returns the task with the starts and goals to learn from where `when`, which may be traced.
-
-        Elsewhere, and in a task that learns from the episodes it is measured by, it is as it is.
-        """
-        return self
-
-    def reset(self, rng: jax.Array) -> State:
-        """Starts an episode; see the class for what the state holds."""
+    def reset(self, rng: jax.Array, exploring: jax.Array | bool = False) -> State:
+        """Starts an episode to be measured, or one to learn from where `exploring`, which may be traced."""
         physics_rng, goal_rng = jax.random.split(rng)
         physics = self.reset_physics(physics_rng)
-        desired = self.track_goal(self.sample_goal(goal_rng, physics), physics)
-        return self._observe(physics, desired, metrics={})
+        goal = jnp.where(
+            exploring, self.sample_exploration_goal(goal_rng, physics), self.sample_goal(goal_rng, physics)
+        )
+        desired = self.track_goal(goal, physics, exploring)
+        return self._observe(physics, desired, jnp.asarray(exploring, bool), metrics={})
 
     def step(self, state: State, action: jax.Array) -> State:
         """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
-        desired = self.track_goal(state.info["desired_goal"], physics)
-        following = self._observe(physics, desired, state.metrics)
+        exploring = state.info["exploring"]
+        desired = self.track_goal(state.info["desired_goal"], physics, exploring)
+        following = self._observe(physics, desired, exploring, state.metrics)
         return following.replace(info=state.info | following.info)
 
-    def _observe(self, physics, desired: jax.Array, metrics: dict) -> State:
+    def _observe(self, physics, desired: jax.Array, exploring: jax.Array, metrics: dict) -> State:
         features, achieved = self.features(physics), self.achieved_goal(physics)
         return State(
             pipeline_state=physics,
@@ -159,7 +196,12 @@ class GoalEnv(Env):
             reward=self.success(achieved, desired).astype(jnp.float32) - 1.0,
             done=jnp.zeros(()),
             metrics=metrics,
-            info={"observation": features, "achieved_goal": achieved, "desired_goal": desired},
+            info={
+                "observation": features,
+                "achieved_goal": achieved,
+                "desired_goal": desired,
+                "exploring": exploring,
+            },
         )
 
     @property

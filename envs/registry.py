@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+from typing import Any
 
 from envs.base import GoalEnv
 
@@ -15,7 +16,7 @@ TASKS = {
 """Name of each task that comes with the package, and where its class is."""
 
 
-def make(task: str, **options) -> GoalEnv:
+def make(task: str, **options: Any) -> GoalEnv:
     """Makes a task.
 
     Args:
@@ -32,12 +33,16 @@ def make(task: str, **options) -> GoalEnv:
     ValueError: unknown task 'poke'; choose from point, reach, grasp, ...
 
     """
-    task_class = find_class(task)
-    allowed = inspect.signature(task_class).parameters
+    task_class, allowed = find_class(task), accepted_options(task)
     for option in options:
         if option not in allowed:
             raise ValueError(f"task {task!r} has no option {option!r}; it takes {', '.join(allowed) or 'none'}")
     return task_class(**options)
+
+
+def accepted_options(task: str) -> tuple[str, ...]:
+    """Returns the names of the options that a task's class takes, e.g. `impl`, `substeps` and `worlds`; see `make`."""
+    return tuple(inspect.signature(find_class(task)).parameters)
 
 
 def find_class(task: str) -> type[GoalEnv]:

@@ -1,0 +1,1 @@
+"""What the project has measured with its library, and how; see README.md."""

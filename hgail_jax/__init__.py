@@ -5,25 +5,27 @@ round measured.
 """
 
 from envs import EpisodeMetrics, GoalEnv, make
-from hgail_jax.config import POSITIVES, PRESETS, REWARDS, STRATEGIES, Config, Hyperparameters, Preset
+from hgail_jax.config import EXPERT_SOURCES, REWARDS, STRATEGIES, Config, Hyperparameters
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.hindsight import Hindsight, relabel
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.export import export_policy
 from hgail_jax.io.policy import MeanPolicy, load_policy, save_policy
 from hgail_jax.methods import METHODS, Method
+from hgail_jax.presets import PRESETS, Preset
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import RoundMetrics, env_steps, schedule, train_step
+from hgail_jax.train import Phase, RoundMetrics, check_metrics, env_steps, schedule, train_step
+from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
-from hgail_jax.updates import act
+from hgail_jax.updates import make_policy
 
 __version__ = "0.1.0"
 
 __all__ = [
     "METHODS",
-    "POSITIVES",
+    "EXPERT_SOURCES",
     "PRESETS",
     "REWARDS",
     "STRATEGIES",
@@ -37,12 +39,15 @@ __all__ = [
     "Hyperparameters",
     "MeanPolicy",
     "Method",
+    "Phase",
     "Preset",
     "RoundMetrics",
     "Samples",
+    "TrainOptions",
     "TrainState",
+    "Trainer",
     "Trajectory",
-    "act",
+    "check_metrics",
     "env_steps",
     "evaluate",
     "export_policy",
@@ -50,6 +55,7 @@ __all__ = [
     "load_demonstrations",
     "load_policy",
     "make",
+    "make_policy",
     "mean_outcome",
     "relabel",
     "rollout",

@@ -16,7 +16,7 @@ STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
 REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
 """Reward forms by name."""
-RELABELLED, FROZEN, DEMONSTRATIONS, BEST = POSITIVES = ("relabelled", "frozen", "demonstrations", "best")
+RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Where expert samples come from, see `hgail_jax.experts`."""
 
 _MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
@@ -48,10 +48,10 @@ class Config:
     """Passes over the samples of a roll-out in one PPO update."""
     ppo_minibatches: int = 4
     """Minibatches that a roll-out is cut into in one pass."""
-    positives: str = RELABELLED
-    """Where expert samples come from: one of `POSITIVES`."""
+    expert_source: str = RELABELLED
+    """Where expert samples come from: one of `EXPERT_SOURCES`."""
     best_episodes: int = 1000
-    """Episodes kept where the positives are the best so far."""
+    """Episodes kept where the expert samples are the best so far."""
     explore: bool = True
     """Whether to learn on the task's starts and goals to learn from, or on those that it is measured by."""
     likelihood_batch: int = 0
@@ -81,8 +81,8 @@ class Config:
             elif field.type is bool and not isinstance(value, bool):
                 raise ValueError(f"{field.name} is {value!r}; it must be True or False")
         check_share("final_learning_rate", self.final_learning_rate)
-        if self.positives not in POSITIVES:
-            raise ValueError(f"positives is {self.positives!r}; it must be one of {', '.join(POSITIVES)}")
+        if self.expert_source not in EXPERT_SOURCES:
+            raise ValueError(f"expert_source is {self.expert_source!r}; it must be one of {', '.join(EXPERT_SOURCES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
             if not isinstance(getattr(self, name), tuple):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a tuple of widths")
@@ -100,6 +100,8 @@ class Config:
             raise ValueError(f"{env!r} is not a GoalEnv")
         samples = self.num_envs * env.episode_length
         check_count("ppo_minibatches", self.ppo_minibatches, most=samples)
+        if env.max_worlds is not None:
+            check_count("num_envs, in a task made for so many worlds,", self.num_envs, most=env.max_worlds)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
 
@@ -119,6 +121,9 @@ class Hyperparameters(struct.PyTreeNode):
     """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
+    standardize_reward: jax.Array | bool = True
+    """Whether PPO's reward is shifted and scaled to mean 0 and standard deviation 1 over a roll-out. That removes what
+    tells r1 to r4 apart in scale, and makes a rare success large: one among 51,200 steps is worth +226."""
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
     likelihood_weight: jax.Array | float = 1.0
@@ -144,7 +149,9 @@ class Hyperparameters(struct.PyTreeNode):
           ValueError: a value is out of its range. Values that are being traced pass unseen.
 
         """
-        for name in ("p_ht", "include_current", "ties_by_distance", "environment_reward", "discount", "gae_lambda"):
+        for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
+            check_share(name, getattr(self, name))
+        for name in ("include_current", "ties_by_distance", "standardize_reward"):
             check_share(name, getattr(self, name))
         for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
             check_positive(name, getattr(self, name))
@@ -155,35 +162,3 @@ class Hyperparameters(struct.PyTreeNode):
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
         return self
-
-
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """Sizes and hyperparameters that belong together."""
-
-    config: Config
-    hyperparameters: Hyperparameters
-
-
-PRESETS = {
-    "parallel": Preset(Config(), Hyperparameters()),
-    # The paper's sizes: batches of 128 for the policy and 64 for the discriminator, each update one pass over a
-    # roll-out of 64 episodes of 50 steps.
-    "paper": Preset(
-        Config(
-            num_envs=64,
-            policy_phases=16,
-            discriminator_phases=3,
-            ppo_epochs=1,
-            ppo_minibatches=25,
-            discriminator_minibatches=50,
-            discriminator_batch=64,
-            pretrain_policy_minibatches=100,
-            pretrain_policy_batch=128,
-            pretrain_discriminator_minibatches=500,
-            final_learning_rate=1.0,
-        ),
-        Hyperparameters(action_std=1.0, policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
-    ),
-}
-"""`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes and schedule."""

@@ -10,10 +10,11 @@ from hgail_jax.rollout import Policy, Trajectory, rollout
 def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
     """Returns the means over a trajectory's episodes, `[]`.
 
-    An episode whose simulation broke down counts as a failure, and in no distance.
+    An episode whose simulation broke down counts as a failure, and in no distance; where all did, the distances are
+    not a number.
     """
     means = jax.tree.map(jnp.mean, trajectory.outcome)
-    sound = jnp.maximum(trajectory.sound.mean(), 1e-8)
+    sound = jnp.where(trajectory.sound.any(), trajectory.sound.mean(), jnp.nan)
     return means.replace(distance_l1=means.distance_l1 / sound, distance_l2=means.distance_l2 / sound)
 
 

@@ -1,6 +1,7 @@
 """Where the expert samples come from: the one choice in which the methods of imitation differ.
 
-The discriminator's positives, and whatever maximum likelihood is fitted to, are
+The expert samples, which the discriminator learns to tell from the policy's own and which maximum likelihood is
+fitted to, are
 
 - `"relabelled"`: the roll-out at hand, relabelled in hindsight (HGAIL);
 - `"frozen"`: the first roll-out of all, relabelled once (the paper's "no curriculum", Table 2);
@@ -44,14 +45,14 @@ def init_expert(env: GoalEnv, config: Config, demonstrations: Samples | None) ->
         this task's sizes.
 
     """
-    if (demonstrations is not None) != (config.positives == DEMONSTRATIONS):
+    if (demonstrations is not None) != (config.expert_source == DEMONSTRATIONS):
         given = "none are given" if demonstrations is None else "demonstrations are given"
-        raise ValueError(f"positives is {config.positives!r} and {given}")
+        raise ValueError(f"expert_source is {config.expert_source!r} and {given}")
     if demonstrations is not None:
         return _check(env, demonstrations)
-    if config.positives == FROZEN:
+    if config.expert_source == FROZEN:
         return _no_samples(env, config.num_envs * env.episode_length)
-    if config.positives == BEST:
+    if config.expert_source == BEST:
         count = config.best_episodes
         return BestEpisodes(
             samples=_no_samples(env, env.episode_length, count),
@@ -65,12 +66,12 @@ def expert_samples(
     env: GoalEnv, config: Config, hyper: Hyperparameters, expert: Any, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[Any, Samples]:
     """Returns what is kept after a roll-out, given what was kept before it, and the samples to learn from."""
-    if config.positives == RELABELLED:
+    if config.expert_source == RELABELLED:
         return expert, relabelled_samples(env, hyper, trajectory, rng)
-    if config.positives == FROZEN:
+    if config.expert_source == FROZEN:
         fresh, empty = relabelled_samples(env, hyper, trajectory, rng), ~(expert.weight > 0).any()
         expert = jax.tree.map(lambda new, old: jnp.where(empty, new, old), fresh, expert)
-    if config.positives == BEST:
+    if config.expert_source == BEST:
         expert = keep_best(env, hyper, expert, trajectory)
         return expert, flatten(expert.samples)
     return expert, expert

@@ -2,7 +2,8 @@
 
 import dataclasses
 
-from hgail_jax.config import BEST, DEMONSTRATIONS, Preset
+from hgail_jax.config import BEST, DEMONSTRATIONS
+from hgail_jax.presets import Preset
 
 LIKELIHOOD_BATCH = 512
 """Expert samples beside a minibatch of PPO where a method or a user asks for them and nothing says how many."""
@@ -32,12 +33,13 @@ METHODS = {
     "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
     "gail-demo": Method(
         "demonstrations supply the expert samples (Ho & Ermon 2016), likelihood kept on (after Jena et al. 2020)",
-        {"positives": DEMONSTRATIONS, "explore": False},
+        {"expert_source": DEMONSTRATIONS, "explore": False},
         {"likelihood_weight": 1.0},
         {"likelihood_batch": LIKELIHOOD_BATCH},
     ),
     "gasil": Method(
-        "the best episodes so far supply the expert samples (Guo et al. 2018)", {"positives": BEST, "explore": False}
+        "the best episodes so far supply the expert samples (Guo et al. 2018)",
+        {"expert_source": BEST, "explore": False},
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",

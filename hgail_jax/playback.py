@@ -1,4 +1,4 @@
-"""Shows a policy on a Fetch task: as a film, or in MuJoCo's viewer."""
+"""Shows a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
 
 import time
 from collections.abc import Iterator
@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from envs.fetch.arm import CONTROL_PERIOD, FetchEnv
+from envs import GoalEnv, State
+from envs.fetch.arm import CONTROL_PERIOD
 from envs.scenes import load_scene
 from envs.vision.rgbd import open_renderer
 from hgail_jax.io.policy import MeanPolicy
@@ -19,7 +20,7 @@ _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
 
 
-class Stage:
+class Playback:
     """The scene with its pictures, posed frame by frame.
 
     Args:
@@ -27,9 +28,14 @@ class Stage:
       policy: what acts.
       seed: of the episodes.
 
+    Raises:
+      ValueError: the task has no scene.
+
     """
 
-    def __init__(self, env: FetchEnv, policy: MeanPolicy, seed: int):
+    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int):
+        if env.scene is None:
+            raise ValueError("the task has no scene to show")
         self.model = load_scene(env.scene, visual=True)
         self.data = mujoco.MjData(self.model)
         self.outcomes: list[bool] = []
@@ -52,7 +58,7 @@ class Stage:
             for _ in range(_HOLD):
                 yield from self._pose(state)
 
-    def _pose(self, state) -> Iterator[None]:
+    def _pose(self, state: State) -> Iterator[None]:
         self.model.site("target").pos = np.asarray(state.info["desired_goal"])[:3]
         self.data.qpos[:] = np.asarray(state.pipeline_state.qpos)
         mujoco.mj_kinematics(self.model, self.data)
@@ -60,37 +66,37 @@ class Stage:
         yield
 
 
-def film(path: Path, env: FetchEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
+def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
     """Writes an mp4 of a few episodes with the target as a red ball, in real time; returns which were successes.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
 
     """
-    stage = Stage(env, policy, seed)
-    renderer = open_renderer(stage.model, *_SIZE)
+    playback = Playback(env, policy, seed)
+    renderer = open_renderer(playback.model, *_SIZE)
     camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(stage.model, camera)
+    mujoco.mjv_defaultFreeCamera(playback.model, camera)
     camera.distance = 1.6
     temporary = path.with_name(f".{path.name}")
     with renderer, imageio.get_writer(temporary, format="FFMPEG", fps=round(1 / CONTROL_PERIOD)) as writer:
-        for _ in stage.play(episodes):
-            renderer.update_scene(stage.data, camera)
+        for _ in playback.play(episodes):
+            renderer.update_scene(playback.data, camera)
             writer.append_data(renderer.render())  # type: ignore[attr-defined]
     temporary.rename(path)
-    return stage.outcomes
+    return playback.outcomes
 
 
-def show(env: FetchEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
+def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
     """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed."""
     import mujoco.viewer  # needs a display
 
-    stage = Stage(env, policy, seed)
-    with mujoco.viewer.launch_passive(stage.model, stage.data) as viewer:
-        for _ in stage.play(episodes):
+    playback = Playback(env, policy, seed)
+    with mujoco.viewer.launch_passive(playback.model, playback.data) as viewer:
+        for _ in playback.play(episodes):
             started = time.perf_counter()
             if not viewer.is_running():
                 break
             viewer.sync()
             time.sleep(max(0.0, CONTROL_PERIOD - (time.perf_counter() - started)))
-    return stage.outcomes
+    return playback.outcomes

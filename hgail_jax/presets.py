@@ -1,55 +1,73 @@
-"""What a run takes for a task on a platform unless it is told otherwise."""
+"""Sizes and hyperparameters that belong together: the presets, and what they become for a task on a platform."""
 
 import dataclasses
-from typing import Any
 
-import envs
-from envs.fetch.arm import FAST_SUBSTEPS
-from envs.fetch.grasp import Grasp
+import jax
+
+from envs import GoalEnv
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.validation import check_name
+
+EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
+"""Episodes per seed that a final evaluation has at least, by platform."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Defaults:
-    """Changes to the preset `parallel`, and the physics."""
+class Preset:
+    """Sizes and hyperparameters that belong together."""
 
-    config: dict[str, Any]
-    hyperparameters: dict[str, Any]
-    substeps: int
-    """Physics steps per action in training, of the Fetch tasks."""
+    config: Config
+    hyperparameters: Hyperparameters
 
 
-EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
-"""Episodes per seed that a final evaluation has at least."""
-
-REACH = {
-    "cpu": Defaults({"num_envs": 64, "rounds": 6}, {}, FAST_SUBSTEPS),
-    "gpu": Defaults({"num_envs": 256, "rounds": 4}, {}, FAST_SUBSTEPS),
+PRESETS = {
+    "parallel": Preset(Config(), Hyperparameters()),
+    # The paper's sizes: batches of 128 for the policy and 64 for the discriminator, each update one pass over a
+    # roll-out of 64 episodes of 50 steps.
+    "paper": Preset(
+        Config(
+            num_envs=64,
+            policy_phases=16,
+            discriminator_phases=3,
+            ppo_epochs=1,
+            ppo_minibatches=25,
+            discriminator_minibatches=50,
+            discriminator_batch=64,
+            pretrain_policy_minibatches=100,
+            pretrain_policy_batch=128,
+            pretrain_discriminator_minibatches=500,
+            final_learning_rate=1.0,
+        ),
+        Hyperparameters(action_std=1.0, policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
+    ),
 }
-"""Reach, and any task not named here."""
-
-# A grasp is found by chance, so it takes wide roll-outs and many rounds; the likelihood of expert samples beside
-# PPO teaches the hand, and a wide deviation of its command alone finds the order of opening and closing.
-_GRASP_CONFIG = {
-    "policy_phases": 4,
-    "discriminator_phases": 1,
-    "ppo_minibatches": 16,
-    "likelihood_batch": 2048,
-    "discriminator_batch": 1024,
-    "pretrain_policy_batch": 1024,
-}
-_GRASP_HYPERPARAMETERS = {
-    "action_std": (0.2, 0.2, 0.2, 0.5),
-    "likelihood_weight": 0.3,
-    "policy_learning_rate": 1e-3,
-    "discriminator_learning_rate": 2e-4,
-}
-GRASP = {
-    "cpu": Defaults(_GRASP_CONFIG | {"num_envs": 128, "rounds": 50}, _GRASP_HYPERPARAMETERS, 8),
-    "gpu": Defaults(_GRASP_CONFIG | {"num_envs": 1024, "rounds": 40}, _GRASP_HYPERPARAMETERS, 8),
-}
-"""The three readings of grasp."""
+"""`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes and schedule."""
 
 
-def defaults(task_class: type[envs.GoalEnv], platform: str) -> Defaults:
-    """Returns the defaults of a task on `"cpu"` or `"gpu"`."""
-    return (GRASP if issubclass(task_class, Grasp) else REACH)[platform]
+def platform_name() -> str:
+    """Returns what JAX runs on, as defaults tell platforms apart: `"cpu"` or `"gpu"`."""
+    return "cpu" if jax.default_backend() == "cpu" else "gpu"
+
+
+def task_preset(task_class: type[GoalEnv], platform: str, preset: str = "parallel") -> Preset:
+    """Returns a preset as a task wants it on a platform.
+
+    Only `parallel` takes a task's own sizes and hyperparameters; another preset says itself what it consists of.
+
+    Args:
+      task_class: the task; see `GoalEnv.training`.
+      platform: `"cpu"` or `"gpu"`.
+      preset: a name in `PRESETS`.
+
+    Raises:
+      ValueError: there is no such preset.
+
+    """
+    check_name("preset", preset, PRESETS)
+    base = PRESETS[preset]
+    if preset != "parallel":
+        return base
+    defaults = task_class.training[platform]
+    return Preset(
+        dataclasses.replace(base.config, **defaults.config), base.hyperparameters.replace(**defaults.hyperparameters)
+    )

@@ -7,24 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 
 import envs
-from envs.fetch.controllers import CONTROLLERS
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.versions import installed
+from hgail_jax.presets import platform_name
 from hgail_jax.rollout import Trajectory, rollout
-from hgail_jax.validation import check_count
+from hgail_jax.validation import check_count, check_name
 
 
-def run_controller(env: envs.GoalEnv, task: str, name: str, episodes: int, seed: int) -> Trajectory:
-    """Runs the controller `name` of a task, on the goals that the task is measured by, with its probe.
+def run_controller(env: envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:
+    """Runs a task's controller of some name, on the goals that the task is measured by, with its probe.
 
     Raises:
       ValueError: the task has no such controller.
 
     """
-    if name not in CONTROLLERS.get(task, {}):
-        known = ", ".join(f"{task} {name}" for task, names in CONTROLLERS.items() for name in names)
-        raise ValueError(f"{task!r} has no controller {name!r}; there are {known}")
-    controller = CONTROLLERS[task][name]
+    check_name("controller", name, env.controllers)
+    controller = env.controllers[name]
 
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
         del rng
@@ -33,16 +31,17 @@ def run_controller(env: envs.GoalEnv, task: str, name: str, episodes: int, seed:
     return jax.jit(lambda rng: rollout(env, policy, rng, episodes, probe=True))(jax.random.key(seed))
 
 
-def demonstrator(task: str) -> str:
-    """Returns the name of the controller that demonstrates a task.
+def make_for_demonstrations(task: str, episodes: int) -> envs.GoalEnv:
+    """Makes a task with the physics that it is trained in, to record so many demonstrations."""
+    options = dict(envs.find_class(task).training[platform_name()].options)
+    if "worlds" in envs.accepted_options(task):
+        options["worlds"] = _attempts(episodes)
+    return envs.make(task, **options)
 
-    Raises:
-      ValueError: there is none.
 
-    """
-    if task not in CONTROLLERS:
-        raise ValueError(f"no controller demonstrates {task!r}; there are those of {', '.join(CONTROLLERS)}")
-    return next(iter(CONTROLLERS[task]))
+def _attempts(episodes: int) -> int:
+    """Returns how many episodes are run for so many successes."""
+    return episodes + episodes // 4 + 4
 
 
 def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demonstrations:
@@ -53,13 +52,15 @@ def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demons
 
     """
     check_count("demonstrations", episodes)
-    name = demonstrator(task)
-    trajectory = run_controller(env, task, name, episodes + episodes // 4 + 4, seed)
+    if not env.controllers:
+        raise ValueError(f"no controller demonstrates {task!r}")
+    name = next(iter(env.controllers))
+    trajectory = run_controller(env, name, _attempts(episodes), seed)
     succeeded = np.flatnonzero(np.asarray(trajectory.outcome.success))[:episodes]
     if len(succeeded) < episodes:
         raise ValueError(f"{name} succeeds too rarely on {task}: {len(succeeded)} times, for {episodes} demonstrations")
 
-    def in_order(values, steps):
+    def in_order(values: jax.Array, steps: int) -> np.ndarray:
         """Time comes first in a trajectory; the last state has no action."""
         return np.moveaxis(np.asarray(values, np.float32), 0, 1)[succeeded, :steps]
 

@@ -1,4 +1,7 @@
-"""Runs a policy for one episode in many environments at once."""
+"""Runs a policy for one episode in many environments at once.
+
+Below, `T` is the steps of an episode and `N` the episodes of a roll-out.
+"""
 
 import functools
 from collections.abc import Callable
@@ -9,7 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs import EpisodeMetrics, GoalEnv, State
-from hgail_jax.distributed.sharding import gather, own_part
+from hgail_jax.distributed.sharding import gather, local_shard
 from hgail_jax.validation import check_count
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
@@ -48,16 +51,22 @@ def rollout(
     policy: Policy,
     rng: jax.Array,
     num_envs: int,
+    exploring: jax.Array | bool = False,
     probe: jax.Array | bool = False,
     axis: str | None = None,
 ) -> Trajectory:
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
 
-    Where `probe`, which may be traced, the episodes' outcome takes the task's probe into account: `env.probe_length`
-    further steps, which are no part of the trajectory. Without it the outcome is that of a probe that changed nothing.
-
-    Within a `jax.shard_map` whose mesh axis `axis` names, each device steps its part of the environments, asks `policy`
-    for their actions alone, and returns the trajectory of all of them.
+    Args:
+      env: the task.
+      policy: what acts.
+      rng: a PRNG key.
+      num_envs: environments, that is, episodes.
+      exploring: whether the goals are those to learn from, see `GoalEnv`; may be traced.
+      probe: whether the outcome takes the task's probe into account, `env.probe_length` further steps that are no part
+        of the trajectory; may be traced. Without it the outcome is that of a probe that changed nothing.
+      axis: within a `jax.shard_map`, the mesh axis that the environments are split along. Each device steps its part of
+        them, asks `policy` for their actions alone, and returns the trajectory of all of them.
 
     Raises:
       ValueError: `num_envs` is no count from 1.
@@ -65,46 +74,40 @@ def rollout(
     """
     check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)
-    reset_rngs = own_part(jax.random.split(reset_rng, num_envs), axis)
-    num_envs = len(reset_rngs)
-    start = _depend_on(reset_rng, jax.vmap(env.reset)(reset_rngs))
+    reset_rngs = local_shard(jax.random.split(reset_rng, num_envs), axis)
+    start = _depend_on(reset_rng, jax.vmap(env.reset, in_axes=(0, None))(reset_rngs, exploring))
     move = jax.jit(jax.vmap(env.step))  # which the probe does not trace again
 
-    def step(state, rng):
+    def step(state: State, rng: jax.Array) -> tuple[State, Any]:
         action, log_prob = policy(state.obs, rng)
         following = move(state, action)
-        return following, (state.info, action, log_prob, following.reward)
+        return following, (_seen(state), {"action": action, "log_prob": log_prob, "reward": following.reward})
 
-    end, (info, action, log_prob, reward) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
-    info = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), info, end.info)
+    end, (seen, done) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
+    seen = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, _seen(end))
     probed = end
     if env.probe_length and probe is not False:
-        probed = jax.lax.cond(probe, functools.partial(_probe, env, move), lambda end, _: end, end, action[-1])
+        probed = jax.lax.cond(probe, functools.partial(_probe, env, move), lambda end, _: end, end, done["action"][-1])
     outcome = jax.vmap(env.outcome)(end, probed)
-    of_episodes = (action.swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome)
-    sound = _is_sound(env, info) & _is_finite(of_episodes, num_envs)
-    seen = Trajectory(
-        features=info["observation"],
-        achieved=info["achieved_goal"],
-        desired=info["desired_goal"],
-        action=action,
-        log_prob=log_prob,
-        reward=reward,
-        sound=sound,
-        overflow=jax.vmap(env.overflow)(probed.pipeline_state),
-        outcome=outcome,
+    sound = _is_bounded(seen, env.observation_limit) & _is_finite(
+        (done["action"].swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome), len(reset_rngs)
     )
-    without_time = ("sound", "overflow", "outcome")
-    whole = seen.replace(
-        **{name: gather(values, axis, along=int(name not in without_time)) for name, values in vars(seen).items()}
-    )
-    return _blank(whole, ~whole.sound)
+    overflow = jax.vmap(env.overflow)(probed.pipeline_state)
+    steps = gather(_blank(seen | done, sound, env_axis=1), axis, along=1)
+    sound, overflow, outcome = gather((sound, overflow, _blank(outcome, sound, env_axis=0)), axis, along=0)
+    return Trajectory(**steps, sound=sound, overflow=overflow, outcome=outcome)
 
 
-def _probe(env: GoalEnv, move: Callable, end: State, action: jax.Array) -> State:
+def _seen(state: State) -> dict[str, jax.Array]:
+    """Returns what a trajectory keeps of a state, by its fields' names."""
+    info = state.info
+    return {"features": info["observation"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
+
+
+def _probe(env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array) -> State:
     """Returns the states that the task's probe leads to, from the last states and actions of episodes, `[N, ...]`."""
 
-    def step(_, carry):
+    def step(_: jax.Array, carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
         state, action = carry
         action = jax.vmap(env.probe_action)(action)
         return move(state, action), action
@@ -112,11 +115,9 @@ def _probe(env: GoalEnv, move: Callable, end: State, action: jax.Array) -> State
     return jax.lax.fori_loop(0, env.probe_length, step, (end, action))[0]
 
 
-def _is_sound(env: GoalEnv, info: dict[str, jax.Array]) -> jax.Array:
-    """Returns whether all that was observed in an episode is finite and within bounds, `[N]`."""
-    return jnp.stack([(jnp.abs(values) <= env.observation_limit).all(axis=(0, 2)) for values in info.values()]).all(
-        axis=0
-    )
+def _is_bounded(seen: dict[str, jax.Array], limit: float) -> jax.Array:
+    """Returns whether all of an episode, leaves `[T + 1, N, ...]`, is finite and within `limit`: `[N]`."""
+    return jnp.stack([(jnp.abs(values) <= limit).all(axis=(0, 2)) for values in seen.values()]).all(axis=0)
 
 
 def _is_finite(tree: Any, num_envs: int) -> jax.Array:
@@ -125,15 +126,17 @@ def _is_finite(tree: Any, num_envs: int) -> jax.Array:
     return jnp.stack([jnp.isfinite(leaf).all(axis=1) for leaf in leaves]).all(axis=0)
 
 
-def _blank(trajectory: Trajectory, where: jax.Array) -> Trajectory:
-    """Returns the trajectory with zeros for all that the episodes `where`, `[N]`, hold; no NaN can spread from it."""
+def _blank(tree: Any, sound: jax.Array, env_axis: int) -> Any:
+    """Returns a tree with 0 for all of the episodes that are not `sound`, `[N]`; no NaN can spread from it.
+
+    Axis `env_axis` of the leaves counts the episodes.
+    """
 
     def blank(values: jax.Array) -> jax.Array:
-        mask = where if values.ndim == 1 else where[None, :].reshape(1, -1, *[1] * (values.ndim - 2))
-        return jnp.where(mask, jnp.zeros_like(values), values)
+        keep = jnp.expand_dims(sound, [axis for axis in range(values.ndim) if axis != env_axis])
+        return jnp.where(keep, values, jnp.zeros_like(values))
 
-    blanked = jax.tree.map(blank, trajectory)
-    return blanked.replace(overflow=trajectory.overflow)
+    return jax.tree.map(blank, tree)
 
 
 def _depend_on(rng: jax.Array, tree: Any) -> Any:

@@ -1,6 +1,6 @@
 """The training state: everything that a round reads and writes, as one pytree."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +43,28 @@ class TrainState(struct.PyTreeNode):
         return self.replace(statistics=running_statistics.update(self.statistics, observation, weights=weight))
 
 
+class StateKeys(NamedTuple):
+    """What the key of a training state is split into. All come from one split, so that no two of them ever meet."""
+
+    following: jax.Array
+    """Of the state after a phase that learns."""
+    phase: jax.Array
+    """Of that phase: its roll-out and its update."""
+    evaluation: jax.Array
+    """Of an evaluation between two phases."""
+    final_evaluation: jax.Array
+    """Of an evaluation once the training is over."""
+
+
+def split_key(rng: jax.Array) -> StateKeys:
+    """Splits the key of a training state.
+
+    Deriving one of these by `jax.random.fold_in(rng, 1)` would not do: that is bit for bit the second half of
+    `jax.random.split(rng)`, and evaluations would play the starts and goals of the next phase.
+    """
+    return StateKeys(*jax.random.split(rng, len(StateKeys._fields)))
+
+
 def actor_critic_optimizer(config: Config) -> optax.GradientTransformation:
     """Adam for policy and value function, less the learning rate, which is a hyperparameter of the state.
 
@@ -73,7 +95,7 @@ def init_state(
       config: sizes and counts.
       hyperparameters: scalars, or tracers where a sweep is vmapped.
       rng: a PRNG key, from `jax.random.key`.
-      demonstrations: leaves `[S, ...]`; where the config's positives are demonstrations, and only there.
+      demonstrations: leaves `[S, ...]`; where the config's expert samples are demonstrations, and only there.
 
     Raises:
       ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`; or there are several standard

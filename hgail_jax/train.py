@@ -6,7 +6,9 @@ so the roll-out is traced and compiled once whatever the round holds, and `sched
     state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
 """
 
+import enum
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,16 +18,62 @@ from flax import struct
 from envs import EpisodeMetrics, GoalEnv
 from hgail_jax.config import Config
 from hgail_jax.evaluate import mean_outcome
-from hgail_jax.rollout import rollout
-from hgail_jax.state import TrainState
-from hgail_jax.updates import UpdateMetrics, act, pretrain, update_discriminator, update_policy
+from hgail_jax.rollout import Trajectory, rollout
+from hgail_jax.state import TrainState, split_key
+from hgail_jax.updates import UpdateMetrics, make_policy, pretrain, update_discriminator, update_policy
 
-SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = range(5)
-"""Kinds of phase: nothing; fit to the first roll-out; PPO; discriminator; measure the mean action."""
+
+class Phase(enum.IntEnum):
+    """What is done with a roll-out."""
+
+    SKIP = 0
+    """Nothing; there is no roll-out either."""
+    PRETRAIN = 1
+    """Policy and discriminator are fitted to it (Algorithm 2, lines 1 to 3)."""
+    POLICY = 2
+    """PPO under the discriminator's reward (a g_step)."""
+    DISCRIMINATOR = 3
+    """The discriminator learns to tell it from expert samples (a d_step)."""
+    EVALUATE = 4
+    """The mean action is measured, and nothing is learnt."""
+
+
+SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = Phase
+LEARNING = (PRETRAIN, POLICY, DISCRIMINATOR)
+"""The phases that learn."""
+
+
+def _learn_nothing(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, UpdateMetrics]:
+    del env, config, trajectory, rng
+    return state, UpdateMetrics()
+
+
+_UPDATES = {
+    SKIP: _learn_nothing,
+    PRETRAIN: pretrain,
+    POLICY: update_policy,
+    DISCRIMINATOR: update_discriminator,
+    EVALUATE: _learn_nothing,
+}
+
+
+class PhaseMetrics(struct.PyTreeNode):
+    """What a phase measured, all `[]`."""
+
+    episodes: EpisodeMetrics
+    update: UpdateMetrics
+    dropped: jax.Array | float = 0.0
+    """Share of the episodes whose simulation broke down."""
+    overflow: jax.Array | float = 0.0
+    """Share of the episodes whose simulation ran out of room for contacts."""
+    diverged: jax.Array | float = 0.0
+    """1 where the update was not finite, and was undone."""
 
 
 class RoundMetrics(struct.PyTreeNode):
-    """Means over the phases of a round, all `[]`; NaN where the round has no such phase."""
+    """Means over the phases of a round, all `[]`; NaN where no phase of the round measured it."""
 
     evaluation: EpisodeMetrics
     """Episodes under the mean action."""
@@ -36,6 +84,8 @@ class RoundMetrics(struct.PyTreeNode):
     """Share of all episodes whose simulation broke down; nothing was learnt from them."""
     overflow: jax.Array
     """Share of all episodes whose simulation ran out of room for contacts: with more than 0 results are wrong."""
+    diverged: jax.Array
+    """Share of the updates that were not finite, and were undone."""
 
 
 def schedule(config: Config) -> np.ndarray:
@@ -50,14 +100,15 @@ def schedule(config: Config) -> np.ndarray:
 
 def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
     """Returns the environment steps that each row of a schedule learns from; evaluations do not count."""
-    learning = np.isin(phases, [PRETRAIN, POLICY, DISCRIMINATOR])
-    return learning.sum(axis=-1) * config.num_envs * env.episode_length
+    return np.isin(phases, LEARNING).sum(axis=-1) * config.num_envs * env.episode_length
 
 
 def train_step(
     env: GoalEnv, config: Config, state: TrainState, phases: jax.Array | np.ndarray, axis: str | None = None
 ) -> tuple[TrainState, RoundMetrics]:
     """Runs one round. Pure: bind `env` and `config`, then jit, scan over a schedule, or vmap over states.
+
+    What went wrong cannot be raised from within: `check_metrics` does so from what is returned.
 
     Args:
       env: the task.
@@ -72,15 +123,24 @@ def train_step(
 
     """
     phases = jnp.asarray(phases)
-    state, (episodes, updates, dropped, overflow) = jax.lax.scan(
-        functools.partial(_run_phase, env, config, axis), state, phases
-    )
+    state, measured = jax.lax.scan(functools.partial(_run_phase, env, config, axis), state, phases)
+    learns = jnp.isin(phases, jnp.array(LEARNING))
+
+    def over(values: Any, mask: jax.Array) -> Any:
+        return jax.tree.map(lambda leaf: _masked_mean(leaf, mask), values)
+
     return state, RoundMetrics(
-        evaluation=jax.tree.map(lambda values: _masked_mean(values, phases == EVALUATE), episodes),
-        training=jax.tree.map(lambda values: _masked_mean(values, (phases != SKIP) & (phases < EVALUATE)), episodes),
-        update=UpdateMetrics(**{name: _mean_over(phases, name, values) for name, values in vars(updates).items()}),
-        dropped=_masked_mean(dropped, phases != SKIP),
-        overflow=_masked_mean(overflow, phases != SKIP),
+        evaluation=over(measured.episodes, phases == EVALUATE),
+        training=over(measured.episodes, learns),
+        update=UpdateMetrics(
+            **{
+                name: over(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
+                for name, values in vars(measured.update).items()
+            }
+        ),
+        dropped=over(measured.dropped, phases != SKIP),
+        overflow=over(measured.overflow, phases != SKIP),
+        diverged=over(measured.diverged, learns),
     )
 
 
@@ -97,52 +157,84 @@ MEASURED_BY = {
 """Kinds of phase that fill each of `UpdateMetrics`."""
 
 
-def _mean_over(phases: jax.Array, name: str, values: jax.Array) -> jax.Array:
-    return _masked_mean(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
+def check_metrics(metrics: RoundMetrics) -> None:
+    """Refuses a round whose results are wrong.
+
+    Args:
+      metrics: leaves `[]` or, of several seeds, `[seeds]`.
+
+    Raises:
+      OverflowError: the simulation ran out of room for contacts.
+      FloatingPointError: an update of every seed was not finite. One that some seeds were spared is counted in
+        `metrics.diverged`.
+
+    """
+    if np.any(np.asarray(metrics.overflow) > 0):
+        raise OverflowError("the simulation ran out of room for contacts")
+    if np.all(np.asarray(metrics.diverged) > 0):
+        raise FloatingPointError("no seed's update is finite")
 
 
-def evaluation_rng(state: TrainState) -> jax.Array:
-    """Returns the key of an evaluation of `state`, apart from those of its training, in which it changes nothing."""
-    return jax.random.fold_in(state.rng, 1)
+def _run_phase(
+    env: GoalEnv, config: Config, axis: str | None, state: TrainState, phase: jax.Array
+) -> tuple[TrainState, PhaseMetrics]:
+    def skip(state: TrainState) -> tuple[TrainState, PhaseMetrics]:
+        return state, _as_arrays(PhaseMetrics(EpisodeMetrics(), UpdateMetrics()))
 
-
-def _run_phase(env: GoalEnv, config: Config, axis: str | None, state: TrainState, phase: jax.Array):
-    def skip(state):
-        return state, (_as_arrays(EpisodeMetrics()), _as_arrays(UpdateMetrics()), jnp.zeros(()), jnp.zeros(()))
-
-    def run(state):
+    def run(state: TrainState) -> tuple[TrainState, PhaseMetrics]:
         evaluating = phase == EVALUATE
-        rng, own_rng = jax.lax.cond(
-            evaluating, lambda: (state.rng, evaluation_rng(state)), lambda: tuple(jax.random.split(state.rng))
-        )
-        rollout_rng, update_rng = jax.random.split(own_rng)
-        task = env.exploring(~evaluating if config.explore else False)
-        policy = act(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
-        trajectory = rollout(task, policy, rollout_rng, config.num_envs, probe=evaluating, axis=axis)
-        updates = [functools.partial(update, env, config) for update in (pretrain, update_policy, update_discriminator)]
-        before = state.replace(rng=None)
-        after, metrics = jax.lax.switch(phase - PRETRAIN, [*updates, _leave], before, trajectory, update_rng)
-        after = jax.tree.map(lambda new, old: jnp.where(trajectory.sound.any(), new, old), after, before)
-        broken = 1.0 - trajectory.sound.mean()
-        return after.replace(rng=rng), (
-            mean_outcome(trajectory),
-            _as_arrays(metrics),
-            broken,
-            trajectory.overflow.mean(),
-        )
+        keys = split_key(state.rng)
+        phase_rng = jax.lax.cond(evaluating, lambda: keys.evaluation, lambda: keys.phase)
+        rollout_rng, update_rng = jax.random.split(phase_rng)
+        policy = make_policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
+        exploring = ~evaluating if config.explore else False
+        trajectory = rollout(env, policy, rollout_rng, config.num_envs, exploring, probe=evaluating, axis=axis)
+        after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
+        # An evaluation leaves the key as it was, so that it changes nothing in the training.
+        rng = jax.lax.cond(evaluating, lambda: state.rng, lambda: keys.following)
+        return after.replace(rng=rng), metrics
 
     return jax.lax.cond(phase == SKIP, skip, run, state)
 
 
-def _leave(state: TrainState, trajectory, rng: jax.Array):
-    """The update of an evaluation: none."""
-    del trajectory, rng
-    return state, _as_arrays(UpdateMetrics())
+def _learn(
+    env: GoalEnv, config: Config, phase: jax.Array, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, PhaseMetrics]:
+    """Returns the learner after a phase's update, or as it was where there is nothing sound to learn."""
+
+    def branch(update: Any) -> Any:
+        def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, UpdateMetrics]:
+            learnt, metrics = update(env, config, state, trajectory, rng)
+            return learnt, _as_arrays(metrics)
+
+        return run
+
+    learnt, metrics = jax.lax.switch(phase, [branch(_UPDATES[kind]) for kind in Phase], state, trajectory, rng)
+    finite = _is_finite((learnt, metrics))
+    kept = finite & trajectory.sound.any()
+    after = jax.tree.map(lambda new, old: jnp.where(kept, new, old), learnt, state)
+    return after, _as_arrays(
+        PhaseMetrics(
+            episodes=mean_outcome(trajectory),
+            update=metrics,
+            dropped=1.0 - trajectory.sound.mean(),
+            overflow=trajectory.overflow.mean(),
+            diverged=~finite,
+        )
+    )
 
 
-def _as_arrays(metrics):
+def _is_finite(tree: Any) -> jax.Array:
+    """Returns whether all floating-point numbers of a tree are finite, a boolean `[]`."""
+    floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floating]).all()
+
+
+def _as_arrays(metrics: Any) -> Any:
     return jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), metrics)
 
 
 def _masked_mean(values: jax.Array, mask: jax.Array) -> jax.Array:
+    """Returns the mean over the phases of `mask` that have a finite value; NaN where there is none."""
+    mask = mask & jnp.isfinite(values)
     return jnp.where(mask, values, 0.0).sum() / jnp.where(mask.any(), mask.sum(), jnp.nan)

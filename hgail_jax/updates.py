@@ -14,7 +14,7 @@ from flax import struct
 from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
-from hgail_jax.distributed.sharding import own_part
+from hgail_jax.distributed.sharding import local_shard
 from hgail_jax.experts import expert_samples
 from hgail_jax.networks import apply, discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import generalized_advantages, policy_loss, standardize, weighted_mean
@@ -39,10 +39,18 @@ class UpdateMetrics(struct.PyTreeNode):
     discriminator_accuracy: jax.Array | float = 0.0
 
 
-def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None) -> Policy:
-    """The policy of `state`, to be rolled out: with noise 1 it explores, with noise 0 it takes the mean action.
+def make_policy(
+    env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
+) -> Policy:
+    """Returns the policy of `state`, to be rolled out.
 
-    With `axis` it acts in a device's part of the environments, see `rollout`, and there as it would in all of them.
+    Args:
+      env: the task.
+      config: sizes and counts.
+      state: the learner.
+      noise: 1 to explore, 0 for the mean action; may be traced.
+      axis: see `rollout`; in a device's part of the environments the policy acts as it would in all of them.
+
     """
     std = jnp.asarray(state.hyperparameters.action_std)
     network = policy_network(config, env.action_size)
@@ -50,20 +58,22 @@ def act(env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | floa
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
         mean = apply(network, state.actor_critic["policy"], state.normalize(observation))
         of_all = mean.shape if axis is None else (len(mean) * jax.lax.axis_size(axis), env.action_size)
-        action = mean + noise * std * own_part(jax.random.normal(rng, of_all), axis)
+        action = mean + noise * std * local_shard(jax.random.normal(rng, of_all), axis)
         return action, gaussian_log_prob(action, mean, std)
 
     return policy
 
 
-def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+def pretrain(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, UpdateMetrics]:
     """Fits policy and discriminator to the expert samples (Algorithm 2, lines 1 to 3).
 
     The policy by maximum likelihood, the discriminator by cross-entropy of these against the first roll-out as it was.
     Returns the new state and its `UpdateMetrics`.
     """
     relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
-    state, expert = _positives(env, config, state, trajectory, relabel_rng)
+    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
     state = _observe(state, expert)
     state, policy_metrics = _maximize_likelihood(env, config, state, expert, policy_rng)
@@ -73,16 +83,20 @@ def pretrain(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajec
     return state, metrics.replace(likelihood_loss=policy_metrics.likelihood_loss)
 
 
-def update_discriminator(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+def update_discriminator(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, UpdateMetrics]:
     """Teaches the discriminator the expert samples against a roll-out's own (Algorithm 2, the d_steps)."""
     relabel_rng, fit_rng = jax.random.split(rng)
-    state, expert = _positives(env, config, state, trajectory, relabel_rng)
+    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
     state = _observe(state, expert)
     return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
 
-def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+def update_policy(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, UpdateMetrics]:
     """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps).
 
     With a `likelihood_batch` each gradient also follows the likelihood of that many expert samples.
@@ -93,7 +107,7 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     indices: dict[str, jax.Array] = {
         "ppo": _minibatches(order_rng, batch["return"].shape[0], config.ppo_epochs, config.ppo_minibatches)
     }
-    state, expert = _positives(env, config, state, trajectory, relabel_rng)
+    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
     if config.likelihood_batch:
         negative_log_likelihood = _negative_log_likelihood(env, config, state, expert)
         indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), config.likelihood_batch))
@@ -110,7 +124,9 @@ def update_policy(env: GoalEnv, config: Config, state: TrainState, trajectory: T
     return _observe(state, policy_samples(env, trajectory)), updates.replace(reward=metrics.reward)
 
 
-def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory):
+def _ppo_batch(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory
+) -> tuple[dict[str, jax.Array], UpdateMetrics]:
     """Returns what PPO learns from a trajectory, a dict of arrays `[S, ...]`, and the mean reward as metrics."""
     hyper, weight = state.hyperparameters, step_weight(trajectory)
     observation = state.normalize(trajectory.observation(env))
@@ -120,7 +136,7 @@ def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Traj
     reward = (1.0 - hyper.environment_reward) * imitation + hyper.environment_reward * trajectory.reward
     # Episodes have a fixed length, so shifting and scaling the reward ranks no policy above another. Standardised it
     # keeps returns of order one while the discriminator, and with it the reward, drifts: the value function can follow.
-    scaled = standardize(reward, weight) / env.episode_length
+    scaled = jnp.where(hyper.standardize_reward, standardize(reward, weight), reward) / env.episode_length
     advantage = generalized_advantages(scaled, value, hyper.discount, hyper.gae_lambda)
     batch = {
         "observation": observation[:-1],
@@ -133,7 +149,10 @@ def _ppo_batch(env: GoalEnv, config: Config, state: TrainState, trajectory: Traj
     return flatten(batch), UpdateMetrics(reward=weighted_mean(reward, weight))
 
 
-def _ppo_loss(env: GoalEnv, config: Config, hyper: Hyperparameters, params: Params, part: dict[str, jax.Array]):
+def _ppo_loss(
+    env: GoalEnv, config: Config, hyper: Hyperparameters, params: Params, part: dict[str, jax.Array]
+) -> tuple[jax.Array, UpdateMetrics]:
+    """Returns the loss of policy and value function on a minibatch, and what to watch about it."""
     mean = apply(policy_network(config, env.action_size), params["policy"], part["observation"])
     log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
     policy = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
@@ -144,7 +163,9 @@ def _ppo_loss(env: GoalEnv, config: Config, hyper: Hyperparameters, params: Para
     )
 
 
-def _negative_log_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples) -> Callable:
+def _negative_log_likelihood(
+    env: GoalEnv, config: Config, state: TrainState, samples: Samples
+) -> Callable[[Params, jax.Array], jax.Array]:
     """Returns a function of parameters and indices `[B]` of `samples` to their mean negative log-likelihood, `[]`."""
     observation = state.normalize(samples.observation)
 
@@ -155,7 +176,9 @@ def _negative_log_likelihood(env: GoalEnv, config: Config, state: TrainState, sa
     return loss
 
 
-def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array):
+def _maximize_likelihood(
+    env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array
+) -> tuple[TrainState, UpdateMetrics]:
     negative_log_likelihood = _negative_log_likelihood(env, config, state, samples)
 
     def loss(params, indices):
@@ -168,7 +191,7 @@ def _maximize_likelihood(env: GoalEnv, config: Config, state: TrainState, sample
 
 def _fit_discriminator(
     config: Config, state: TrainState, expert: Samples, policy: Samples, minibatches: int, rng: jax.Array
-):
+) -> tuple[TrainState, UpdateMetrics]:
     expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
 
     def loss(params, indices):
@@ -200,7 +223,9 @@ def _discriminate(config: Config, params: Params, observation: jax.Array, action
     return apply(discriminator_network(config), params, inputs)[..., 0]
 
 
-def _improve_actor_critic(config: Config, state: TrainState, loss: Callable, indices: Any):
+def _improve_actor_critic(
+    config: Config, state: TrainState, loss: Callable, indices: Any
+) -> tuple[TrainState, UpdateMetrics]:
     params, optimizer, metrics = _descend(
         actor_critic_optimizer(config),
         loss,
@@ -219,7 +244,7 @@ def _descend(
     optimizer_state: optax.OptState,
     learning_rate: jax.Array | float,
     minibatches: Any,
-):
+) -> tuple[Params, optax.OptState, Any]:
     """Takes a step for each entry of `minibatches` along its first axis; returns the mean metrics too."""
 
     def step(carry, minibatch):
@@ -240,7 +265,9 @@ def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) ->
     return orders[:, : size * minibatches].reshape(epochs * minibatches, size)
 
 
-def _positives(env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array):
+def _expert_samples(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, Samples]:
     """Returns the state with what is kept of the trajectory, and the expert samples to learn from."""
     expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
     return state.replace(expert=expert), samples

@@ -1,5 +1,6 @@
 """The checks of values that come from outside; each raises a ValueError that names the value and what it may be."""
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -56,7 +57,19 @@ def check_choice(name: str, value: Any, choices: dict[str, int]) -> None:
         raise ValueError(f"{name} is {value!r}; it must be one of {known}")
 
 
-def _all(value: Any, test) -> bool:
+def check_name(name: str, value: Any, choices: Iterable[str]) -> None:
+    """Refuses what is not one of `choices`.
+
+    >>> check_name("reward", "r5", ["r1", "r2"])
+    Traceback (most recent call last):
+    ValueError: reward is 'r5'; choose from r1, r2
+    """
+    known = list(choices)
+    if value not in known:
+        raise ValueError(f"{name} is {value!r}; choose from {', '.join(known)}")
+
+
+def _all(value: Any, test: Callable[[np.ndarray], Any]) -> bool:
     if isinstance(value, jax.core.Tracer):
         return True
     try:

@@ -10,7 +10,7 @@ import numpy as np
 import envs
 from hgail_jax import Hyperparameters, schedule
 from hgail_jax.distributed.seeds import compile_train_step, evaluate_seeds, init_seeds
-from hgail_jax.distributed.sharding import make_mesh, spread
+from hgail_jax.distributed.sharding import make_mesh, shard
 from tests.support import TINY
 
 
@@ -25,7 +25,7 @@ def train(task, groups, devices):
     for seeds in groups:
         states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
         step = step or compile_train_step(env, TINY, states, phases[0], mesh)
-        states, measured = spread(states, mesh), []
+        states, measured = shard(states, mesh), []
         for row in phases:
             states, metrics = step(states, row)
             measured.append(metrics)

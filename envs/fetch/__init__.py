@@ -1,0 +1,1 @@
+"""The Fetch arm and its tasks."""

@@ -1,26 +1,16 @@
-"""Scripted controllers: what a task can be solved with, to demonstrate it and to check its scene.
+"""Scripted controllers of the Fetch tasks: they demonstrate a task, and show that its scene can be solved.
 
-A controller is a pure function of observations, `[..., observation_size]`, to actions in [-1, 1], `[..., action_size]`.
-It has no memory. Those of grasp read the observation of `envs.fetch.grasp.Grasp`.
+See `envs.base.Controller`. Those of grasp read the observation of `envs.fetch.grasp.Grasp`.
 """
-
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-
-Controller = Callable[[jax.Array], jax.Array]
 
 _GAIN = 20.0  # actions per metre: full speed down to 5 cm
 _DESCENT_GAIN = 4.0  # the hand comes in from above where z lags behind
 _NEAR = 0.015  # metres between gripper and cube, within which the hand closes
 _STRIDE = 0.033  # metres that the gripper moves with a unit action
 _OPEN, _CLOSE = 1.0, -1.0
-
-
-def point(observation: jax.Array) -> jax.Array:
-    """Moves a point straight to its goal (`envs.point.Point`)."""
-    return jnp.clip(_GAIN * (observation[..., 3:6] - observation[..., :3]), -1.0, 1.0)
 
 
 def reach(observation: jax.Array) -> jax.Array:
@@ -46,14 +36,6 @@ def closed(observation: jax.Array) -> jax.Array:
     """Goes to the cube in a straight line with a closed hand, which can grasp nothing."""
     ahead = _ahead(observation)
     return _with_hand(_line(ahead), jnp.full(ahead.shape[:-1], _CLOSE))
-
-
-CONTROLLERS: dict[str, dict[str, Controller]] = {
-    "point": {"proportional": point},
-    "reach": {"proportional": reach},
-    "grasp": {"from-above": grasp, "straight": straight, "closed": closed},
-}
-"""Controllers by task and name; the first of a task demonstrates it."""
 
 
 def _ahead(observation: jax.Array) -> jax.Array:

@@ -1,9 +1,14 @@
 """FetchReach: bring the gripper to a point in the air."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
-from envs.fetch.arm import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
+from envs.base import Controller, TrainingDefaults
+from envs.fetch import controllers
+from envs.fetch.arm import FAST_SUBSTEPS, FetchEnv, FetchPhysics
 
 GOAL_RANGE = 0.15
 """Metres around the gripper's start, along each axis, in which goals are."""
@@ -25,8 +30,12 @@ class Reach(FetchEnv):
     feature_size = 6
     goal_size = 3
 
-    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096):
-        super().__init__("fetch/reach", impl, substeps, worlds)
+    scene = "fetch/reach"
+    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
+    training: ClassVar[Mapping[str, TrainingDefaults]] = {
+        "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}, options={"substeps": FAST_SUBSTEPS}),
+        "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}, options={"substeps": FAST_SUBSTEPS}),
+    }
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3])

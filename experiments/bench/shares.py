@@ -13,12 +13,12 @@ from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.paper.sizes import platform_name, sizes
 from hgail_jax.config import Config, Hyperparameters, Preset
 from hgail_jax.distributed.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
-from hgail_jax.distributed.sharding import spread
+from hgail_jax.distributed.sharding import shard
 from hgail_jax.rollout import rollout
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.state import init_state
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, schedule
-from hgail_jax.updates import act
+from hgail_jax.updates import make_policy
 
 
 def preset(size: Size) -> Preset:
@@ -43,7 +43,7 @@ class Training:
         self.hyperparameters: Hyperparameters = chosen.hyperparameters
         self.length = schedule(self.config).shape[1]
         states = init_seeds(size.env, self.config, self.hyperparameters, seed_keys(0, seeds))
-        self._states = states if mesh is None else spread(states, mesh)
+        self._states = states if mesh is None else shard(states, mesh)
 
         started = time.perf_counter()
         self._step: SeedsStep = compile_train_step(size.env, self.config, states, schedule(self.config)[0], mesh)
@@ -70,7 +70,7 @@ def measure_rollout(size: Size) -> dict[str, float]:
     state = init_state(size.env, chosen.config, chosen.hyperparameters, jax.random.key(0))
 
     def roll_out(state, rng):
-        return rollout(size.env, act(size.env, chosen.config, state, noise=1.0), rng, size.num_envs)
+        return rollout(size.env, make_policy(size.env, chosen.config, state, noise=1.0), rng, size.num_envs)
 
     compiled, _ = compile_timed(roll_out, state, jax.random.key(1))
     seconds = seconds_per_call(lambda: compiled(state, jax.random.key(1)))

@@ -1,4 +1,4 @@
-"""Trains the detector that finds the target in pictures, and measures how far off its positions are."""
+"""Trains the detector that finds the target in pictures, and measures the error of its positions."""
 
 import dataclasses
 from pathlib import Path
@@ -8,41 +8,40 @@ from experiments.localisation.figures import draw_examples, draw_sweeps
 from experiments.localisation.keypoint_network import load_detector, save_weights
 from experiments.localisation.keypoint_training import train
 from experiments.localisation.localiser import detect_colour
+from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
-from hgail_jax.cli.command_line import cache_compilations, fail, parse
-from hgail_jax.trainer.run_folder import create_folder, next_folder
+from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.trainer.provenance import provenance
-from hgail_jax.io.files import write_json, write_csv
+from hgail_jax.trainer.run_folder import create_folder, next_folder
 from hgail_jax.validation import check_count
 
-WEIGHTS = Path(__file__).resolve().parent / "results" / "localisation" / "weights.npz"
-"""The detector that comes with the repository."""
-
+_PROGRAM = "localisation"
 _MOST_SEED = 2**31 - 1
-_LEAST_PICTURES = 64  # a batch
+_LEAST_PICTURES = 64  # one batch
 
 
 @dataclasses.dataclass(frozen=True)
 class _Options:
     seed: int = 0
-    """Of the scenes, and of what is learnt from them; an evaluation never has the scenes of a training."""
+    """Of the scenes and of the training; an evaluation never has the scenes of a training."""
     out: Path | None = None
-    """Folder to write, which must not exist; by default runs/localisation-<number>."""
+    """Folder to write, which must not exist yet; by default runs/localisation-<number>."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Train(_Options):
-    """Takes pictures of randomised scenes and learns from them: a quarter of an hour on two cores."""
+    """Takes pictures of randomised scenes and trains the detector on them: 15 minutes on two CPU cores."""
 
     pictures: int = 8000
-    """Pictures to take."""
+    """Pictures to take and learn from."""
     epochs: int = 8
     """Passes over them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluate(_Options):
-    """Compares the network with the colour detector and adds noise: tables, curves and examples."""
+    """Compares the network with the colour detector, without noise and with: tables, curves and examples."""
 
     scenes: int = 500
     """Scenes of each kind."""
@@ -53,7 +52,7 @@ class Evaluate(_Options):
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     both = Train | Evaluate  # tyro makes subcommands of a union
-    options: Train | Evaluate = parse(both, "localisation.py", __doc__, arguments)  # type: ignore[arg-type]
+    options: Train | Evaluate = parse(both, _PROGRAM, __doc__, arguments)  # type: ignore[arg-type]
     folder = options.out or next_folder(Path("runs"), "localisation")
     try:
         check_count("seed", options.seed, least=0, most=_MOST_SEED)
@@ -66,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         Studio().close()  # where MuJoCo cannot render, say so before anything is written
         create_folder(folder)
     except (ValueError, OSError, RuntimeError) as error:
-        fail("localisation.py", error, 2)
+        fail(_PROGRAM, error, 2)
     print(folder, flush=True)
     write_json(folder / "config.json", {"options": dataclasses.asdict(options)} | provenance())
     if isinstance(options, Train):
@@ -102,5 +101,5 @@ def _evaluate(options: Evaluate, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    cache_compilations()
+    prepare_process()
     main()

@@ -1,4 +1,4 @@
-"""Measures how far from the target a localiser ends up, and what each kind of noise adds to that."""
+"""Measures the error of localised positions, without noise and with each kind of it."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,11 +15,11 @@ SWEEPS: dict[str, tuple[float, ...]] = {
     "rotation": (0.0, 0.25, 0.5, 1.0, 2.0, 4.0),
     "translation": (0.0, 0.002, 0.005, 0.01, 0.02, 0.04),
 }
-"""Standard deviations to try of each field of `Noise`, in its unit."""
+"""Standard deviations to measure, for each field of `Noise` and in its unit."""
 
-_EXAMPLES = 4  # samples of each kind that are kept for pictures
-_REPEATS = 4  # draws of the noise for each scene
-_FAR = 50.0  # millimetres; a larger error misses the target altogether
+_EXAMPLES = 4  # samples of each kind of scene that are kept for pictures
+_REPEATS = 4  # draws of the noise per scene
+_FAR = 50.0  # millimetres; beyond it the tasks count a position as missed
 _TARGETS = {"cube": False, "marker": True}
 _SCENES = {"plain": False, "randomised": True}
 
@@ -34,10 +34,11 @@ class Found:
     position: np.ndarray
     """`[3]`: the target's true centre, metres."""
     marker: bool
+    """Whether the target is the ball; if not, it is the cube."""
 
 
 def find(sample: Sample, detect: Detector) -> Found | None:
-    """Returns where a detector finds a sample's target, None where it finds it in no view."""
+    """Returns where a detector finds a sample's target, in the view of the highest score; None if in no view."""
     best, score = None, -np.inf
     for view in sample.views:
         detection = detect(view.picture, view.camera, sample.marker)
@@ -47,14 +48,13 @@ def find(sample: Sample, detect: Detector) -> Found | None:
 
 
 def errors(found: list[Found], noise: Noise, rng: np.random.Generator, repeats: int = 1) -> np.ndarray:
-    """Returns distances from the truth, `[repeats * found]`, millimetres."""
-    return 1e3 * np.array(
-        [
-            np.linalg.norm(estimate(one.pixel, one.view.picture.depth, one.view.camera, one.marker, noise, rng) - truth)
-            for _ in range(repeats)
-            for one, truth in ((one, one.position) for one in found)
-        ]
-    )
+    """Returns distances of the estimates from the truth, `[repeats * len(found)]`, millimetres."""
+
+    def error(one: Found) -> float:
+        position = estimate(one.pixel, one.view.picture.depth, one.view.camera, one.marker, noise, rng)
+        return 1e3 * float(np.linalg.norm(position - one.position))
+
+    return np.array([error(one) for _ in range(repeats) for one in found])
 
 
 def measure(
@@ -63,14 +63,15 @@ def measure(
     """Measures detectors on `count` scenes of each kind.
 
     Returns:
-      The table: a row per target, kind of scene, number of cameras and detector, without noise. The sweeps: a row per
-      target, detector, kind of noise and its size, in plain scenes with two cameras. And a few of the samples by name.
+      - The table without noise: a row per target, kind of scene, number of cameras and detector.
+      - The sweeps: a row per target, detector, kind of noise and its size, in plain scenes with two cameras.
+      - A few samples, by target and kind of scene.
 
     """
     table, sweeps, examples = [], [], {}
     for target, marker in _TARGETS.items():
         for scene, randomised in _SCENES.items():
-            # Randomised scenes are not those of a training, whose generators are of [seed] and [seed, 1].
+            # These are not the scenes of a training, whose generators are seeded by `seed` and by [seed, 1].
             rng = np.random.default_rng([seed, marker, randomised])
             samples = [
                 studio.draw(rng, marker, randomised)
@@ -90,7 +91,7 @@ def measure(
 
 
 def quantiles(millimetres: np.ndarray) -> dict[str, float]:
-    """Returns the median and the 95th percentile of errors; not a number where there is none.
+    """Returns the median and the 95th percentile of errors, `[count]`; NaN where there are none.
 
     >>> quantiles(np.arange(101.0))
     {'median_mm': 50.0, 'p95_mm': 95.0}
@@ -101,6 +102,7 @@ def quantiles(millimetres: np.ndarray) -> dict[str, float]:
 
 
 def _row(samples: list[Sample], found: list[Found | None]) -> dict[str, float]:
+    """Returns the measured columns of a row of the table."""
     hidden = [not any(view.seen for view in sample.views) for sample in samples]
     none = [one is None for one in found]
     millimetres = errors([one for one in found if one is not None], Noise(), np.random.default_rng(0))
@@ -114,6 +116,7 @@ def _row(samples: list[Sample], found: list[Found | None]) -> dict[str, float]:
 
 
 def _sweep(found: list[Found], seed: int) -> list[dict]:
+    """Returns a row for each kind of noise and its size."""
     rows = []
     for kind, values in SWEEPS.items():
         for value in values:

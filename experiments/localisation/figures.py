@@ -1,4 +1,4 @@
-"""Pictures of what a localiser does: error over noise, and examples with the estimate drawn in."""
+"""Draws a localiser's error over noise, and examples of its pictures with the detections marked."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ from experiments.localisation.localiser import Detector
 from experiments.localisation.random_scenes import Sample
 from hgail_jax.io.files import replace_file
 
-_AXES = {  # label, and factor to its unit
+_AXES = {  # of each field of `Noise`: label, and factor to the label's unit
     "pixel": ("pixel noise σ (pixels)", 1.0),
     "depth": ("depth noise σ (mm)", 1e3),
     "rotation": ("camera rotation error σ per axis (°)", 1.0),
@@ -22,7 +22,7 @@ _AXES = {  # label, and factor to its unit
 }
 _COLOURS = {"cube": "#1f5f8b", "marker": "#b5482f"}
 _LINES = {"median_mm": "-", "p95_mm": ":"}
-_SUCCESS = 50.0  # millimetres within which a reach is a success
+_SUCCESS = 50.0  # millimetres; the tasks' threshold of success
 _MARKS = {"colour": ("+", "#00e5ff"), "network": ("x", "#39ff14")}
 
 
@@ -48,9 +48,9 @@ def draw_sweeps(path: Path, rows: list[dict], detector: str) -> None:
 
 
 def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: Mapping[str, Detector]) -> None:
-    """Writes a PNG of samples, a row for each kind: what each detector takes for the target, in one view.
+    """Writes a PNG of samples, a row for each kind, with what each detector takes for the target.
 
-    That is the best of the last detector; what another found in another view is not drawn.
+    Of each sample it shows the view that is best for the last detector; what another finds in another view is left out.
     """
     columns = max(len(samples) for samples in examples.values())
     figure, grid = plt.subplots(

@@ -1,14 +1,13 @@
-"""A small convolutional detector of the target: pixels in, the pixel of its middle out.
+"""A small convolutional keypoint detector: a picture in, the pixel at the middle of the target out.
 
-It stands for the detector of the paper, a VGG-16 of 138 million parameters, and is not one: it has 28 thousand, and
-learns from rendered pictures alone. For each kind of target it gives a distribution over the cells of a coarse grid and
-"nowhere"; the mean over the best cell and its neighbours (a soft argmax) is the pixel. The weights are an npz of
-float32 arrays that NumPy alone reads, named by their place in the parameters.
+It stands in for the paper's detector, a VGG-16 of 138 million parameters: it has 28 thousand, and learns from rendered
+pictures alone. For each kind of target it gives a distribution over the cells of a coarse grid and "nowhere"; the mean
+over the best cell and its neighbours (a local soft argmax) is the pixel. The weights are an npz of float32 arrays,
+named by their path in the parameters, which NumPy alone can read.
 """
 
 import functools
-import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +21,22 @@ from envs.vision.camera import Camera
 from envs.vision.rgbd import Picture
 from experiments.localisation.localiser import PIXELS, Detection, Detector
 from hgail_jax.io.files import replace_file
+from hgail_jax.io.npz import load_npz
 
 STRIDE = 4
-"""Pixels that a cell of the grid is wide."""
+"""Width and height of a cell of the grid, pixels."""
 GRID = PIXELS // STRIDE
-"""Cells in a row of the grid, and in a column."""
+"""Cells in each row and column of the grid."""
 _KINDS = 2  # cube, marker
 _FINE_CHANNELS, _CHANNELS = 16, 24  # at half the resolution, and at a quarter
 _DILATIONS = (1, 2, 4, 8)
-_LEAST_SEEN = 0.5  # probability that the target is anywhere, below which it is not seen
+_LEAST_SEEN = 0.5  # probability that the target is in the picture at all, below which it counts as not seen
 
 
 class KeypointNetwork(nn.Module):
-    """Colours, `[batch, PIXELS, PIXELS, 3]` in 0 to 1, to logits of each kind, `[batch, 2, GRID² + 1]`.
+    """Maps colours in [0, 1], `[batch, PIXELS, PIXELS, 3]`, to the logits of each kind, `[batch, 2, GRID² + 1]`.
 
-    The logits are of the cells, row by row, and of "nowhere".
+    The kinds are the cube and the ball; the logits are those of the cells, row by row, and of "nowhere".
     """
 
     @nn.compact
@@ -56,16 +56,16 @@ class KeypointNetwork(nn.Module):
 def labels(pixels: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Returns the distributions to learn, `[batch, GRID² + 1]`.
 
-    A pixel is shared out among the four cells around it so that their mean is the pixel.
+    The four cells around a pixel share the probability (bilinear weights), so that their mean is the pixel.
 
     Args:
       pixels: `[batch, 2]`, (u, v).
-      seen: `[batch]`, whether the target is in view; else all is on "nowhere".
+      seen: `[batch]`, whether the target is in view; if not, all the probability is on "nowhere".
 
     """
     result = np.zeros((len(pixels), GRID**2 + 1), np.float32)
     result[~seen, -1] = 1.0
-    where = np.clip(pixels / STRIDE - 0.5, 0, GRID - 1.001)
+    where = np.clip(pixels / STRIDE - 0.5, 0, GRID - 1.001)  # just short of the last cell, which has no neighbour
     corner = where.astype(int)
     right, down = (where - corner).T
     rows = np.flatnonzero(seen)
@@ -77,7 +77,12 @@ def labels(pixels: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def to_pixel(probabilities: np.ndarray) -> np.ndarray:
-    """Returns the mean pixel (u, v), `[2]`, of the best cell and its neighbours, of `[GRID²]` probabilities."""
+    """Returns the mean pixel (u, v), `[2]`, over the best cell and its neighbours.
+
+    Args:
+      probabilities: `[GRID²]`, of the cells, row by row.
+
+    """
     grid = probabilities.reshape(GRID, GRID)
     row, column = np.unravel_index(grid.argmax(), grid.shape)
     cells = np.arange(GRID)
@@ -86,7 +91,7 @@ def to_pixel(probabilities: np.ndarray) -> np.ndarray:
 
 
 def predictor(params: Any) -> Callable[[np.ndarray, bool], Detection | None]:
-    """Returns what finds the target in a picture, `[PIXELS, PIXELS, 3]` uint8; the boolean asks for the ball."""
+    """Returns a function that finds the target in a picture, `[PIXELS, PIXELS, 3]` uint8: the ball where `marker`."""
     apply = jax.jit(functools.partial(KeypointNetwork().apply, params))
 
     def predict(rgb: np.ndarray, marker: bool) -> Detection | None:
@@ -100,11 +105,11 @@ def predictor(params: Any) -> Callable[[np.ndarray, bool], Detection | None]:
 
 
 def load_detector(path: Path | str) -> Detector:
-    """Returns the detector whose weights are in a file; see `load_weights` for what is raised."""
+    """Returns the detector whose weights are in a file; raises what `load_weights` does."""
     predict = predictor(load_weights(path))
 
     def detect(picture: Picture, camera: Camera, marker: bool) -> Detection | None:
-        del camera  # colours alone
+        del camera  # it only looks at colours
         return predict(picture.rgb, marker)
 
     return detect
@@ -125,20 +130,18 @@ def load_weights(path: Path | str) -> Any:
       ValueError: it does not hold this network.
 
     """
+    return load_npz(path, "the detector's weights", _from_file)
+
+
+def _from_file(file: Mapping[str, np.ndarray]) -> Any:
     expected = jax.eval_shape(KeypointNetwork().init, jax.random.key(0), jnp.zeros((1, PIXELS, PIXELS, 3)))
     shapes = {name: leaf.shape for name, leaf in traverse_util.flatten_dict(expected, sep="/").items()}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-                raise ValueError("it is compressed")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if {name: array.shape for name, array in arrays.items()} != shapes:
-            raise ValueError("its arrays are not those of this network")
-        if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays.values()):
-            raise ValueError("not all of its arrays are finite float32 numbers")
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path} holds no weights of the detector: {error}") from error
+    if set(file) != set(shapes):
+        raise ValueError("its arrays are not those of this network")
+    arrays = {name: file[name] for name in shapes}
+    for name, array in arrays.items():
+        if array.shape != shapes[name]:
+            raise ValueError(f"its array {name} has the shape {array.shape}, not {shapes[name]}")
+        if array.dtype != np.float32 or not np.isfinite(array).all():
+            raise ValueError(f"its array {name} is not all finite float32 numbers")
     return traverse_util.unflatten_dict(arrays, sep="/")

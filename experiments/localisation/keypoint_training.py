@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import jax
@@ -18,9 +18,10 @@ from experiments.localisation.random_scenes import Studio
 
 _BATCH = 64
 _LEARNING_RATE, _WEIGHT_DECAY = 3e-3, 1e-4
-_SHIFT = 8  # pixels by which a picture is moved at most, each way
-_GREY_NOISE = 0.02  # standard deviation of the noise on each colour, of 1
-_HELD_OUT = 0.1  # of as many pictures as are learnt from
+_WARM_UP = 0.1  # share of the steps in which the learning rate rises
+_SHIFT = 8  # pixels, the largest shift of a picture in each direction
+_COLOUR_NOISE = 0.02  # standard deviation, colours being in [0, 1]
+_HELD_OUT = 0.1  # size of the held-out set, relative to the training set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,25 +39,25 @@ class Pictures:
 
 
 def take_pictures(studio: Studio, count: int, rng: np.random.Generator, title: str) -> Pictures:
-    """Takes `count` pictures of as many randomised scenes, by turns with the cube and the ball."""
+    """Takes one picture of each of `count` randomised scenes, alternately with the cube and with the ball."""
     rgb = np.empty((count, PIXELS, PIXELS, 3), np.uint8)
     pixels, seen, markers = np.empty((count, 2)), np.empty(count, bool), np.arange(count) % 2 == 1
     for index in tqdm(range(count), desc=title, unit="picture"):
-        view = studio.draw(rng, bool(markers[index]), randomised=True, cameras=0).views[0]
+        view = studio.draw(rng, bool(markers[index]), randomised=True, cameras=None).views[0]
         rgb[index], pixels[index], seen[index] = view.picture.rgb, view.pixel, view.seen
     return Pictures(rgb, pixels, seen, markers)
 
 
 def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
-    """Trains a network.
+    """Trains a network on pictures that it takes first.
 
     Args:
-      pictures: to take, and to learn from in each epoch.
+      pictures: how many to learn from.
       epochs: passes over them.
-      seed: of pictures, parameters and batches.
+      seed: of the pictures, the initial parameters and the batches.
 
     Returns:
-      Its parameters, and a row per epoch: its mean loss, what it does on held-out pictures, and seconds so far.
+      The parameters, and a row per epoch: mean loss, what `validate` returns for held-out pictures, and seconds so far.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
@@ -66,17 +67,18 @@ def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
     rng, validation_rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     with Studio() as studio:
         held_out = take_pictures(studio, math.ceil(_HELD_OUT * pictures), validation_rng, "held-out pictures")
-        learnt = take_pictures(studio, pictures, rng, "pictures")
+        training = take_pictures(studio, pictures, rng, "pictures")
     steps = epochs * (pictures // _BATCH)
     network = KeypointNetwork()
     params = jax.jit(network.init)(jax.random.key(seed), jnp.zeros((1, PIXELS, PIXELS, 3)))
-    optimiser = optax.adamw(optax.cosine_onecycle_schedule(steps, _LEARNING_RATE, 0.1), weight_decay=_WEIGHT_DECAY)
-    update, opt_state = _update(network, optimiser), jax.jit(optimiser.init)(params)
+    rate = optax.cosine_onecycle_schedule(steps, _LEARNING_RATE, _WARM_UP)
+    optimiser = optax.adamw(rate, weight_decay=_WEIGHT_DECAY)
+    update, opt_state = _make_update(network, optimiser), jax.jit(optimiser.init)(params)
     rows = []
     with tqdm(total=steps, desc="training", unit="batch") as progress:
         for epoch in range(epochs):
             losses = []
-            for batch in _batches(learnt, rng):
+            for batch in _batches(training, rng):
                 params, opt_state, loss = update(params, opt_state, *batch)
                 losses.append(float(loss))
                 progress.update()
@@ -87,10 +89,11 @@ def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
 
 
 def validate(params: Any, pictures: Pictures) -> dict[str, float]:
-    """Returns what a network does on pictures.
+    """Returns how well a network finds the targets in pictures.
 
-    Keys: `median_pixels` and `p95_pixels` from the truth where the target is seen and found; `missed_rate`, of seen
-    targets that it does not find; `imagined_rate`, of hidden ones that it finds.
+    `median_pixels` and `p95_pixels` are distances from the truth where the target is in view and found. `missed_rate`
+    is the rate of false negatives, targets in view that are not found; `imagined_rate` that of false positives, hidden
+    ones that are.
     """
     predict = predictor(params)
     errors: list[float] = []
@@ -98,7 +101,10 @@ def validate(params: Any, pictures: Pictures) -> dict[str, float]:
     imagined: list[bool] = []
     for rgb, pixel, seen, marker in zip(pictures.rgb, pictures.pixels, pictures.seen, pictures.markers, strict=True):
         detection = predict(rgb, bool(marker))
-        (missed if seen else imagined).append((detection is None) == bool(seen))
+        if seen:
+            missed.append(detection is None)
+        else:
+            imagined.append(detection is not None)
         if seen and detection is not None:
             errors.append(float(np.linalg.norm(detection.pixel - pixel)))
     quantiles = np.quantile(errors, [0.5, 0.95]) if errors else [np.nan, np.nan]
@@ -110,13 +116,17 @@ def validate(params: Any, pictures: Pictures) -> dict[str, float]:
     }
 
 
-def _update(network: KeypointNetwork, optimiser: optax.GradientTransformation):
-    def loss_of(params, rgb, targets, kinds):
+def _make_update(network: KeypointNetwork, optimiser: optax.GradientTransformation) -> Callable[..., tuple]:
+    """Returns the compiled training step: parameters, optimiser's state and a batch to both anew, and the loss."""
+
+    def loss_of(params: Any, rgb: jax.Array, targets: jax.Array, kinds: jax.Array) -> jax.Array:
         logits = cast(jax.Array, network.apply(params, rgb))[jnp.arange(len(kinds)), kinds]
         return optax.softmax_cross_entropy(logits, targets).mean()
 
     @jax.jit
-    def update(params, opt_state, rgb, targets, kinds):
+    def update(
+        params: Any, opt_state: Any, rgb: jax.Array, targets: jax.Array, kinds: jax.Array
+    ) -> tuple[Any, Any, jax.Array]:
         loss, gradients = jax.value_and_grad(loss_of)(params, rgb, targets, kinds)
         updates, opt_state = optimiser.update(gradients, opt_state, params)
         return optax.apply_updates(params, updates), opt_state, loss
@@ -125,9 +135,14 @@ def _update(network: KeypointNetwork, optimiser: optax.GradientTransformation):
 
 
 def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yields the shuffled batches of an epoch: pictures, labels and kinds.
+    """Yields the shuffled, augmented batches of an epoch.
 
-    Half the pictures are mirrored; all are moved by a few pixels and have noise on their colours.
+    Half the pictures are mirrored; all are shifted by a few pixels and have noise on their colours.
+
+    Yields:
+      Colours in [0, 1], `[_BATCH, PIXELS, PIXELS, 3]`; labels, `[_BATCH, GRID² + 1]`, see `labels`; and kinds of
+      target, `[_BATCH]`, 0 for the cube and 1 for the ball.
+
     """
     order = rng.permutation(len(pictures.rgb))
     for chosen in order[: len(order) // _BATCH * _BATCH].reshape(-1, _BATCH):
@@ -137,7 +152,7 @@ def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.
         pixels[mirrored, 0] = PIXELS - pixels[mirrored, 0]
         shifts = rng.integers(-_SHIFT, _SHIFT + 1, (_BATCH, 2))
         rgb = np.stack([_shifted(one, shift) for one, shift in zip(rgb, shifts, strict=True)])
-        noisy = rgb / np.float32(255) + _GREY_NOISE * rng.standard_normal(rgb.shape, np.float32)
+        noisy = rgb / np.float32(255) + _COLOUR_NOISE * rng.standard_normal(rgb.shape, np.float32)
         pixels = pixels + shifts
         inside = np.all((pixels >= 0) & (pixels < PIXELS), axis=-1)
         targets = labels(pixels, pictures.seen[chosen] & inside)
@@ -145,7 +160,7 @@ def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.
 
 
 def _shifted(rgb: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Returns a picture moved by (right, down) pixels; its edge fills what comes into view."""
+    """Returns a picture shifted by (right, down) pixels; its edge pixels fill what comes into view."""
     right, down = shift
     padded = np.pad(rgb, ((_SHIFT, _SHIFT), (_SHIFT, _SHIFT), (0, 0)), mode="edge")
     return padded[_SHIFT - down : _SHIFT - down + PIXELS, _SHIFT - right : _SHIFT - right + PIXELS]

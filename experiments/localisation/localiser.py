@@ -1,8 +1,9 @@
-"""Where the target is, from pictures of an RGB-D camera: what an episode knows instead of the exact position.
+"""Estimates the target's position from pictures of RGB-D cameras, as a real robot would have to.
 
-The target is the cube, painted red, or for reach a red ball at the goal (`MARKER_RADIUS`), which only the camera sees.
-A picture is taken by each camera at the episode's start; in the one that shows the target best, a detector finds the
-pixel of its middle, Eq. 8 makes a point of it, and its size leads from the surface to the centre.
+The target is the cube, painted red, or for reach a red ball at the goal (`MARKER_RADIUS`), which only the cameras see.
+Each camera takes a picture at the episode's start. In the one that shows the target best, a detector finds the pixel
+at its middle; the paper's Eq. 8 turns pixel and depth into a point on the surface, from which the target's known size
+leads to its centre.
 
     localiser = Localiser(overhead(gripper_start), detect=load_detector(WEIGHTS), noise=Noise(pixel=1.0))
     position = localiser(model, data, rng)                 # the cube's centre, [3], metres, world frame
@@ -24,22 +25,23 @@ from envs.vision.camera import Camera, look_at
 from envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 
 MARKER_RADIUS = 0.02
-"""Metres, of the ball that stands for a goal in the air."""
+"""Metres, radius of the ball that marks a goal in the air."""
 RED = np.array([0.85, 0.08, 0.08, 1.0])
 """The target's colour, RGBA."""
 PIXELS = 128
 """Width and height of the pictures."""
 
-_AZIMUTHS = (90.0, -30.0)  # degrees about z, from x; between them the Fetch arm hides no cube
+_AZIMUTHS = (90.0, -30.0)  # degrees about z, from x; the Fetch's arm hides a cube from at most one of them
 _ELEVATION = 55.0  # degrees above the horizon
 _DISTANCE = 1.0  # metres from the middle of the workspace
 _BELOW_START = 0.05  # metres from the gripper's start down to the middle of the workspace
-_FOVY = 34.0  # degrees; every goal of reach is in the picture
+_FOVY = 34.0  # degrees, vertical field of view; every goal of reach is in the picture
 
-_LEAST_REDNESS = 0.5  # of (red - the larger of green and blue) / red
+_LEAST_REDNESS = 0.5  # (red - the larger of green and blue) / red
 _LEAST_RED = 50  # of 255
 _LEAST_AREA = 12  # pixels
-_TOP = 0.005  # metres below the highest pixels that still count as the top face
+_HIGHEST_SHARE = 0.1  # of the red pixels; they are taken to be on the cube's top face
+_TOP = 0.005  # metres below those that still count as the top face
 
 
 class TargetNotSeenError(LookupError):
@@ -48,7 +50,7 @@ class TargetNotSeenError(LookupError):
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what a real camera gets wrong, drawn anew for each picture; each is at least 0.
+    """Standard deviations of a real camera's errors, drawn anew for each picture; each is at least 0.
 
     Raises:
       ValueError: one is negative or not finite.
@@ -58,13 +60,13 @@ class Noise:
     pixel: float = 0.0
     """Of u and v each, pixels."""
     depth: float = 0.0
-    """Of the depth that is read, metres."""
+    """Of the measured depth, metres."""
     rotation: float = 0.0
-    """Of the camera's believed orientation about each of its axes, degrees."""
+    """Of the camera's calibrated orientation, about each of its axes, degrees."""
     translation: float = 0.0
-    """Of the camera's believed position along each axis, metres."""
+    """Of the camera's calibrated position, along each axis, metres."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} noise is {value}; it must be a number of at least 0")
@@ -72,20 +74,26 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class Detection:
-    """Where in a picture the middle of the target's top, or of the ball, is."""
+    """Where in a picture the middle of the cube's top face, or of the ball, is."""
 
     pixel: np.ndarray
     """`[2]`: (u, v)."""
     score: float
-    """Larger where the target is seen better; comparable between pictures of one detector."""
+    """Larger where the target is seen better; comparable between pictures, not between detectors."""
 
 
 Detector = Callable[[Picture, Camera, bool], Detection | None]
-"""Finds the cube in a picture, or the ball where the boolean is set; None where it sees none."""
+"""Finds the cube in a camera's picture, or the ball where the boolean is set; None where it finds none."""
 
 
 def overhead(start: np.ndarray, pixels: int = PIXELS) -> tuple[Camera, ...]:
-    """Returns two cameras over the workspace around the gripper's start, `[3]`, tilted to opposite sides of the arm."""
+    """Returns two cameras that look down at the workspace from different sides of the arm.
+
+    Args:
+      start: `[3]`, where the gripper starts, metres, world frame.
+      pixels: width and height of the pictures.
+
+    """
     middle = np.asarray(start, float) - [0.0, 0.0, _BELOW_START]
     elevation = np.radians(_ELEVATION)
     cameras = []
@@ -96,7 +104,7 @@ def overhead(start: np.ndarray, pixels: int = PIXELS) -> tuple[Camera, ...]:
 
 
 def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection | None:
-    """Finds the largest red patch: its centroid, of a cube that of the pixels which the depth puts in its top face."""
+    """Finds the centroid of the largest red patch; of a cube, that of the pixels whose depth puts them on its top."""
     rgb = picture.rgb.astype(float)
     red = rgb[..., 0]
     mask = (red >= _LEAST_RED) & (red - rgb[..., 1:].max(axis=-1) >= _LEAST_REDNESS * red)
@@ -107,12 +115,12 @@ def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection |
     pixels = np.argwhere(patches == 1 + areas.argmax())[:, ::-1] + 0.5
     if not marker:
         heights = camera.to_world(pixels, read_depth(picture.depth, pixels))[:, 2]
-        pixels = pixels[heights >= np.quantile(heights, 0.9) - _TOP]
+        pixels = pixels[heights >= np.quantile(heights, 1.0 - _HIGHEST_SHARE) - _TOP]
     return Detection(pixels.mean(axis=0), float(areas.max()))
 
 
 def read_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, of an image, `[height, width]`, interpolated.
+    """Returns the depths, `[...]`, at pixels (u, v), `[..., 2]`, interpolated in an image, `[height, width]`.
 
     >>> read_depth(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5, 0.5], [1.0, 1.0], [0.5, 1.25]])).tolist()
     [1.0, 2.5, 2.5]
@@ -123,9 +131,9 @@ def read_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def surface_to_centre(camera: Camera, surface: np.ndarray, marker: bool) -> np.ndarray:
-    """Returns the target's centre, `[3]`, from the point of it in view, `[3]`.
+    """Returns the target's centre, `[3]`, from a point on its surface, `[3]`; metres, world frame.
 
-    That is the middle of the cube's top face, or the point of the ball on the ray through its centre.
+    The point is the middle of the cube's top face, or the one where the ray to the ball's centre meets the ball.
     """
     if marker:
         ray = surface - camera.position
@@ -136,16 +144,16 @@ def surface_to_centre(camera: Camera, surface: np.ndarray, marker: bool) -> np.n
 def estimate(
     pixel: np.ndarray, depth: np.ndarray, camera: Camera, marker: bool, noise: Noise, rng: np.random.Generator
 ) -> np.ndarray:
-    """Returns the target's centre, `[3]`, from its pixel and a depth image, with noise on all that is measured."""
+    """Returns the target's centre, `[3]`, from its pixel, `[2]`, and a depth image, with noise on all measurements."""
     noisy = pixel + noise.pixel * rng.standard_normal(2)
     distance = read_depth(depth, noisy) + noise.depth * rng.standard_normal()
     rotation = np.radians(noise.rotation) * rng.standard_normal(3)
-    believed = camera.moved(rotation, noise.translation * rng.standard_normal(3))
-    return surface_to_centre(believed, believed.to_world(noisy, distance), marker)
+    calibrated = camera.moved(rotation, noise.translation * rng.standard_normal(3))
+    return surface_to_centre(calibrated, calibrated.to_world(noisy, distance), marker)
 
 
 def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
-    """Returns what paints a geom of the model.
+    """Returns a stage that paints a geom of the model, whose name is given.
 
     Raises:
       ValueError: the model has no such geom.
@@ -164,7 +172,7 @@ def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
 
 
 def ball(position: np.ndarray, rgba: np.ndarray = RED) -> Stage:
-    """Returns what puts the marker at a position, `[3]`."""
+    """Returns a stage that puts the ball at a position, `[3]`, metres, world frame."""
 
     def stage(scene: mujoco.MjvScene) -> None:
         add_shape(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, MARKER_RADIUS), position, rgba)
@@ -173,12 +181,12 @@ def ball(position: np.ndarray, rgba: np.ndarray = RED) -> Stage:
 
 
 class Localiser(contextlib.AbstractContextManager):
-    """Gives the target's position as cameras see it; see the module. For one thread; to be closed.
+    """Estimates the target's position from pictures; see the module. For use in one thread, and to be closed.
 
     Args:
-      cameras: where they truly are; all pictures have one size.
+      cameras: their true poses; all pictures have one size.
       detect: finds the target in a picture.
-      noise: of the measurements, and of what is believed of the cameras' poses.
+      noise: of the measurements and of the cameras' calibrated poses; None is none.
       cube: name of the cube's geom.
 
     """
@@ -189,7 +197,7 @@ class Localiser(contextlib.AbstractContextManager):
         detect: Detector = detect_colour,
         noise: Noise | None = None,
         cube: str = "cube",
-    ):
+    ) -> None:
         self._cameras, self._detect, self._cube = cameras, detect, cube
         self._noise = noise or Noise()
         self._photographer: Photographer | None = None
@@ -202,10 +210,10 @@ class Localiser(contextlib.AbstractContextManager):
         rng: np.random.Generator,
         marker: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Returns the centre of the cube, or of the ball put at `marker`: `[3]`, metres, world frame.
+        """Returns the centre of the cube, or of the ball that is put at `marker`, `[3]`, metres, world frame.
 
         Raises:
-          TargetNotSeenError: no picture shows it.
+          TargetNotSeenError: the detector finds it in no picture.
           RuntimeError: MuJoCo cannot render here.
           ValueError: the model has no geom of the cube's name.
 

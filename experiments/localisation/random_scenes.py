@@ -1,9 +1,9 @@
-"""Pictures of the Fetch scene with a target in the workspace, plain or randomised, and the truth beside them.
+"""Labelled pictures of the Fetch scene with a target in the workspace, plain or with domain randomisation.
 
 A plain scene is the project's own: its light, the arm at its start, cameras where `overhead` puts them. A randomised
 one differs in light, colours, the arm's posture, the cameras' poses and the cube's yaw, and holds clutter: up to eight
-shapes, some of them as red as the target, or of its shape in another colour. The target's place is drawn as the tasks
-draw theirs.
+shapes, some of them as red as the target, others of its shape in another colour. The target's position is drawn as the
+tasks draw theirs.
 """
 
 import contextlib
@@ -23,14 +23,14 @@ from envs.vision.camera import Camera
 from envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 from experiments.localisation.localiser import MARKER_RADIUS, RED, ball, overhead, paint, read_depth, surface_to_centre
 
-_AWAY = [0.0, 0.0, -1.0]  # where a cube is that takes no part
+_AWAY = [0.0, 0.0, -1.0]  # metres; under the floor, where the cube is when the ball is the target
 _MOST_CLUTTER = 8
 _CLUTTER_RANGE = 0.22  # metres around the gripper's start, in the plane
 _ARM = ("shoulder_pan", "shoulder_lift", "upperarm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll")
-_POSTURE = 0.06  # radians, standard deviation of each of the arm's joints
+_POSTURE = 0.06  # radians, standard deviation of each of the arm's joints from its start
 _CAMERA_ROTATION, _CAMERA_TRANSLATION = 1.5, 0.02  # degrees and metres, standard deviations
 _ZOOM = 0.03  # relative, standard deviation of the focal length
-_CLOSE = 0.005  # metres from the truth that a depth may lead to and still show the target
+_CLOSE = 0.005  # metres; a pixel whose depth leads farther from the target than this shows something else
 _BOX, _SPHERE, _CYLINDER, _ELLIPSOID = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -40,18 +40,19 @@ _BOX, _SPHERE, _CYLINDER, _ELLIPSOID = (
 _SHAPES = (_BOX, _SPHERE, _CYLINDER, _ELLIPSOID)
 _RED_SHAPES = {False: (_SPHERE, _CYLINDER), True: (_BOX, _CYLINDER)}  # unlike the cube, unlike the marker
 _RED_SHARE = 0.3  # of the clutter
+_MOST_LIGHTS = 8
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What one camera sees of a scene, and the truth."""
+    """What one camera sees of a scene, with its label."""
 
     picture: Picture
     camera: Camera
     pixel: np.ndarray
     """`[2]`: (u, v) of the middle of the cube's top face, or of the ball; see `Detection`."""
     seen: bool
-    """Whether that pixel shows the target."""
+    """Whether that pixel shows the target, which may be hidden or out of the picture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,18 +63,18 @@ class Sample:
     position: np.ndarray
     """`[3]`: the target's centre, metres, world frame."""
     marker: bool
-    """Whether the target is the ball, else it is the cube."""
+    """Whether the target is the ball; if not, it is the cube."""
 
 
 class Studio(contextlib.AbstractContextManager):
-    """Draws samples. For one thread; to be closed.
+    """Draws samples. For use in one thread, and to be closed.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.model = load_scene("fetch/grasp", visual=True)
         self.data = settle(self.model)
         self.start = self.data.site("grip").xpos.copy()
@@ -88,20 +89,29 @@ class Studio(contextlib.AbstractContextManager):
         """Frees the renderer."""
         self._photographer.close()
 
-    def draw(self, rng: np.random.Generator, marker: bool, randomised: bool, cameras: int = 2) -> Sample:
-        """Returns a sample as the first `cameras` cameras see it, or as a random one does if `cameras` is 0."""
+    def draw(self, rng: np.random.Generator, marker: bool, randomised: bool, cameras: int | None = 2) -> Sample:
+        """Returns a random sample.
+
+        Args:
+          rng: source of randomness.
+          marker: whether the target is the ball; if not, it is the cube.
+          randomised: whether the scene is, see the module.
+          cameras: how many of the two take a picture; None is one of them at random.
+
+        """
         position = self._place_target(rng, marker, randomised)
         colour = _reddish(rng) if randomised else RED
         stages = [ball(position, colour) if marker else paint(self.model, "cube", colour)]
         if randomised:
             stages += [_recolour(self.model, rng), _clutter(rng, self.start, position, marker), _light(rng)]
-        chosen = self._cameras[:cameras] if cameras else [self._cameras[rng.integers(len(self._cameras))]]
+        chosen = [self._cameras[rng.integers(len(self._cameras))]] if cameras is None else self._cameras[:cameras]
         views = [
             self._view(_jitter(rng, camera) if randomised else camera, stages, position, marker) for camera in chosen
         ]
         return Sample(tuple(views), position, marker)
 
     def _place_target(self, rng: np.random.Generator, marker: bool, randomised: bool) -> np.ndarray:
+        """Poses the arm, puts the target into the workspace, and returns the target's centre, `[3]`."""
         self.data.qpos[:] = self._settled
         if randomised:
             for joint in _ARM:
@@ -119,6 +129,8 @@ class Studio(contextlib.AbstractContextManager):
         return position if marker else cube
 
     def _view(self, camera: Camera, stages: Sequence[Stage], position: np.ndarray, marker: bool) -> View:
+        """Takes a picture, after all changes of `stages`, and labels it with the target whose centre is `position`."""
+
         def stage(scene: mujoco.MjvScene) -> None:
             for change in stages:
                 change(scene)
@@ -137,6 +149,7 @@ def _is_seen(picture: Picture, camera: Camera, pixel: np.ndarray, position: np.n
 
 
 def _reddish(rng: np.random.Generator) -> np.ndarray:
+    """Returns a random colour that `detect_colour` may take for the target's, `[4]`, RGBA."""
     return _rgba(rng.uniform(-0.03, 0.03), rng.uniform(0.8, 1.0), rng.uniform(0.6, 1.0))
 
 
@@ -145,10 +158,12 @@ def _rgba(hue: float, saturation: float, value: float) -> np.ndarray:
 
 
 def _not_red(rng: np.random.Generator) -> np.ndarray:
+    """Returns a random colour of any other hue, `[4]`, RGBA."""
     return _rgba(rng.uniform(0.06, 0.92), rng.uniform(), rng.uniform(0.1, 1.0))
 
 
 def _jitter(rng: np.random.Generator, camera: Camera) -> Camera:
+    """Returns a camera with a slightly different pose and focal length."""
     turn = np.radians(_CAMERA_ROTATION) * rng.standard_normal(3)
     matrix = camera.matrix @ np.diag([*np.full(2, 1 + _ZOOM * rng.standard_normal()), 1.0])
     moved = camera.moved(turn, _CAMERA_TRANSLATION * rng.standard_normal(3))
@@ -193,8 +208,8 @@ def _clutter(rng: np.random.Generator, start: np.ndarray, target: np.ndarray, ma
 
 
 def _light(rng: np.random.Generator) -> Stage:
-    """Tints and dims every light, and lets those with a direction shine from elsewhere above."""
-    tints = rng.uniform(0.75, 1.15, 3) * rng.uniform(0.5, 1.3, (8, 1))
+    """Tints and dims every light, and turns all but the headlight to another direction from above."""
+    tints = rng.uniform(0.75, 1.15, 3) * rng.uniform(0.5, 1.3, (_MOST_LIGHTS, 1))
     direction = np.append(rng.uniform(-0.8, 0.8, 2), -1.0)
 
     def stage(scene: mujoco.MjvScene) -> None:

@@ -226,7 +226,7 @@ _CURRICULUM = Study(
     "curriculum",
     _both(
         Setting("curriculum", paper={"reach": (".98 ± .02", ".03 ± .01")}),
-        Setting("no curriculum", config={"positives": FROZEN}, paper={"reach": (".49 ± .17", ".16 ± .05")}),
+        Setting("no curriculum", config={"expert_source": FROZEN}, paper={"reach": (".49 ± .17", ".16 ± .05")}),
     ),
     table=2,
     figure=4,
@@ -266,7 +266,7 @@ _ABLATIONS = Study(
             dataclasses.replace(setting, paper={})
             for study in (_CURRICULUM, _STRATEGIES, _SHARES, _REWARDS)
             for setting in study.settings
-            if setting.config.get("positives") == FROZEN or setting.hyperparameters
+            if setting.config.get("expert_source") == FROZEN or setting.hyperparameters
         ),
     ),
 )

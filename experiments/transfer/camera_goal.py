@@ -1,20 +1,22 @@
-"""Tells a transferred policy where cameras see the target: the estimate that `Localiser` makes at the start."""
+"""Tells a transferred policy where cameras see the target, as a `Localiser` estimates it at the start."""
 
 import contextlib
 
 import numpy as np
 
 from envs.vision.rgbd import open_renderer
-from experiments.localisation.__main__ import WEIGHTS
 from experiments.localisation.keypoint_network import load_detector
 from experiments.localisation.localiser import Localiser, overhead
-from experiments.transfer.episode import Estimate, Robot
+from experiments.localisation.paths import WEIGHTS
+from experiments.transfer.episode import Estimate
+from experiments.transfer.robots.base import Robot
 
 
-def seen(robot: Robot, localiser: Localiser) -> Estimate:
-    """Returns the estimate that asks a localiser; the true position only places the red ball of reach.
+def camera_estimate(robot: Robot, localiser: Localiser) -> Estimate:
+    """Returns the estimate that a localiser makes of the target in a robot's scene.
 
-    The estimate raises `TargetNotSeenError` where no camera sees the target.
+    Of the true position it only uses where to put the red ball that makes a goal of reach visible. The estimate raises
+    `TargetNotSeenError` where no camera sees the target.
     """
 
     def estimate(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -24,18 +26,19 @@ def seen(robot: Robot, localiser: Localiser) -> Estimate:
     return estimate
 
 
-def from_cameras(robot: Robot, stack: contextlib.ExitStack) -> Estimate:
-    """Returns the estimate of two exact cameras over the robot's workspace and the detector of the repository.
+def overhead_estimate(robot: Robot, stack: contextlib.ExitStack) -> Estimate:
+    """Returns the estimate of two exactly calibrated cameras over the workspace and the repository's detector.
 
     Args:
-      robot: is reset, to find out where its gripper starts.
+      robot: is reset, to find where its gripper starts.
       stack: closes the renderer.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
 
     """
-    open_renderer(robot.model, 1, 1).close()
+    open_renderer(robot.model, 1, 1).close()  # says so before anything is measured
     robot.reset(np.random.default_rng(0))
     start = robot.features()[:3] - robot.offset
-    return seen(robot, stack.enter_context(Localiser(overhead(start), load_detector(WEIGHTS), cube=robot.cube)))
+    localiser = stack.enter_context(Localiser(overhead(start), load_detector(WEIGHTS), cube=robot.cube))
+    return camera_estimate(robot, localiser)

@@ -1,0 +1,28 @@
+"""The console command `hgail`; each of its commands is a module here, with a `main` that takes the arguments."""
+
+import importlib
+import sys
+
+COMMANDS = {
+    "train": "trains seeds of a method on a task and writes what came of it to a folder",
+    "play": "rolls out a trained policy, in a viewer or as a film",
+    "demos": "records demonstrations by a scripted controller",
+}
+"""What each command does; its module has its name."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs `hgail <command> <options>`, with the process's own arguments unless others are given."""
+    from hgail_jax.cli.command_line import fail, prepare_process
+
+    name, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in ("-h", "--help"):
+        width = max(map(len, COMMANDS))
+        print("usage: hgail COMMAND [OPTIONS]\n")
+        print("\n".join(f"  {command:{width}}  {what}" for command, what in COMMANDS.items()))
+        print("\nhgail COMMAND --help lists the options of a command.")
+        return
+    if name not in COMMANDS:
+        fail("hgail", f"there is no command {name!r}; choose from {', '.join(COMMANDS)}", 2)
+    prepare_process()
+    importlib.import_module(f"hgail_jax.cli.{name}").main(options)

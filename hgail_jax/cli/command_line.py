@@ -1,35 +1,64 @@
-"""Command lines by tyro whose mistakes are said in one line."""
+"""What the command lines share: options by tyro, mistakes in one line, compiled programs in a cache."""
 
-import contextlib
-import io
-import itertools
 import os
 import sys
 import warnings
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
 import jax
 import tyro
+from tyro import _errors as tyro_errors
 
 OptionsT = TypeVar("OptionsT")
 
 
+class _RefusedError(Exception):
+    """The command line cannot be read; the message says why."""
+
+
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
-    """Reads a command line into `options`; what it cannot read is said in one line, with exit code 2."""
-    # What is forked here only starts another program: ffmpeg, git, run.py.
+    """Reads a command line into `options`; what it cannot read is said in one line, with exit code 2.
+
+    Args:
+      options: a dataclass, or a union of them, which makes subcommands.
+      program: the name that begins a line of error.
+      description: stands above the options in the help.
+      arguments: the words of the command line; None are the process's own.
+
+    """
+    # What is forked here only starts another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
-    box = io.StringIO()
     try:
-        with contextlib.redirect_stderr(box):
-            return tyro.cli(options, args=arguments, description=description)
-    except SystemExit as stop:
-        # A title, perhaps a rule, the message on one line or more, a rule, and advice.
-        lines = [line.strip("│|─-╰╯+ ") for line in box.getvalue().strip().splitlines()[1:]]
-        message = itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines))
-        if stop.code:
-            print(f"{program}: {' '.join(message)}", file=sys.stderr)
-        raise
+        with tyro_errors.on_parse_error(_refuse):
+            return tyro.cli(options, prog=program, args=arguments, description=description)
+    except _RefusedError as refused:
+        fail(program, refused, 2)
+
+
+def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
+    raise _RefusedError(_reason(event))
+
+
+def _reason(event: tyro_errors.ParseErrorEvent) -> str:
+    known = cast(Any, event)  # tyro's own classes of options, which it keeps to itself
+    match event:
+        case tyro_errors.UnrecognizedArgs():
+            return f"unrecognized options: {' '.join(event.tokens)}"
+        case tyro_errors.InvalidChoice():
+            return (
+                f"{known.argument.lowered.name_or_flags[-1]} is {event.value!r}; choose from {', '.join(event.choices)}"
+            )
+        case tyro_errors.BadValue():
+            return f"{known.argument.lowered.name_or_flags[-1]} has too few values, or one that it does not take"
+        case tyro_errors.MissingArgs():
+            missing = [wanted.arg.lowered.name_or_flags[-1] for wanted in known.missing_arguments]
+            return f"missing options: {', '.join([*missing, *event.unrecognized_tokens])}"
+        case tyro_errors.MissingSubcommand():
+            return f"choose a command: {', '.join(known.subcommand_spec.parser_from_name)}"
+        case tyro_errors.InstantiationFailure():
+            return event.message
+    return f"it cannot be read ({type(event).__name__})"
 
 
 def fail(program: str, message: object, code: int) -> NoReturn:
@@ -38,7 +67,8 @@ def fail(program: str, message: object, code: int) -> NoReturn:
     raise SystemExit(code)
 
 
-def cache_compilations() -> None:
-    """Keeps compiled programs in the user's cache folder, where the next process finds them."""
+def prepare_process() -> None:
+    """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before."""
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
     jax.config.update("jax_compilation_cache_dir", str(cache))
+    sys.path.append(os.getcwd())  # as `python -m` does; a console command has its own folder there instead

@@ -1,0 +1,1 @@
+"""Seeds, devices and processes: what trains side by side, and on what."""

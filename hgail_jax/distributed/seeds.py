@@ -12,13 +12,13 @@ from jax.sharding import Mesh, NamedSharding
 
 from envs import EpisodeMetrics, GoalEnv
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.distributed.sharding import ALONG_SEEDS, ENVS, EVERYWHERE, per_device
+from hgail_jax.distributed.sharding import ALONG_SEEDS, ENVS, REPLICATED, per_device
 from hgail_jax.evaluate import mean_outcome
 from hgail_jax.rollout import rollout
 from hgail_jax.samples import Samples
-from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import RoundMetrics, evaluation_rng, train_step
-from hgail_jax.updates import act
+from hgail_jax.state import TrainState, init_state, split_key
+from hgail_jax.train import RoundMetrics, train_step
+from hgail_jax.updates import make_policy
 from hgail_jax.validation import check_count
 
 _MOST_SEEDS = 2**31 - 1
@@ -101,8 +101,8 @@ def compile_train_step(
 ) -> SeedsStep:
     """Compiles `train_step` for all seeds at once. The step consumes the states that it is given.
 
-    With a mesh of several devices each runs its part, see `hgail_jax.sharding`. The step then takes states that
-    `spread` placed, and every process can read its metrics.
+    With a mesh of several devices each runs its part, see `hgail_jax.distributed.sharding`. The step then takes states that
+    `shard` placed, and every process can read its metrics.
 
     On a GPU it compiles without autotuning and at a low optimisation level: the program is thousands of small kernels,
     and on an H200 this took a third off the compilation and nothing off the speed.
@@ -117,7 +117,16 @@ def compile_train_step(
     Returns:
       A function of states and a row of phases to new states and metrics, each with an axis over seeds.
 
+    Raises:
+      ValueError: a device would step more environments than the task's physics can.
+
     """
+    on_a_device = len(states.rng) * config.num_envs // (1 if mesh is None else mesh.size)
+    if env.max_worlds is not None and on_a_device > env.max_worlds:
+        raise ValueError(
+            f"{len(states.rng)} seeds of {config.num_envs} environments are {on_a_device} on a device; the task was made"
+            f" for {env.max_worlds}: make it with worlds={on_a_device}"
+        )
     return compile_program(_jit_train_step(env, config, mesh), states, phases)
 
 
@@ -146,7 +155,7 @@ def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
     def step(axis, states, phases):
         return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
 
-    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, EVERYWHERE), (ALONG_SEEDS, EVERYWHERE), donate_argnums=0)
+    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
 
 
 def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
@@ -177,7 +186,7 @@ def evaluate_seeds(
     Args:
       env: the task.
       config: sizes and counts.
-      states: with an axis over seeds; with a mesh as `spread` placed them.
+      states: with an axis over seeds; with a mesh as `shard` placed them.
       num_episodes: that each seed has at least: whole roll-outs.
       mesh: see `compile_train_step`.
 
@@ -193,18 +202,18 @@ def evaluate_seeds(
 
     def measure(axis, states):
         def roll_out(state, rng):
-            policy = act(accurate, config, state, noise=0.0, axis=axis)
+            policy = make_policy(accurate, config, state, noise=0.0, axis=axis)
             trajectory = rollout(accurate, policy, rng, config.num_envs, probe=True, axis=axis)
             return mean_outcome(trajectory), trajectory.overflow.any()
 
         def of_seed(state):
-            rngs = jax.random.split(evaluation_rng(state), rollouts)
+            rngs = jax.random.split(split_key(state.rng).final_evaluation, rollouts)
             outcomes, overflow = jax.lax.map(functools.partial(roll_out, state), rngs)
             return jax.tree.map(jnp.mean, outcomes), overflow.any()
 
         return jax.vmap(of_seed)(states)
 
-    compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), EVERYWHERE), states)
+    compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
     outcome, overflow = jax.tree.map(np.asarray, compiled(states))
     if overflow.any():
         raise OverflowError("the simulation ran out of room for contacts in the final evaluation")

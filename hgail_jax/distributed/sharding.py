@@ -22,8 +22,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 SEEDS, ENVS = "seeds", "envs"
 """The axes of a mesh."""
 
-ALONG_SEEDS, EVERYWHERE = PartitionSpec(SEEDS), PartitionSpec()
+ALONG_SEEDS, REPLICATED = PartitionSpec(SEEDS), PartitionSpec()
 """How arrays are laid out: their first axis, seeds, split over the devices; or whole on each device."""
+
+_REPLICA_TOLERANCE = 1e-3  # by which devices may come apart through the order in which they sum
+
+
+class ReplicaError(RuntimeError):
+    """Devices that should hold the same numbers do not."""
 
 
 def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
@@ -56,7 +62,7 @@ def most_devices(seeds: int, num_envs: int, available: int) -> int:
     return next(fitting)
 
 
-def own_part(array: jax.Array, axis: str | None) -> jax.Array:
+def local_shard(array: jax.Array, axis: str | None) -> jax.Array:
     """Returns a device's own part of an array that each of them has whole, along its first axis.
 
     `axis` names the mesh axis, within a `jax.shard_map`; with None the whole is returned.
@@ -68,31 +74,63 @@ def own_part(array: jax.Array, axis: str | None) -> jax.Array:
 
 
 def gather(tree: Any, axis: str | None, along: int) -> Any:
-    """Returns the whole of arrays of which each device has its part along their axis `along`; see `own_part`."""
+    """Returns the whole of arrays of which each device has its part along their axis `along`; see `local_shard`."""
     if axis is None:
         return tree
     return jax.tree.map(lambda leaf: jax.lax.all_gather(leaf, axis, axis=along, tiled=True), tree)
 
 
-def spread(tree: Any, mesh: Mesh) -> Any:
+def shard(tree: Any, mesh: Mesh) -> Any:
     """Places arrays and PRNG keys, which every process has whole, with their first axis along `SEEDS`."""
     if mesh.size == 1:
         return tree
     sharding = NamedSharding(mesh, ALONG_SEEDS)
 
-    def place(array):
+    def place(array: jax.Array) -> jax.Array:
         array = np.asarray(array)
         return jax.make_array_from_callback(array.shape, sharding, lambda index: array[index])
 
     return _on_numbers(lambda numbers: jax.tree.map(place, numbers), tree)
 
 
-def collect(tree: Any) -> Any:
+def replicate(tree: Any) -> Any:
     """Returns arrays and PRNG keys so that every process can read the whole of them; all processes must call it."""
     if all(leaf.is_fully_addressable for leaf in jax.tree.leaves(tree)):
         return tree
-    everywhere = NamedSharding(jax.tree.leaves(tree)[0].sharding.mesh, EVERYWHERE)
-    return jax.jit(lambda tree: tree, out_shardings=everywhere)(tree)
+    whole = NamedSharding(jax.tree.leaves(tree)[0].sharding.mesh, REPLICATED)
+    return jax.jit(lambda tree: tree, out_shardings=whole)(tree)
+
+
+def check_replicas(tree: Any) -> None:
+    """Checks that the devices that hold one part of an array hold the same numbers.
+
+    Devices that share seeds make the same update of the same trajectories; nothing else keeps them alike, as a program
+    per device is compiled without a check of what varies between devices.
+
+    Args:
+      tree: arrays and PRNG keys, as a step of several devices returned them.
+
+    Raises:
+      ReplicaError: they differ by more than rounding; the message names the array.
+
+    """
+    for path, leaf in jax.tree_util.tree_flatten_with_path(_without_keys(tree))[0]:
+        first: dict[str, np.ndarray] = {}
+        for part in leaf.addressable_shards if len(leaf.sharding.device_set) > 1 else ():
+            values = np.asarray(part.data)
+            known = first.setdefault(str(part.index), values)
+            if not np.allclose(values, known, rtol=_REPLICA_TOLERANCE, atol=_REPLICA_TOLERANCE, equal_nan=True):
+                name = jax.tree_util.keystr(path, simple=True, separator=".")
+                raise ReplicaError(f"the devices disagree: {name} differs by {np.abs(values - known).max():.3g}")
+
+
+def _without_keys(tree: Any) -> Any:
+    """Returns a tree with PRNG keys replaced by their numbers."""
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def from_first_process(tree: Any) -> Any:
@@ -104,10 +142,9 @@ def from_first_process(tree: Any) -> Any:
 
 def _on_numbers(function: Callable[[Any], Any], tree: Any) -> Any:
     """Applies a function of trees of arrays to a tree that holds PRNG keys as well."""
-    keys = jax.tree.map(lambda leaf: jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key), tree)
-    numbers = jax.tree.map(lambda leaf, is_key: jax.random.key_data(leaf) if is_key else leaf, tree, keys)
+    keys = jax.tree.map(_is_key, tree)
     return jax.tree.map(
-        lambda leaf, is_key: jax.random.wrap_key_data(leaf) if is_key else leaf, function(numbers), keys
+        lambda leaf, is_key: jax.random.wrap_key_data(leaf) if is_key else leaf, function(_without_keys(tree)), keys
     )
 
 

@@ -74,14 +74,14 @@ class Checkpoints:
             with self._one_error():
                 self._manager.close()
 
-    def save(self, rounds: int, state: Any, record: dict, score: Sequence[float]) -> None:
+    def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole.
 
         Args:
           rounds: rounds done, more than in any checkpoint before.
           state: any pytree of arrays and PRNG keys; it may be donated once this returns.
           record: anything that JSON can hold.
-          score: the checkpoint whose score is largest, in the order of tuples, is the best.
+          score: the checkpoint whose score is largest, in the order of tuples, is the best; one that has none never is.
 
         Raises:
           FloatingPointError: the state is not finite. Nothing is written.
@@ -96,7 +96,9 @@ class Checkpoints:
         for name, array in arrays.items():
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
                 raise FloatingPointError(f"{name} is not finite")
-        scores = self._scores | {str(rounds): [float(value) for value in score]}
+        scores = dict(self._scores)
+        if score is not None:
+            scores[str(rounds)] = [float(value) for value in score]
         if not is_first_process():
             self.saved = rounds
             return

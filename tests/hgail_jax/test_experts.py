@@ -44,7 +44,7 @@ def demonstrations(count=40, observation=6, action=3):
 
 def test_the_buffer_holds_the_best_of_all_roll_outs():
     """Against sorting everything ever seen."""
-    best = init_expert(ENV, dataclasses.replace(TINY, positives=BEST, best_episodes=8), None)
+    best = init_expert(ENV, dataclasses.replace(TINY, expert_source=BEST, best_episodes=8), None)
     keep, rng, seen = jax.jit(functools.partial(keep_best, ENV, HYPER)), np.random.default_rng(0), []
     for seed in range(5):
         returns = rng.permutation(1000)[:6].astype(np.float32) * -0.5
@@ -58,7 +58,7 @@ def test_the_buffer_holds_the_best_of_all_roll_outs():
 
 def test_episodes_are_kept_under_the_goals_they_pursued():
     trajectory = roll_out(0)
-    best = init_expert(ENV, dataclasses.replace(TINY, positives=BEST, best_episodes=6), None)
+    best = init_expert(ENV, dataclasses.replace(TINY, expert_source=BEST, best_episodes=6), None)
     kept = keep_best(ENV, HYPER, best, with_returns(trajectory, np.arange(6.0)))
     np.testing.assert_array_equal(kept.samples.observation[:, 0, :3], trajectory.features[:-1, 5])
     np.testing.assert_array_equal(kept.samples.observation[:, 0, 3:], trajectory.desired[:-1, 5])
@@ -67,22 +67,22 @@ def test_episodes_are_kept_under_the_goals_they_pursued():
 @pytest.mark.parametrize(("by_distance", "kept"), [(False, [0, 1, 2]), (True, [1, 5, 3])])
 def test_ties_fall_to_the_earlier_or_to_the_nearer(by_distance, kept):
     distance = np.array([0.9, 0.1, 0.8, 0.3, 0.7, 0.2], np.float32)
-    best = init_expert(ENV, dataclasses.replace(TINY, positives=BEST, best_episodes=3), None)
+    best = init_expert(ENV, dataclasses.replace(TINY, expert_source=BEST, best_episodes=3), None)
     hyper = HYPER.replace(ties_by_distance=by_distance)
     best = keep_best(ENV, hyper, best, with_returns(roll_out(0), np.full(6, -50.0), distance))
     np.testing.assert_allclose(best.distance, distance[kept])
 
 
 def test_broken_episodes_never_count():
-    best = init_expert(ENV, dataclasses.replace(TINY, positives=BEST, best_episodes=8), None)
+    best = init_expert(ENV, dataclasses.replace(TINY, expert_source=BEST, best_episodes=8), None)
     sound = np.array([True, False, True, False, True, True])
     best = keep_best(ENV, HYPER, best, with_returns(roll_out(0), np.full(6, -50.0), sound=sound))
     assert float(best.samples.weight.sum()) == 4 * 50
     assert jnp.isfinite(best.returns).all()
 
 
-def test_frozen_positives_are_those_of_the_first_roll_out():
-    config = dataclasses.replace(TINY, num_envs=6, positives=FROZEN)
+def test_frozen_expert_samples_are_those_of_the_first_roll_out():
+    config = dataclasses.replace(TINY, num_envs=6, expert_source=FROZEN)
     take = jax.jit(functools.partial(expert_samples, ENV, config, HYPER))
     expert = init_expert(ENV, config, None)
     assert not expert.weight.any()
@@ -92,7 +92,7 @@ def test_frozen_positives_are_those_of_the_first_roll_out():
         jax.tree.map(np.testing.assert_array_equal, samples, first)
 
 
-def test_relabelled_positives_follow_the_roll_out():
+def test_relabelled_expert_samples_follow_the_roll_out():
     config, trajectory = dataclasses.replace(TINY, num_envs=6), roll_out(1)
     kept, samples = expert_samples(ENV, config, HYPER, None, trajectory, jax.random.key(2))
     assert kept is None
@@ -102,10 +102,10 @@ def test_relabelled_positives_follow_the_roll_out():
 @pytest.mark.parametrize(
     ("config", "given", "message"),
     [
-        ({}, demonstrations(), "positives is 'relabelled' and demonstrations are given"),
-        ({"positives": DEMONSTRATIONS}, None, "positives is 'demonstrations' and none are given"),
-        ({"positives": DEMONSTRATIONS}, demonstrations(observation=9), r"must be \[S, 6\], \[S, 3\] and \[S\]"),
-        ({"positives": DEMONSTRATIONS}, demonstrations(action=4), r"must be \[S, 6\], \[S, 3\] and \[S\]"),
+        ({}, demonstrations(), "expert_source is 'relabelled' and demonstrations are given"),
+        ({"expert_source": DEMONSTRATIONS}, None, "expert_source is 'demonstrations' and none are given"),
+        ({"expert_source": DEMONSTRATIONS}, demonstrations(observation=9), r"must be \[S, 6\], \[S, 3\] and \[S\]"),
+        ({"expert_source": DEMONSTRATIONS}, demonstrations(action=4), r"must be \[S, 6\], \[S, 3\] and \[S\]"),
     ],
 )
 def test_demonstrations_must_fit(config, given, message):
@@ -114,8 +114,8 @@ def test_demonstrations_must_fit(config, given, message):
 
 
 def test_an_unknown_source_is_refused():
-    with pytest.raises(ValueError, match="positives is 'dreams'; it must be one of relabelled, frozen"):
-        Config(positives="dreams")
+    with pytest.raises(ValueError, match="expert_source is 'dreams'; it must be one of relabelled, frozen"):
+        Config(expert_source="dreams")
 
 
 METHOD_STEPS = {

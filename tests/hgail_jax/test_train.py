@@ -17,7 +17,7 @@ from hgail_jax.recording import record
 from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, evaluation_rng
-from hgail_jax.updates import act, pretrain, update_discriminator, update_policy
+from hgail_jax.updates import make_policy, pretrain, update_discriminator, update_policy
 from tests.support import TINY
 
 ENV = envs.make("point")
@@ -54,7 +54,7 @@ def test_one_seed_is_bit_equal_twice_and_two_seeds_differ():
 
 def test_every_episode_has_goals_of_its_own():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
-    policy = act(ENV, TINY, state, noise=1.0)
+    policy = make_policy(ENV, TINY, state, noise=1.0)
     goals = np.concatenate([rollout(ENV, policy, jax.random.key(seed), 4).desired[0] for seed in range(3)])
     assert len(np.unique(goals[:, 0])) == 12
 
@@ -177,7 +177,7 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
         measured = evaluate_seeds(env, TINY, states, episodes)
         for seed in range(2):
             state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)
-            policy = act(env, TINY, state, noise=0.0)
+            policy = make_policy(env, TINY, state, noise=0.0)
             rngs = jax.random.split(evaluation_rng(state), rollouts)
             alone = [evaluate(env.accurate(), policy, rng, 4) for rng in rngs]
             expected = np.mean([outcome.distance_l1 for outcome in alone])
@@ -186,7 +186,7 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
 
 def test_relabelled_samples_keep_state_and_action():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
-    trajectory = rollout(ENV, act(ENV, TINY, state, noise=1.0), jax.random.key(1), 4)
+    trajectory = rollout(ENV, make_policy(ENV, TINY, state, noise=1.0), jax.random.key(1), 4)
     samples = relabelled_samples(ENV, state.hyperparameters, trajectory, jax.random.key(2))
     np.testing.assert_array_equal(samples.observation[:, :3], trajectory.features[:-1].reshape(-1, 3))
     np.testing.assert_array_equal(samples.action, trajectory.action.reshape(-1, 3))
@@ -251,7 +251,7 @@ class Faulty(Point):
 def test_a_broken_episode_leaves_the_others_and_the_parameters_as_if_it_were_dropped():
     config = dataclasses.replace(TINY, num_envs=16)
     exploded = type("Exploded", (Faulty,), {"fault": 1e9})()
-    policy = act(ENV, config, init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0)), noise=1.0)
+    policy = make_policy(ENV, config, init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0)), noise=1.0)
     whole, broken, large = (
         jax.jit(lambda rng, env=env: rollout(env, policy, rng, 16))(jax.random.key(3))
         for env in (ENV, Faulty(), exploded)
@@ -289,10 +289,10 @@ def test_broken_episodes_are_counted_and_a_round_of_nothing_else_teaches_nothing
 def test_a_deviation_for_each_number_of_the_action():
     stds = np.float32([0.1, 1.0, 3.0])
     state = init_state(ENV, TINY, Hyperparameters(action_std=stds), jax.random.key(0))
-    policy = act(ENV, TINY, state, noise=1.0)
+    policy = make_policy(ENV, TINY, state, noise=1.0)
     action, log_prob = policy(jnp.zeros((20000, 6)), jax.random.key(1))
     np.testing.assert_allclose(np.std(action, axis=0), stds, rtol=0.03)
-    mean = act(ENV, TINY, state, noise=0.0)(jnp.zeros((1, 6)), jax.random.key(1))[0]
+    mean = make_policy(ENV, TINY, state, noise=0.0)(jnp.zeros((1, 6)), jax.random.key(1))[0]
     np.testing.assert_allclose(log_prob, norm.logpdf(action, mean, stds).sum(-1), rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="one number or 3"):
         init_state(ENV, TINY, Hyperparameters(action_std=(0.1, 0.2)), jax.random.key(0))

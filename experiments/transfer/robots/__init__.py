@@ -1,0 +1,29 @@
+"""The robots that policies are transferred to: a module each, and a line in `ROBOTS`."""
+
+import functools
+from typing import Any
+
+from experiments.transfer.robots.base import Robot
+from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots.ur5e import UR5e
+
+ROBOTS: dict[str, type[Robot]] = {
+    "gymnasium": GymnasiumFetch,
+    "ur5e": UR5e,
+}
+"""The robots' classes by the names that the command line knows them by."""
+
+
+@functools.cache
+def make_robot(name: str, task: str, **options: Any) -> Robot:
+    """Makes a robot of `ROBOTS` for a task, `"reach"` or `"grasp"`; the same arguments return the same robot.
+
+    Raises:
+      ValueError: a package that it needs is not installed.
+
+    """
+    robot = ROBOTS[name]
+    try:
+        return robot(task, **options)
+    except ModuleNotFoundError as error:
+        raise ValueError(f'{name} needs the package {error.name}; pip install -e ".[{robot.extra}]"') from error

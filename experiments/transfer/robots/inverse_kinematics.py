@@ -4,31 +4,32 @@ import mink
 import mujoco
 import numpy as np
 
+_SOLVER = "daqp"
 _DAMPING = 1e-8
-_ITERATIONS = 100
+_ITERATIONS = 100  # after which `move_to` has arrived
 
 
 class DownwardArm:
-    """The joints of an arm, as a reference for its servos.
+    """An arm's joint positions, which its servos are to follow.
 
     Args:
       model: the arm alone.
       tool: name of the tool's site.
-      orientation: `[3, 3]`, of the site in the world frame, when the tool points downward.
-      fastest: radians a second, of each joint.
+      orientation: `[3, 3]`, rotation of that site in the world frame when the tool points downward.
+      top_speed: of each joint, radians per second.
 
     """
 
-    def __init__(self, model: mujoco.MjModel, tool: str, orientation: np.ndarray, fastest: float):
+    def __init__(self, model: mujoco.MjModel, tool: str, orientation: np.ndarray, top_speed: float) -> None:
         self._configuration = mink.Configuration(model)
         self._task = mink.FrameTask(tool, "site", position_cost=1.0, orientation_cost=1.0)
         self._orientation = mink.SO3.from_matrix(orientation)
-        speeds = {model.joint(index).name: fastest for index in range(model.njnt)}
+        speeds = {model.joint(index).name: top_speed for index in range(model.njnt)}
         self._limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
 
     @property
     def joints(self) -> np.ndarray:
-        """The joints' positions, `[joints]`, radians."""
+        """The joint positions, `[joints]`, radians."""
         return self._configuration.q.copy()
 
     @joints.setter
@@ -36,15 +37,24 @@ class DownwardArm:
         self._configuration.update(positions.copy())
 
     def approach(self, position: np.ndarray, time: float) -> np.ndarray:
-        """Moves the joints for some time; returns their velocities, `[joints]`, which bring the tool to `position`."""
+        """Moves the joints so that the tool comes as near to a position as it can in some time.
+
+        Args:
+          position: `[3]`, metres, in the frame of the arm's base.
+          time: seconds.
+
+        Returns:
+          The joint velocities of that motion, `[joints]`, radians per second.
+
+        """
         self._task.set_target(mink.SE3.from_rotation_and_translation(self._orientation, position))
         velocities = mink.solve_ik(
-            self._configuration, [self._task], time, "daqp", damping=_DAMPING, limits=self._limits
+            self._configuration, [self._task], time, _SOLVER, damping=_DAMPING, limits=self._limits
         )
         self._configuration.integrate_inplace(velocities, time)
         return velocities
 
-    def go(self, position: np.ndarray) -> None:
-        """Puts the joints to where the tool is at `position`, from wherever they are."""
+    def move_to(self, position: np.ndarray) -> None:
+        """Sets the joints so that the tool is at a position, `[3]`, starting the search from where they are."""
         for _ in range(_ITERATIONS):
             self.approach(position, time=1.0)

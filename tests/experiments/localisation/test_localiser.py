@@ -5,18 +5,6 @@ import numpy as np
 import pytest
 
 from envs.vision.camera import look_at
-from experiments.localisation import keypoint_network
-from experiments.localisation.__main__ import WEIGHTS
-from experiments.localisation.error import errors, find
-from experiments.localisation.keypoint_network import (
-    GRID,
-    STRIDE,
-    labels,
-    load_detector,
-    load_weights,
-    save_weights,
-    to_pixel,
-)
 from experiments.localisation.localiser import (
     MARKER_RADIUS,
     Detection,
@@ -28,7 +16,6 @@ from experiments.localisation.localiser import (
     overhead,
     surface_to_centre,
 )
-from experiments.localisation.random_scenes import Studio
 
 STRANGER = """
 <mujoco>
@@ -42,67 +29,6 @@ STRANGER = """
   </worldbody>
 </mujoco>
 """
-
-
-@pytest.fixture(scope="module")
-def studio(rendering):
-    with Studio() as studio:
-        yield studio
-
-
-@pytest.fixture(scope="module")
-def network():
-    return load_detector(WEIGHTS)
-
-
-def distances(studio, detect, marker, randomised, count=24):
-    rng = np.random.default_rng(1)
-    found = [find(studio.draw(rng, marker, randomised), detect) for _ in range(count)]
-    return errors([one for one in found if one is not None], Noise(), rng), np.mean([one is None for one in found])
-
-
-@pytest.mark.parametrize(
-    ("name", "marker", "most"),
-    [("colour", False, 4.0), ("colour", True, 1.5), ("network", False, 5.0), ("network", True, 5.0)],
-)
-def test_plain_scenes_are_localised_within_5_mm(studio, network, name, marker, most):
-    millimetres, not_found = distances(studio, {"colour": detect_colour, "network": network}[name], marker, False)
-    assert np.median(millimetres) <= most
-    assert not_found <= (0.15 if marker else 0.05)  # some goals of reach are in the arm
-
-
-def test_the_network_tells_the_target_from_red_clutter_better_than_colour_does(studio, network):
-    far = {}
-    for name, detect in {"colour": detect_colour, "network": network}.items():
-        far[name] = np.mean(
-            np.concatenate([distances(studio, detect, marker, True, 16)[0] for marker in (False, True)]) > 50
-        )
-    assert far["network"] <= 0.15
-    assert far["colour"] >= far["network"] + 0.1
-
-
-def test_labels_of_a_studio_are_the_truth(studio):
-    """In a plain scene, where nothing else is red, the labelled pixel is red where the target is in view."""
-    rng = np.random.default_rng(2)
-    seen = []
-    for sample in [studio.draw(rng, marker, False) for marker in (False, True) for _ in range(12)]:
-        for view in sample.views:
-            if view.camera.contains(view.pixel):
-                column, row = view.pixel.astype(int)
-                red, green, _ = view.picture.rgb[row, column].astype(int)
-                assert (red > 2 * green) == view.seen
-                seen.append(view.seen)
-    assert 0.6 < np.mean(seen) < 1.0  # some are behind the arm
-
-
-def test_randomised_scenes_differ_and_seeds_repeat(studio):
-    first, again, other = (
-        studio.draw(np.random.default_rng(seed), False, True, cameras=1).views[0] for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first.picture.rgb, again.picture.rgb)
-    np.testing.assert_array_equal(first.picture.depth, again.picture.depth)
-    assert np.abs(first.picture.rgb.astype(int) - other.picture.rgb).mean() > 10
-    assert np.linalg.norm(first.camera.position - other.camera.position) > 1e-3
 
 
 @pytest.mark.parametrize("detect", ["colour", "network"])
@@ -196,54 +122,3 @@ def test_the_ball_is_a_radius_behind_its_surface():
 def test_noise_that_cannot_be(name, value):
     with pytest.raises(ValueError, match=f"{name} noise is"):
         Noise(**{name: value})
-
-
-def test_labels_have_the_pixel_as_their_mean():
-    rng = np.random.default_rng(0)
-    pixels = rng.uniform(STRIDE / 2, GRID * STRIDE - STRIDE / 2 - 0.1, (50, 2))
-    seen = np.arange(50) % 5 > 0
-    targets = labels(pixels, seen)
-    np.testing.assert_allclose(targets.sum(axis=1), 1.0, rtol=1e-5)
-    np.testing.assert_array_equal(targets[:, -1] == 1.0, ~seen)
-    found = np.array([to_pixel(target[:-1]) for target in targets[seen]])
-    np.testing.assert_allclose(found, pixels[seen], atol=1e-3)
-
-
-def test_far_cells_do_not_move_the_pixel():
-    grid = np.zeros((GRID, GRID))
-    grid[5, 7], grid[20, 20] = 0.6, 0.4
-    np.testing.assert_allclose(to_pixel(grid.ravel()), [7.5 * STRIDE, 5.5 * STRIDE])
-
-
-def test_weights_are_small_and_survive_a_file(tmp_path):
-    assert WEIGHTS.stat().st_size < 500_000
-    weights = load_weights(WEIGHTS)
-    save_weights(tmp_path / "weights.npz", weights)
-    assert (tmp_path / "weights.npz").stat().st_size == WEIGHTS.stat().st_size
-
-
-@pytest.mark.parametrize("change", ["missing", "shape", "nan", "type", "rubbish"])
-def test_bad_weights_are_refused(change, tmp_path):
-    path = tmp_path / "weights.npz"
-    with np.load(WEIGHTS) as file:
-        arrays = dict(file)
-    name = "params/Conv_0/bias"
-    if change == "missing":
-        del arrays[name]
-    elif change == "shape":
-        arrays[name] = arrays[name][:-1]
-    elif change == "nan":
-        arrays[name][0] = np.nan
-    elif change == "type":
-        arrays[name] = arrays[name].astype(np.float64)
-    np.savez(path, **arrays)
-    if change == "rubbish":
-        path.write_bytes(b"rubbish")
-    with pytest.raises(ValueError, match="holds no weights of the detector"):
-        load_weights(path)
-
-
-def test_a_picture_of_another_size_is_refused():
-    predict = keypoint_network.predictor(load_weights(WEIGHTS))
-    with pytest.raises(ValueError, match="128 by 128 pixels"):
-        predict(np.zeros((64, 64, 3), np.uint8), False)

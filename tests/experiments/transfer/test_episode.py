@@ -5,7 +5,7 @@ import pytest
 
 import envs
 from envs.fetch.grasp import LEAST_RISE
-from experiments.transfer.episode import Conditions, mistaken, run_episode, run_episodes
+from experiments.transfer.episode import Conditions, NoisyEstimate, run_episode, run_episodes
 
 
 class Dot:
@@ -55,7 +55,7 @@ def test_an_episode_has_the_task_s_steps_and_is_measured_at_its_end():
 @pytest.mark.parametrize("offset", [(0.04, 0.0, 0.0), (0.0, -0.06, 0.0)])
 def test_it_goes_where_the_target_is_believed_and_is_judged_by_where_it_is(offset):
     robot = Dot()
-    outcome = run(robot, estimate=mistaken(offset=offset))
+    outcome = run(robot, estimate=NoisyEstimate(offset=offset))
     np.testing.assert_allclose(robot.position, robot.goal + offset, atol=1e-5)
     assert outcome.distance_l1 == pytest.approx(np.abs(offset).sum(), abs=1e-5)
     assert outcome.success == float(np.linalg.norm(offset) <= 0.05)
@@ -73,7 +73,7 @@ def test_the_target_is_estimated_once():
 
 
 def test_noise_has_the_standard_deviation_asked_for():
-    estimate, rng = mistaken(noise=0.02, offset=(0.0, 0.0, 0.1)), np.random.default_rng(0)
+    estimate, rng = NoisyEstimate(noise=0.02, offset=(0.0, 0.0, 0.1)), np.random.default_rng(0)
     errors = np.stack([estimate(np.zeros(3), rng) for _ in range(4000)])
     np.testing.assert_allclose(errors.mean(0), [0.0, 0.0, 0.1], atol=1.5e-3)
     np.testing.assert_allclose(errors.std(0), 0.02, atol=1e-3)
@@ -119,7 +119,7 @@ def test_starts_depend_on_seed_and_number_alone():
     robot, policies = Dot(), [to_the_goal, lambda observation: np.zeros(4)]
     both = run_episodes(robot, policies, range(4), seed=3)
     assert [outcome.success for outcome in both][::2] == [1.0, 1.0]
-    later = run_episodes(robot, policies, [1, 3], seed=3, conditions=Conditions(mistaken(noise=0.1)))
+    later = run_episodes(robot, policies, [1, 3], seed=3, conditions=Conditions(NoisyEstimate(noise=0.1)))
     assert [outcome.distance_l1 for outcome in later] == [both[1].distance_l1, both[3].distance_l1]
     other = run_episodes(robot, policies, [1], seed=4)
     assert other[0].distance_l1 != both[1].distance_l1

@@ -12,7 +12,7 @@ import envs
 from hgail_jax import Config, Hyperparameters, MeanPolicy, export_policy, init_state, load_policy, save_policy
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.policy import from_state
-from hgail_jax.updates import act
+from hgail_jax.updates import make_policy
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def test_a_saved_policy_is_the_mean_action(tmp_path):
     # weights large enough that some actions are clipped
     state = state.replace(actor_critic=jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.actor_critic))
     observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2
-    expected, _ = act(env, Config(), state, noise=0.0)(observation, jax.random.key(3))
+    expected, _ = make_policy(env, Config(), state, noise=0.0)(observation, jax.random.key(3))
     save_policy(tmp_path / "p.npz", from_state("point", env, state))
     policy = load_policy(tmp_path / "p.npz")
     np.testing.assert_allclose(policy(np.asarray(observation)), np.clip(expected, -1, 1), rtol=1e-4, atol=1e-5)

@@ -1,7 +1,5 @@
 """The UR5e moves as the Fetch does, and policies trained on the Fetch drive it."""
 
-import itertools
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -10,12 +8,11 @@ import pytest
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.episode import run_episode, run_episodes
-from experiments.transfer.robots.inverse_kinematics import DownwardArm
-from experiments.transfer.robots.reference import Reference
-from experiments.transfer.robots.responses import FingerResponse, GripperResponse
+from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.ur5e import UR5e
-from experiments.transfer.robots.ur5e_model import TOOL_CENTRE, load_arm
+from experiments.transfer.robots.ur5e_model import TOOL_CENTRE
 from hgail_jax.io.policy import load_policy
+from tests.experiments.transfer.robots.motion import move
 
 
 @pytest.fixture(scope="module")
@@ -25,17 +22,7 @@ def grasp():
 
 @pytest.fixture(scope="module")
 def fetch():
-    return Reference("grasp")
-
-
-def move(robot, actions):
-    """Returns what is seen after each action, from a start."""
-    robot.reset(np.random.default_rng(0))
-    seen = [robot.features()]
-    for action in actions:
-        robot.step(np.array(action))
-        seen.append(robot.features())
-    return np.array(seen)
+    return GymnasiumFetch("grasp")
 
 
 PUSH = [[-1.0, 0.0, 0.0, 1.0]] * 4 + [[0.0, 0.0, 0.0, 1.0]] * 3
@@ -67,27 +54,6 @@ def test_velocity_is_metres_an_action(grasp):
     velocity, site = np.zeros(6), grasp.model.site(TOOL_CENTRE).id
     mujoco.mj_objectVelocity(grasp.model, grasp.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
     np.testing.assert_allclose(grasp.features()[3:6], 4 * CONTROL_PERIOD * velocity[3:], atol=1e-6)
-
-
-def test_responses_are_the_fetch_s(fetch):
-    """The references alone, against the simulation they stand for."""
-    theirs = move(fetch, [[-1.0, 0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 0.0, -1.0]] * 3)
-    gripper, fingers = GripperResponse(theirs[0, :3]), FingerResponse(0.0)
-    for number, (last, seen) in enumerate(itertools.pairwise(theirs), start=1):
-        before = gripper.position
-        target = gripper.lead(gripper.position, np.array([-1.0, 0.0, 0.0]) if number <= 3 else np.zeros(3))
-        gripper.follow(target, CONTROL_PERIOD)
-        goal = fingers.lead(fingers.gap, 1.0 if number <= 3 else -1.0)
-        for _ in range(20):
-            fingers.follow(goal, CONTROL_PERIOD / 20)
-        np.testing.assert_allclose(gripper.position - before, seen[:3] - last[:3], atol=3e-3)
-        assert fingers.gap == pytest.approx(seen[6], abs=8e-3)
-
-
-def test_joints_keep_to_their_speed():
-    arm = DownwardArm(load_arm(), TOOL_CENTRE, np.diag([1.0, -1.0, -1.0]), fastest=np.pi)
-    velocities = arm.approach(np.array([0.3, 0.5, 0.2]), time=0.01)
-    assert np.abs(velocities).max() == pytest.approx(np.pi, rel=1e-3)
 
 
 def test_targets_are_drawn_as_the_fetch_s(grasp):

@@ -1,12 +1,12 @@
+"""The command line, and the files that it writes."""
+
 import csv
 import json
 
 import imageio.v3 as imageio
-import numpy as np
 import pytest
 
 from experiments.localisation import __main__ as localisation
-from experiments.localisation import keypoint_training
 from experiments.localisation.error import SWEEPS
 from experiments.localisation.keypoint_network import load_weights
 
@@ -43,7 +43,7 @@ def test_evaluation_writes_tables_and_pictures(rendering, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "Expected one of {train, evaluate}"),
+        ([], "train, evaluate"),
         (["train", "--pictures", "63"], "pictures is 63; it must be at least 64"),
         (["train", "--epochs", "0"], "epochs is 0; it must be at least 1"),
         (["evaluate", "--scenes", "0"], "scenes is 0; it must be at least 1"),
@@ -61,6 +61,7 @@ def test_bad_input_is_one_line(arguments, message, capsys, tmp_path, monkeypatch
         localisation.main(arguments)
     assert exit_info.value.code == 2
     error = capsys.readouterr().err
+    assert error.startswith("localisation: ")
     assert error.count("\n") == 1
     assert message in error
     assert not list(tmp_path.iterdir())
@@ -76,27 +77,3 @@ def test_without_a_renderer_nothing_is_written(capsys, tmp_path, monkeypatch):
         localisation.main(["train"])
     assert "install EGL or OSMesa" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-def test_pictures_move_with_their_labels():
-    """A white pixel in a black picture is where the batch's labels say, mirrored and moved or not."""
-    rng = np.random.default_rng(0)
-    rgb = np.zeros((64, 128, 128, 3), np.uint8)
-    at = rng.integers(30, 90, (64, 2))
-    rgb[np.arange(64), at[:, 1], at[:, 0]] = 255
-    pictures = keypoint_training.Pictures(rgb, at + 0.5, np.ones(64, bool), np.zeros(64, bool))
-    (images, targets, _), *_ = keypoint_training._batches(pictures, rng)
-    grey = images.mean(axis=-1).reshape(64, -1).argmax(axis=-1)
-    where = np.stack([grey % 128, grey // 128], axis=-1) + 0.5
-    cells = targets[:, :-1].reshape(64, 32, 32)
-    centres = 4 * np.arange(32) + 2.0
-    means = np.stack([cells.sum(axis=1) @ centres, cells.sum(axis=2) @ centres], axis=-1)
-    np.testing.assert_allclose(means, where, atol=1e-3)
-    assert not np.allclose(np.sort(where, axis=0), np.sort(at + 0.5, axis=0))
-
-
-@pytest.mark.slow
-def test_training_learns_to_find_the_target(rendering):
-    _, rows = keypoint_training.train(pictures=1024, epochs=12, seed=1)
-    assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
-    assert rows[-1]["median_pixels"] < 2.0

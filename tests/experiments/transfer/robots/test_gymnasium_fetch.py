@@ -8,18 +8,18 @@ import pytest
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.episode import run_episode, run_episodes
-from experiments.transfer.robots.reference import Reference
+from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from hgail_jax.io.policy import load_policy
 
 
 @pytest.fixture(scope="module")
 def reach():
-    return Reference("reach")
+    return GymnasiumFetch("reach")
 
 
 @pytest.fixture(scope="module")
 def grasp():
-    return Reference("grasp")
+    return GymnasiumFetch("grasp")
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])

@@ -1,0 +1,59 @@
+"""The physics engines, behind one interface: a state and a control in, the state after an action out.
+
+`jax` and `warp` are MJX's two implementations, `c` is C MuJoCo on the host's cores. Tasks and learner do not know which
+one runs; a further engine is a subclass of `Engine` and an entry of `ENGINES`.
+"""
+
+import importlib.util
+from collections.abc import Callable
+
+import jax
+import mujoco
+
+from envs.engines.base import Control, Engine, EngineState
+from envs.engines.c import CEngine
+from envs.engines.mjx import MjxEngine, WarpEngine
+
+ENGINES: dict[str, Callable[..., Engine]] = {"warp": WarpEngine, "c": CEngine, "jax": MjxEngine}
+"""Engines by the name that `impl` gives them."""
+
+
+def resolve_impl(impl: str) -> str:
+    """Returns the name of the engine that `impl` stands for here.
+
+    `"auto"` is MJX-Warp on an NVIDIA GPU where warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
+
+    Raises:
+      ValueError: `impl` is no engine's name and not `"auto"`, or the engine is not available.
+
+    """
+    if impl != "auto" and impl not in ENGINES:
+        raise ValueError(f"unknown impl {impl!r}; choose from auto, {', '.join(ENGINES)}")
+    has_warp = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
+    if impl == "warp" and not has_warp:
+        raise ValueError("impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'")
+    if impl != "auto":
+        return impl
+    if has_warp:
+        return "warp"
+    return "c" if jax.default_backend() == "cpu" else "jax"
+
+
+def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:
+    """Makes an engine.
+
+    Args:
+      impl: see `resolve_impl`.
+      model: the scene.
+      period: seconds that an action lasts.
+      substeps: physics steps that an action is carried out in.
+      worlds: environments that are stepped at once at most, where the engine has buffers for them.
+
+    Raises:
+      ValueError: see `resolve_impl`.
+
+    """
+    return ENGINES[resolve_impl(impl)](model, period, substeps, worlds)
+
+
+__all__ = ["ENGINES", "Control", "Engine", "EngineState", "make_engine", "resolve_impl"]

@@ -1,0 +1,101 @@
+"""What a robot must provide so that policies trained on the Fetch can drive it."""
+
+import abc
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class OptionCurve:
+    """A curve of success against one of a robot's own options, such as its speed."""
+
+    quantity: str
+    """Name of the panel that the curve is drawn in."""
+    axis: str
+    """Label of the panel's x axis."""
+    line: str
+    """What tells this curve from the robot's others in the panel."""
+    task: str
+    """`"reach"` or `"grasp"`."""
+    option: str
+    """Keyword argument of the robot's class that varies."""
+    values: tuple[float, ...]
+    """Values of that option."""
+    fixed: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """The robot's other options."""
+
+
+class Robot(abc.ABC):
+    """A simulated robot in its scene, which can do the tasks `reach` and `grasp`.
+
+    Positions are metres in the policy's frame, which is the world frame of the Fetch scenes.
+
+    Args:
+      task: `"reach"` or `"grasp"`; a robot's further arguments, its options, have defaults.
+
+    """
+
+    name: ClassVar[str]
+    """Robot and hand, then a comma and the simulator; tables call it this, and legends the part before the comma."""
+    extra: ClassVar[str]
+    """Extra of this project, in `pyproject.toml`, with which pip installs what the robot needs."""
+    packages: ClassVar[tuple[str, ...]]
+    """Distributions behind the extra; results record their versions."""
+    curves: ClassVar[tuple[OptionCurve, ...]] = ()
+    """Curves over the robot's own options, for the robustness figure."""
+
+    slowdown: int = 1
+    """How many times longer an action lasts than `CONTROL_PERIOD`."""
+    starts_closed: bool = True
+    """Whether the hand is closed at the start of an episode."""
+
+    task: str
+    """`"reach"` or `"grasp"`."""
+    model: mujoco.MjModel
+    """The scene."""
+    data: mujoco.MjData
+    """Its state."""
+    offset: np.ndarray
+    """`[3]`: what turns a position in the scene's world frame into one in the policy's frame, when added."""
+    cube: str
+    """Name of the cube's geom, in a scene for `grasp`."""
+    marker: str
+    """Name of the site that marks the target in pictures; it is a child of the world body."""
+
+    @abc.abstractmethod
+    def __init__(self, task: str) -> None: ...
+
+    @abc.abstractmethod
+    def reset(self, rng: np.random.Generator) -> None:
+        """Starts an episode: the robot at its start, and a random target."""
+
+    @abc.abstractmethod
+    def features(self) -> np.ndarray:
+        """Returns what the policy sees besides the goal, in the Fetch's units.
+
+        That is `[6]` as in `envs.fetch.reach.Reach`, or `[8]` as in `envs.fetch.grasp.Grasp`.
+        """
+
+    @abc.abstractmethod
+    def target(self) -> np.ndarray:
+        """Returns where the target is: the point to reach, or the cube's centre, `[3]`."""
+
+    @abc.abstractmethod
+    def step(self, action: np.ndarray) -> None:
+        """Carries out an action, `[4]`: a displacement of the gripper, and the hand's command, in [-1, 1].
+
+        A disturbed episode may ask for displacements up to 2, which no policy does.
+        """
+
+    @classmethod
+    def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
+        """Returns the options of each of the robot's rows for a task in the table with the exact goal.
+
+        The first must be the defaults, `{}`.
+        """
+        del task
+        return ({},)

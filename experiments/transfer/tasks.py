@@ -1,0 +1,22 @@
+"""What the tables and pictures need to know of each task, besides its environment in `envs`."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """A task that policies are transferred on."""
+
+    paper_success: float
+    """Success rate that the paper reports on the real UR5."""
+    paper_distance_l1: float
+    """L1 distance that the paper reports there, metres."""
+    pictured_steps: tuple[int, ...]
+    """Steps to draw of an episode; -1 is the last, the probe's steps included."""
+
+
+TASKS = {
+    "reach": Task(paper_success=0.95, paper_distance_l1=0.01, pictured_steps=(0, 2, 4, 6, 10, -1)),
+    "grasp": Task(paper_success=0.93, paper_distance_l1=0.02, pictured_steps=(0, 3, 5, 8, 50, -1)),
+}
+"""The tasks, by their names in `envs.TASKS`."""

@@ -1,0 +1,184 @@
+"""What a user may ask of a training, and what that comes to for a task on a platform."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+import envs
+from envs.engines import ENGINES
+from hgail_jax.config import REWARDS, STRATEGIES
+from hgail_jax.distributed.processes import choose_mesh
+from hgail_jax.distributed.seeds import check_seeds
+from hgail_jax.io.demonstrations import load_demonstrations
+from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
+from hgail_jax.presets import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.trainer.run import Run
+from hgail_jax.validation import check_count, check_name
+
+_PHYSICS = ("impl", "substeps", "worlds")
+"""Options of a task that `TrainOptions` has options of its own for."""
+
+
+def _choices(text: str, names: Any) -> Any:
+    return tyro.conf.arg(help=f"{text}: {', '.join(names)}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainOptions:
+    """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
+
+    task: str = "reach"
+    """A task's name, or module:Class for a GoalEnv of your own."""
+    method: Annotated[str, _choices("What to train", METHODS)] = "hgail"
+    demos: Path | None = None
+    """Demonstrations of the task, from the command demos; gail-demo needs them."""
+    seeds: int = 8
+    """Number of seeds, trained side by side."""
+    first_seed: int = 0
+    """The first seed; the others count up from it."""
+    num_envs: int | None = None
+    """Environments per seed, that is episodes per roll-out; by default chosen for the task and the platform."""
+    iterations: int | None = None
+    """Rounds of the adversarial training; by default chosen likewise. 0 leaves the pre-training alone."""
+    preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
+    pretrain: bool = True
+    """Fit policy and discriminator to the first roll-out before the rounds begin."""
+    impl: Annotated[str, _choices("Physics engine of the Fetch tasks", ["auto", *ENGINES])] = "auto"
+    substeps: int | None = None
+    """Physics steps per action in training, 4 to 20; by default the task's. The final evaluation has 20."""
+    task_options: tuple[str, ...] = ()
+    """Further options of the task, as name=value."""
+    p_ht: float | None = None
+    """Probability that hindsight replaces a step's goal, 0 to 1; by default the method's."""
+    strategy: Annotated[str, _choices("Where hindsight takes goals from", STRATEGIES)] = "future"
+    reward: Annotated[str, _choices("How the discriminator's logit becomes a reward", REWARDS)] = "r1"
+    standardize_reward: bool = True
+    """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
+    likelihood: float | None = None
+    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's; by default the task's."""
+    action_std: tuple[float, ...] | None = None
+    """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
+    devices: int | None = None
+    """Devices to spread seeds, and then environments, over: by default one, or all of several processes."""
+    out: Path | None = None
+    """Folder to write, which must not exist; by default runs/<task>-<method>-<number>."""
+    resume: str | None = None
+    """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
+    checkpoint_every: int = 1
+    """Rounds from one checkpoint to the next."""
+
+
+def plan(options: TrainOptions, platform: str) -> Run:
+    """Works out what the options ask for on `platform`, `"cpu"` or `"gpu"`.
+
+    Raises:
+      ValueError: an option has a value that it cannot have.
+
+    """
+    _check(options)
+    task_class = _find(options.task)
+    preset = _with_hyperparameters(options, METHODS[options.method].apply(_with_sizes(options, task_class, platform)))
+    mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
+    task_options = dict(_parse_task_option(option) for option in options.task_options)
+    worlds = options.seeds * preset.config.num_envs // mesh.size
+    env = _make(options, task_class.training[platform].options, worlds, task_options)
+    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
+    if (demonstrations is None) != (options.method != "gail-demo"):
+        raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
+    return Run(
+        task=options.task,
+        method=options.method,
+        seeds=options.seeds,
+        first_seed=options.first_seed,
+        env=env,
+        task_options=task_options,
+        config=preset.config.validate(env),
+        hyperparameters=preset.hyperparameters.validate(env.action_size),
+        evaluation_episodes=EVALUATION_EPISODES[platform],
+        checkpoint_every=options.checkpoint_every,
+        mesh=mesh,
+        demonstrations=demonstrations,
+    )
+
+
+def _check(options: TrainOptions) -> None:
+    check_seeds(options.first_seed, options.seeds)
+    check_count("checkpoint_every", options.checkpoint_every)
+    check_name("method", options.method, METHODS)
+    check_name("strategy", options.strategy, STRATEGIES)
+    check_name("reward", options.reward, REWARDS)
+    if options.resume is not None and options.out is not None:
+        raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
+
+
+def _with_sizes(options: TrainOptions, task_class: type[envs.GoalEnv], platform: str) -> Preset:
+    """Returns the task's preset with the sizes that are given."""
+    preset = task_preset(task_class, platform, options.preset)
+    given: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
+    sizes = {name: value for name, value in given.items() if value is not None}
+    if options.likelihood:
+        sizes["likelihood_batch"] = preset.config.likelihood_batch or LIKELIHOOD_BATCH
+    return dataclasses.replace(preset, config=dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes))
+
+
+def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
+    """Returns a method's preset with the hyperparameters that are given."""
+    given: dict[str, Any] = {
+        "p_ht": options.p_ht,
+        "likelihood_weight": options.likelihood,
+        "action_std": options.action_std,
+    }
+    if options.action_std is not None and len(options.action_std) == 1:
+        given["action_std"] = options.action_std[0]
+    hyperparameters = preset.hyperparameters.replace(
+        strategy=STRATEGIES[options.strategy],
+        reward=REWARDS[options.reward],
+        standardize_reward=options.standardize_reward,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    config = preset.config
+    if options.likelihood == 0:  # not even for a method that has it by default
+        config = dataclasses.replace(config, likelihood_batch=0)
+    return Preset(config, hyperparameters)
+
+
+def _find(task: str) -> type[envs.GoalEnv]:
+    try:
+        return envs.find_class(task)
+    except ValueError:
+        raise
+    except Exception as error:  # a module of the user's own raises what it likes
+        raise ValueError(f"cannot load task {task!r}: {error}") from error
+
+
+def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> envs.GoalEnv:
+    """Makes the task; `defaults` are the options that it is trained with unless others are given."""
+    accepted = envs.accepted_options(options.task)
+    given = {"impl": options.impl, "worlds": worlds} | defaults
+    if options.substeps is not None:
+        given["substeps"] = options.substeps
+    if options.substeps is not None or options.impl != "auto":
+        if not {"substeps", "impl"} <= set(accepted):
+            raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
+    try:
+        return envs.make(options.task, **{name: given[name] for name in accepted if name in given}, **task_options)
+    except ValueError:
+        raise
+    except Exception as error:  # a class that is abstract, or the user's own
+        raise ValueError(f"cannot make task {options.task!r}: {error}") from error
+
+
+def _parse_task_option(option: str) -> tuple[str, Any]:
+    name, _, value = option.partition("=")
+    try:
+        parsed = json.loads(value)
+        if name not in _PHYSICS and isinstance(parsed, bool | int | float):
+            return name, parsed
+    except json.JSONDecodeError:
+        pass
+    raise ValueError(
+        f"task option {option!r} is not name=value with a number, true or false, or has an option of its own here"
+    )

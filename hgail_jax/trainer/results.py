@@ -1,0 +1,79 @@
+"""What a run leaves behind once it is trained: tables, curves, policies and a summary."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from envs import EpisodeMetrics
+from hgail_jax.distributed.seeds import evaluation_episodes
+from hgail_jax.io.files import write_csv
+from hgail_jax.io.policy import from_state, save_policy
+from hgail_jax.state import TrainState
+from hgail_jax.trainer.curves import draw_curves
+from hgail_jax.trainer.loop import Progress, diverged_seeds
+from hgail_jax.trainer.run import Run
+
+
+def metrics_rows(run: Run, history: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns the rows of metrics.csv, one per round and seed; what a round did not measure is None."""
+    return [
+        {"seed": run.first_seed + seed}
+        | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
+        for record in history
+        for seed in range(run.seeds)
+    ]
+
+
+def write_metrics(run: Run, folder: Path, progress: Progress) -> None:
+    """Writes metrics.csv."""
+    write_csv(folder / "metrics.csv", metrics_rows(run, progress.history))
+
+
+def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
+    """Writes the policies and the curves."""
+    (folder / "policies").mkdir(exist_ok=True)
+    for index in range(run.seeds):
+        policy = from_state(run.task, run.env, jax.tree.map(lambda leaf, i=index: leaf[i], states))
+        save_policy(folder / "policies" / f"seed-{run.first_seed + index}.npz", policy)
+    title = f"{run.method} on {run.task}: {run.seeds} seeds, {run.config.num_envs} environments each"
+    steps = np.array([record["env_steps"] for record in history])
+    success, distance = (
+        np.array([record[name] for record in history], float) for name in ("success_rate", "distance_l1")
+    )
+    draw_curves(folder / "curves.png", title, steps, success, distance)
+
+
+def summarize(run: Run, progress: Progress, final: EpisodeMetrics, timing: dict[str, float]) -> dict[str, Any]:
+    """Returns summary.json's content, less what made it and the total time.
+
+    Args:
+      run: what was trained.
+      progress: after its last round.
+      final: of the final evaluation, leaves `[seeds]`.
+      timing: seconds of `compile`, `train` and `evaluation`.
+
+    """
+
+    def over_seeds(measured: jax.Array | float) -> dict[str, Any]:
+        values = np.asarray(measured)
+        return {"mean": float(values.mean()), "std": float(values.std()), "per_seed": values.tolist()}
+
+    steps = progress.history[-1]["env_steps"]
+    return {
+        "task": run.task,
+        "method": run.method,
+        "seeds": run.seeds,
+        "mesh": dict(run.mesh.shape),
+        "success_rate": over_seeds(final.success),
+        "achieved_rate": over_seeds(final.achieved),
+        "success_rate_l1": over_seeds(final.success_l1),
+        "distance_l1": over_seeds(final.distance_l1),
+        "distance_l2": over_seeds(final.distance_l2),
+        "diverged_seeds": diverged_seeds(run.program(), progress),
+        "evaluation_episodes_per_seed": evaluation_episodes(run.config, run.evaluation_episodes),
+        "env_steps_per_seed": steps,
+        "env_steps_per_second": steps * run.seeds / timing["train"],
+        "wall_seconds": timing,
+    }

@@ -1,0 +1,57 @@
+"""A run: everything that decides what a training computes, checked and worked out."""
+
+import dataclasses
+from typing import Any
+
+from jax.sharding import Mesh
+
+import envs
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.io.demonstrations import Demonstrations
+from hgail_jax.trainer.loop import Program
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """Several seeds of one method on one task."""
+
+    task: str
+    method: str
+    seeds: int
+    first_seed: int
+    env: envs.GoalEnv
+    task_options: dict[str, Any]
+    """The options of its own that the task was given."""
+    config: Config
+    hyperparameters: Hyperparameters
+    evaluation_episodes: int
+    """Episodes per seed that the final evaluation has at least."""
+    checkpoint_every: int
+    """Rounds from one checkpoint to the next."""
+    mesh: Mesh
+    """The devices to train on; what is computed does not depend on them."""
+    demonstrations: Demonstrations | None = None
+    """Where the method learns from any."""
+
+    def identity(self) -> dict[str, Any]:
+        """Returns what a run that resumes another must share with it."""
+        return {
+            **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
+            "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")},
+            "task_options": self.task_options,
+            "config": dataclasses.asdict(self.config),
+            "hyperparameters": dataclasses.asdict(self.hyperparameters),
+            "demonstrations": None if self.demonstrations is None else self.demonstrations.sha256,
+        }
+
+    def program(self) -> Program:
+        """Returns what is to be compiled."""
+        return Program(
+            env=self.env,
+            config=self.config,
+            settings=(self.hyperparameters,),
+            seeds=self.seeds,
+            first_seed=self.first_seed,
+            demonstrations=None if self.demonstrations is None else self.demonstrations.samples(self.env),
+            mesh=self.mesh,
+        )

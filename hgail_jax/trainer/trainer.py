@@ -1,0 +1,223 @@
+"""The trainer: opens a run's folder, trains, evaluates and writes what came of it."""
+
+import contextlib
+import dataclasses
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import jax
+
+from hgail_jax.distributed.processes import silent_but_first
+from hgail_jax.distributed.seeds import SeedsStep, evaluate_seeds
+from hgail_jax.distributed.sharding import any_process, replicate
+from hgail_jax.io.files import remove_partial_files, write_json
+from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.presets import platform_name
+from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
+from hgail_jax.trainer.options import TrainOptions, plan
+from hgail_jax.trainer.provenance import provenance
+from hgail_jax.trainer.results import summarize, write_metrics, write_results
+from hgail_jax.trainer.run import Run
+from hgail_jax.trainer.run_folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
+
+_RUNS = Path("runs")
+
+
+class Trainer:
+    """Trains a run and keeps its folder.
+
+        trainer = Trainer(task="reach", seeds=2)
+        summary = trainer.train()
+        action = trainer.policy(seed=0)(observation)
+
+    Nothing is written before `train`, or `open`, which it calls. A training that was stopped goes on, in this process
+    or another, with `resume=trainer.folder`, and ends with the bits of one that was not. Of several processes that
+    train together each has a trainer; the first writes the folder.
+
+    Args:
+      options: what to train.
+      **changes: fields of `TrainOptions` that differ from `options`.
+
+    Raises:
+      ValueError: an option has a value that it cannot have.
+
+    """
+
+    def __init__(self, options: TrainOptions | None = None, **changes: Any):
+        self.options = dataclasses.replace(options or TrainOptions(), **changes)
+        self._started = time.perf_counter()
+        self.run: Run = plan(self.options, platform_name())
+        self._held = contextlib.ExitStack()
+        self._folder: Path | None = None
+        self._checkpoints: Checkpoints | None = None
+        self._restored: Checkpoint | None = None
+        self._unwanted: Path | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def folder(self) -> Path:
+        """The run's folder."""
+        if self._folder is None:
+            raise ValueError("the run has no folder yet; train it")
+        return self._folder
+
+    @property
+    def checkpoints(self) -> Checkpoints:
+        """The run's checkpoints."""
+        if self._checkpoints is None:
+            raise ValueError("the run has no checkpoints yet; train it")
+        return self._checkpoints
+
+    @property
+    def writes(self) -> bool:
+        """Whether this process writes the folder; see `silent_but_first`."""
+        return self._unwanted is None
+
+    def policy(self, seed: int) -> MeanPolicy:
+        """Returns the trained policy of a seed.
+
+        Raises:
+          FileNotFoundError: it is not trained yet, or not by this run.
+
+        """
+        return load_policy(self.folder / "policies" / f"seed-{seed}.npz")
+
+    def open(self) -> None:
+        """Makes the run's folder, or opens the one to go on with; until `close` no other process can.
+
+        Where one of several processes cannot, none of them goes on.
+
+        Raises:
+          ValueError: the folder, or its checkpoints, cannot be used.
+          OSError: likewise.
+
+        """
+        self._unwanted = self._held.enter_context(silent_but_first())
+        refusal: Exception | None = None
+        try:
+            self._open()
+        except (ValueError, OSError) as error:
+            refusal = error
+        if any_process(refusal is not None):
+            self.close()
+            raise refusal or ValueError("another process cannot go on, and says why")
+
+    def close(self) -> None:
+        """Lets go of the folder."""
+        self._held.close()
+
+    def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
+        """Trains and evaluates all seeds, and writes everything into the folder.
+
+        Args:
+          stop: once it is set, the training ends with the round that it is in, and a checkpoint.
+
+        Returns:
+          The content of summary.json, or None if it was stopped.
+
+        Raises:
+          FloatingPointError: no seed's update was finite in a round; the last checkpoint is from before that.
+          OverflowError: the simulation ran out of room for contacts; likewise.
+          OSError: something cannot be written.
+          ValueError: see `open`.
+
+        """
+        if self._folder is None:
+            self.open()
+        with self:
+            made_by = provenance()
+            self._write_config(made_by)
+            summary = self._train(stop or threading.Event())
+            if summary is not None:
+                summary["wall_seconds"]["total"] = time.perf_counter() - self._started
+                write_json(self.folder / "summary.json", summary | made_by)
+        return summary
+
+    def _open(self) -> None:
+        folder, resumed = self._choose_folder()
+        checkpoints = Checkpoints(folder / "checkpoints", self.run.identity())
+        if resumed:
+            reopen_folder(folder, self.run.identity())
+        else:
+            create_folder(folder)
+        self._held.enter_context(sole_user(folder))
+        if resumed:
+            self._restored = checkpoints.restore(jax.eval_shape(self.run.program().init))
+            _announce(folder, self._restored, total=self.run.config.rounds + 1)
+        self._folder, self._checkpoints = folder, checkpoints
+
+    def _choose_folder(self) -> tuple[Path, bool]:
+        """Returns the run's folder, and whether it is there already, to be gone on with."""
+        options = self.options
+        if self._unwanted is not None:
+            return self._unwanted, False
+        stem = f"{options.task.split(':')[-1]}-{options.method}"
+        resumed = newest_folder(_RUNS, stem) if options.resume == "auto" else options.resume
+        if resumed is not None:
+            return Path(resumed), True
+        return options.out or next_folder(_RUNS, stem), False
+
+    def _write_config(self, made_by: dict[str, Any]) -> None:
+        remove_partial_files(self.folder)
+        path = self.folder / "config.json"
+        if not path.exists():
+            write_json(path, {"options": dataclasses.asdict(self.options)} | self.run.identity() | made_by)
+
+    def _train(self, stop: threading.Event) -> dict[str, Any] | None:
+        run, program = self.run, self.run.program()
+        timing: dict[str, float] = {}
+        with _timed(timing, "compile"):
+            print("compiling ...", flush=True)
+            step = program.compile()
+        progress = begin(program, self._restored)
+        self._train_rounds(step, progress, stop)
+        if is_stopped(stop):
+            return None
+        timing["train"] = progress.seconds
+        with _timed(timing, "evaluation"):
+            print("compiling and running the final evaluation ...", flush=True)
+            final = evaluate_seeds(run.env, run.config, progress.states, run.evaluation_episodes, run.mesh)
+        write_results(run, self.folder, replicate(progress.states), progress.history)
+        return summarize(run, progress, final, timing)
+
+    def _train_rounds(self, step: SeedsStep, progress: Progress, stop: threading.Event) -> None:
+        def write(progress: Progress) -> None:
+            if self.writes:
+                write_metrics(self.run, self.folder, progress)
+
+        write(progress)
+        saving = SavingPolicy(rounds=self.run.checkpoint_every)
+        with self.checkpoints as checkpoints:
+            train(self.run.program(), step, progress, checkpoints, saving, stop, after_round=write)
+
+
+def _announce(folder: Path, restored: Checkpoint | None, total: int) -> None:
+    """Says where a run goes on, and what of it is damaged."""
+    for line in restored.damaged if restored else ():
+        print(line, file=sys.stderr)
+    rounds = restored.rounds if restored else 0
+    if rounds == total:
+        print(f"{folder} is complete; its results are written again")
+    else:
+        print(f"{folder} goes on after {rounds} of {total} rounds")
+
+
+@contextlib.contextmanager
+def _timed(timing: dict[str, float], name: str) -> Iterator[None]:
+    """Notes the seconds that a block takes."""
+    started = time.perf_counter()
+    yield
+    timing[name] = time.perf_counter() - started

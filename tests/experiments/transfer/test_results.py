@@ -1,0 +1,155 @@
+"""The table, its rows that are kept, and a robot of one's own in table and curves."""
+
+import contextlib
+import csv
+import json
+import types
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from experiments.localisation.localiser import TargetNotSeenError
+from experiments.transfer import __main__ as transfer
+from experiments.transfer import camera_goal
+from experiments.transfer.disturbances import DISTURBANCES
+from experiments.transfer.episode import NoisyEstimate
+from experiments.transfer.results import write_sweep, write_table
+from experiments.transfer.robots import ROBOTS
+from experiments.transfer.robots.base import OptionCurve, Robot
+from experiments.transfer.studies import GOAL_SOURCES
+
+
+def read_csv(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_table(tmp_path, monkeypatch):
+    """A row for each goal source, robot, task and variant; measured once where only labels differ."""
+    monkeypatch.delitem(ROBOTS, "ur5e")
+    monkeypatch.delitem(GOAL_SOURCES, "camera")
+    monkeypatch.setitem(GOAL_SOURCES, "second", lambda robot, stack: NoisyEstimate())
+    transfer.main(["--table", "4", "--episodes", "2", "--out", str(tmp_path)])
+    rows = read_csv(tmp_path / "table4.csv")
+    assert [(row["stage"], row["task"]) for row in rows] == [
+        (stage, task) for stage in ("exact goal", "second goal") for task in ("reach", "grasp")
+    ]
+    assert all(row["episodes"] == "2" and 0 <= float(row["success_low"]) <= float(row["success_rate"]) for row in rows)
+    assert [row["success_rate"] for row in rows[:2]] == [row["success_rate"] for row in rows[2:]]
+    made_by = json.loads((tmp_path / "table4.json").read_text())
+    assert made_by["exact goal"] == made_by["second goal"]
+    assert made_by["second goal"]["episodes"] == 2
+    assert {"mujoco", "gymnasium-robotics"} <= made_by["second goal"]["versions"].keys()
+
+
+@pytest.fixture
+def half_blind(monkeypatch):
+    """Cameras that know where the target is and see it every other time; says how often they were closed."""
+    counts = types.SimpleNamespace(calls=0, closed=0)
+
+    class HalfBlind(contextlib.AbstractContextManager):
+        def __init__(self, cameras, detect, cube):
+            self.cube = cube
+
+        def __call__(self, model, data, rng, marker=None):
+            counts.calls += 1
+            if counts.calls % 2:
+                raise TargetNotSeenError
+            return data.geom(self.cube).xpos if marker is None else marker
+
+        def __exit__(self, *exception):
+            counts.closed += 1
+
+    monkeypatch.setattr(camera_goal, "open_renderer", lambda *arguments: types.SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(camera_goal, "Localiser", HalfBlind)
+    return counts
+
+
+def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_blind):
+    """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
+    monkeypatch.delitem(ROBOTS, "ur5e")
+    for source in ("exact", "camera", "camera"):
+        transfer.main(["--table", "4", "--goal-source", source, "--episodes", "2", "--out", str(tmp_path)])
+    rows = read_csv(tmp_path / "table4.csv")
+    assert [row["stage"] for row in rows] == ["exact goal"] * 2 + ["camera goal"] * 2
+    assert [row["not_seen"] for row in rows] == ["0.0"] * 2 + ["0.5"] * 2
+    assert [row["success_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
+    assert [row["achieved_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
+    assert all(0.0 < float(row["distance_l2"]) < 0.05 for row in rows)
+    assert half_blind.closed == 4
+    assert list(json.loads((tmp_path / "table4.json").read_text())) == ["exact goal", "camera goal"]
+
+
+def test_without_a_renderer_nothing_is_measured(tmp_path, monkeypatch, capsys):
+    def refuse(*arguments):
+        raise RuntimeError("MuJoCo cannot render here, install EGL or OSMesa (no display)")
+
+    monkeypatch.setattr(camera_goal, "open_renderer", refuse)
+    with pytest.raises(SystemExit) as exit_info:
+        transfer.main(["--table", "4", "--episodes", "2", "--out", str(tmp_path)])
+    assert exit_info.value.code == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "install EGL or OSMesa" in error
+    assert not list(tmp_path.iterdir())
+
+
+class Crane(Robot):
+    """Moves a point as far as the Fetch's gripper moves; holds nothing."""
+
+    name = "Crane, no simulator"
+    extra = "crane"
+    packages = ("no-such-package",)
+    curves = (OptionCurve("reel", "length of the rope (m)", "wet", "reach", option="rope", values=(1.0, 2.0)),)
+    slowdown = 2
+    offset = np.zeros(3)
+
+    def __init__(self, task, rope=1.0):
+        self.task = task
+
+    @classmethod
+    def variants(cls, task):
+        return [{}, {"rope": 2.0}] if task == "reach" else [{}]
+
+    def reset(self, rng):
+        self.position, self.velocity = np.array([1.34, 0.75, 0.53]), np.zeros(3)
+        self.goal = self.position + rng.uniform(-0.1, 0.1, 3)
+
+    def features(self):
+        return np.concatenate([self.position, self.velocity, np.zeros(2 if self.task == "grasp" else 0)])
+
+    def target(self):
+        return self.goal
+
+    def step(self, action):
+        self.velocity = 0.033 * action[:3]
+        self.position = self.position + self.velocity
+
+
+def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch):
+    """The table has its variants, the sweep its own curve and the disturbances, and the files its packages."""
+    for robot in list(ROBOTS):
+        monkeypatch.delitem(ROBOTS, robot)
+    monkeypatch.setitem(ROBOTS, "crane", Crane)
+    write_table(tmp_path, ["exact"], episodes=2, seed=0)
+    rows = read_csv(tmp_path / "table4.csv")
+    assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
+    assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
+    assert [float(row["success_rate"]) for row in rows] == [1.0, 1.0, 0.0]
+    write_sweep(tmp_path, episodes=1, seed=0)
+    varied = [row["quantity"] for row in read_csv(tmp_path / "transfer-sweep.csv")]
+    assert varied[:2] == ["reel, wet"] * 2
+    assert set(varied[2:]) == set(DISTURBANCES)
+    versions = json.loads((tmp_path / "transfer-sweep.json").read_text())["versions"]
+    assert versions["no-such-package"] is None
+    assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10
+
+
+@pytest.mark.slow
+def test_pictures_of_the_ur5e(tmp_path):
+    transfer.main(["--pictures", "--out", str(tmp_path)])
+    picture = imageio.imread(tmp_path / "transfer-ur5e.png")
+    assert picture.shape == (480, 6 * 240, 3)
+    assert (picture[:, :240] != picture[:, -240:]).mean() > 0.1
+    assert (tmp_path / "transfer-ur5e.png").stat().st_size < 300_000
