@@ -69,6 +69,7 @@ class FetchEnv(GoalEnv):
 
     """
 
+    scene: str
     episode_length = 50
     action_size = 4
     success_threshold = 0.05
@@ -84,6 +85,7 @@ class FetchEnv(GoalEnv):
         settled = settle(self.model)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
+        self.max_worlds = self.engine.max_worlds
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
 
@@ -96,10 +98,6 @@ class FetchEnv(GoalEnv):
     def substeps(self) -> int:
         """Physics steps per action."""
         return self.engine.substeps
-
-    @property
-    def max_worlds(self) -> int | None:
-        return self.engine.max_worlds
 
     def accurate(self) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS`."""

@@ -207,6 +207,7 @@ class GraspAperture(Grasp):
     """
 
     goal_kinds = 1
+    controllers: ClassVar[Mapping[str, Controller]] = {}
 
     _ABOVE = 0.1  # metres
     _DESCEND, _CLOSE = 18, 36  # steps at which the plan goes on

@@ -2,41 +2,19 @@
 
 import contextlib
 import dataclasses
-import functools
-import json
-import os
-import shutil
-import sys
-import threading
 from pathlib import Path
 from typing import Literal
 
-from experiments.paper.programs import programs, time_sweep, train_program
-from experiments.paper.reporting import draw_figure, files, write_study
-from experiments.paper.sizes import Sizes, make_env, platform_name, sizes
-from experiments.paper.studies import (
-    FIGURES,
-    LONGER,
-    MOST_DEMONSTRATIONS,
-    STUDIES,
-    SWEEP,
-    Setting,
-    Study,
-    Trial,
-    hash_json,
-    work_out,
-)
-from hgail_jax.cli.command_line import cache_compilations, fail, parse
+from experiments.paper.studies import LONGER, STUDIES
+from experiments.paper.trials import Scale
+from experiments.paper.work import Work, carry_out, redraw, time_one_program, unfinished
+from hgail_jax.cli.command_line import fail, parse, prepare_process
 from hgail_jax.distributed.seeds import check_seeds
-from hgail_jax.io.demonstrations import Demonstrations
-from hgail_jax.recording import load_or_record
-from hgail_jax.trainer.checkpoint import refuse_another_run
-from hgail_jax.trainer.provenance import provenance
+from hgail_jax.presets import platform_name
 from hgail_jax.trainer.run_folder import sole_user
-from hgail_jax.io.files import write_json
 from hgail_jax.trainer.signals import stop_on_signal
 
-_RESULTS = Path(__file__).resolve().parent / "results"
+_PROGRAM = "paper"
 _QUICK_SEEDS = 2
 
 
@@ -65,38 +43,7 @@ class Options:
     quick: bool = False
     """Sizes that show in a minute or two that everything runs, and nothing else."""
     out: Path | None = None
-    """Folder to write to: experiments/results, or runs/quick with --quick."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Work:
-    """What the options ask for, worked out."""
-
-    task: str
-    platform: str
-    seeds: int
-    quick: bool
-    folder: Path
-    studies: tuple[Study, ...]
-    sweep: bool
-
-    def sizes_of(self, preset: str) -> Sizes:
-        """Returns a preset's sizes on the task."""
-        return sizes(self.task, self.platform, self.quick, preset)
-
-    @functools.cached_property
-    def demonstrations(self) -> Demonstrations:
-        """All demonstrations of the task; recorded where the folder has none."""
-        path = self.folder / "demonstrations" / f"{self.task}.npz"
-        return load_or_record(
-            path, make_env(self.task, self.platform, 2 * MOST_DEMONSTRATIONS), self.task, MOST_DEMONSTRATIONS
-        )
-
-    def trial(self, setting: Setting) -> Trial:
-        """Returns a setting worked out for the task."""
-        count = setting.demonstrations
-        identity = self.demonstrations.first(count).sha256 if count else None
-        return work_out(self.task, setting, self.sizes_of, self.seeds, identity)
+    """Folder to write to: runs/paper, or runs/quick with --quick; the published one is experiments/results/paper."""
 
 
 def plan(options: Options, platform: str) -> Work:
@@ -123,132 +70,13 @@ def plan(options: Options, platform: str) -> Work:
     )
     if not (wanted or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table or --figure, or --ablations, --all, --sweep or --plots-only")
-    folder = options.out or (Path("runs") / "quick" if options.quick else _RESULTS)
-    return Work(task, platform, seeds, options.quick, folder, wanted, options.sweep)
-
-
-def unfinished(work: Work) -> list[tuple[Study, list[Trial]]]:
-    """Returns the studies whose data are not in the folder yet, with their trials; a figure alone is drawn again.
-
-    Raises:
-      ValueError: the folder holds one of them with other settings.
-
-    """
-    found = []
-    for study in work.studies:
-        trials = [work.trial(setting) for setting in study.settings]
-        path = _json_path(work, study)
-        if path.exists():
-            there = _read_json(path)
-            refuse_another_run(path, there.get("settings", {}), _identities(trials))
-            missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
-            if not missing - {"figure"}:
-                if missing and study.figure is not None:
-                    draw_figure(work.folder, study.figure)
-                print(f"{study.name} of {work.task} is there")
-                continue
-        found.append((study, trials))
-    return found
-
-
-def carry_out(work: Work, studies: list[tuple[Study, list[Trial]]], stop: threading.Event) -> None:
-    """Trains what is missing, one program after another, and writes each study once all of its trials are there.
-
-    Ends early, with a checkpoint, once `stop` is set.
-    """
-    trials = {trial.key(): trial for _, of_study in studies for trial in of_study}
-    groups = programs(trial for key, trial in trials.items() if not _part_path(work, key).exists())
-    _write_complete(work, studies)
-    for index, group in enumerate(groups):
-        if stop.is_set():
-            return
-        names = "; ".join(_label(trial.setting) for trial in group)
-        print(f"program {index + 1} of {len(groups)}: {names}", flush=True)
-        env = make_env(work.task, work.platform, len(group) * work.seeds * group[0].config.num_envs)
-        count = group[0].setting.demonstrations
-        samples = work.demonstrations.first(count).samples(env) if count else None
-        checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in group])
-        results = train_program(env, group, samples, checkpoints, stop)
-        if results is None:
-            return
-        for trial, result in zip(group, results, strict=True):
-            write_json(_part_path(work, trial.key()), result | {"identity": trial.identity(), "made_by": provenance()})
-        shutil.rmtree(checkpoints, ignore_errors=True)
-        _write_complete(work, studies)
-
-
-def _write_complete(work: Work, studies: list[tuple[Study, list[Trial]]]) -> None:
-    """Writes, and takes off the list, the studies whose trials are all there."""
-    for study, trials in list(studies):
-        parts = [_part_path(work, trial.key()) for trial in trials]
-        if not all(path.exists() for path in parts):
-            continue
-        results = [_read_json(path) for path in parts]
-        write_study(work.folder, work.task, study, results)
-        made = {
-            _label(trial.setting): {name: result[name] for name in ("final", "program", "made_by")}
-            for trial, result in zip(trials, results, strict=True)
-        }
-        identities = _identities(trials)
-        content = {"hash": hash_json(identities), "settings": identities, "made": made}
-        write_json(_json_path(work, study), content)
-        studies.remove((study, trials))
-        print(f"{study.name} of {work.task} -> {_json_path(work, study).parent}")
-
-
-def time_one_program(work: Work) -> None:
-    """Writes sweep-<task>.json."""
-    path = work.folder / f"sweep-{work.task}.json"
-    if path.exists():
-        print(f"{path} is there")
-        return
-    trials = [work.trial(setting) for setting in SWEEP]
-    env = make_env(work.task, work.platform, len(trials) * work.seeds * trials[0].config.num_envs)
-    timed = time_sweep(env, trials)
-    write_json(path, timed | {"config": dataclasses.asdict(trials[0].config)} | provenance())
-    print(f"one program is {timed['ratio']:.1f} times as fast as {len(trials)} one after another -> {path}")
-
-
-def redraw(folder: Path) -> None:
-    """Draws every figure whose data a folder holds.
-
-    Raises:
-      ValueError: it holds none, or data that cannot be read.
-
-    """
-    drawn = [draw_figure(folder, number) for number in sorted(FIGURES)]
-    if not any(drawn):
-        raise ValueError(f"{folder} holds no figure's data")
-    print(", ".join(str(path) for path in drawn if path))
-
-
-def _identities(trials: list[Trial]) -> dict[str, dict]:
-    return {_label(trial.setting): trial.identity() for trial in trials}
-
-
-def _label(setting: Setting) -> str:
-    return ", ".join(filter(None, (setting.name, setting.panel)))
-
-
-def _json_path(work: Work, study: Study) -> Path:
-    return work.folder / f"{study.name}-{work.task}.json"
-
-
-def _part_path(work: Work, key: str) -> Path:
-    """Returns where a trial's result is kept until all that need it are written, and for those that come later."""
-    return work.folder / "parts" / f"{key}.json"
-
-
-def _read_json(path: Path) -> dict:
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged, remove it: {error}") from None
+    folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
+    return Work(Scale(task, platform, options.quick), seeds, folder, wanted, options.sweep)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
-    options = parse(Options, "paper.py", __doc__, arguments)
+    options = parse(Options, _PROGRAM, __doc__, arguments)
     with contextlib.ExitStack() as held:
         try:
             work = plan(options, platform_name())
@@ -258,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
             held.enter_context(sole_user(work.folder))
             studies = unfinished(work)
         except (ValueError, OSError) as error:
-            fail("paper.py", error, 2)
+            fail(_PROGRAM, error, 2)
         try:
             with stop_on_signal() as stop:
                 carry_out(work, studies, stop)
@@ -267,10 +95,9 @@ def main(arguments: list[str] | None = None) -> None:
             elif work.sweep:
                 time_one_program(work)
         except OSError as error:
-            fail("paper.py", f"stopped: {error}; the same command goes on", 1)
+            fail(_PROGRAM, f"stopped: {error}; the same command goes on", 1)
 
 
 if __name__ == "__main__":
-    cache_compilations()
-    sys.path.append(os.getcwd())
+    prepare_process()
     main()

@@ -1,24 +1,12 @@
 """The paper's experiments as data: which settings a table or figure compares, and what the paper found."""
 
 import dataclasses
-import json
-from collections.abc import Callable
-from hashlib import sha256
 from typing import Any
 
-import numpy as np
-
-import envs
-from envs.fetch.arm import FetchEnv, resolve_impl
-from experiments.paper.sizes import Sizes
-from hgail_jax.config import FROZEN, REWARDS, STRATEGIES, Config, Hyperparameters
-from hgail_jax.methods import METHODS
-from hgail_jax.train import EVALUATE, SKIP, env_steps, schedule
+from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
 
 PAPER_DEMONSTRATIONS = 20
 MOST_DEMONSTRATIONS = 100
-FEW_ROUNDS = 100
-"""Up to so many rounds a setting is evaluated in every one of them."""
 LONGER = "table1-longer"
 """Name of the study that takes ten times the steps of table 1."""
 
@@ -54,95 +42,6 @@ class Study:
     """The paper's number; more than one study may belong to it."""
     figure: int | None = None
     """The paper's number."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """A setting worked out for a task and a platform: all that decides what is computed."""
-
-    task: str
-    setting: Setting
-    config: Config
-    hyperparameters: Hyperparameters
-    seeds: int
-    substeps: int
-    evaluation_episodes: int
-    demonstrations_sha256: str | None
-
-    def identity(self) -> dict:
-        """Returns, as JSON has it, what another computation of the same results shares with this one."""
-        fetch = issubclass(envs.find_class(self.task), FetchEnv)
-        identity = {
-            "task": self.task,
-            "method": self.setting.method,
-            "seeds": self.seeds,
-            "evaluation_episodes": self.evaluation_episodes,
-            "physics": {"impl": resolve_impl("auto"), "substeps": self.substeps} if fetch else None,
-            "demonstrations": self.demonstrations_sha256,
-            "config": dataclasses.asdict(self.config),
-            "hyperparameters": {name: np.asarray(value).tolist() for name, value in vars(self.hyperparameters).items()},
-        }
-        return json.loads(json.dumps(identity))
-
-    def phases(self) -> np.ndarray:
-        """Returns the schedule; a setting of k times the steps and many rounds is evaluated in every k-th and the last.
-
-        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training. Many rounds are
-        more than `FEW_ROUNDS`.
-        """
-        rows = schedule(self.config)
-        if len(rows) > FEW_ROUNDS:
-            rows[np.arange(len(rows)) % self.setting.steps > 0, -1] = SKIP
-            rows[-1, -1] = EVALUATE
-        return rows
-
-    def key(self) -> str:
-        """Returns a hash of the identity."""
-        return hash_json(self.identity())
-
-
-def hash_json(content: Any) -> str:
-    """Returns the first 16 hexadecimal digits of the SHA-256 of what JSON makes of `content`."""
-    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def work_out(
-    task: str, setting: Setting, sizes_of: Callable[[str], Sizes], seeds: int, demonstrations_sha256: str | None = None
-) -> Trial:
-    """Returns a setting as it is trained.
-
-    It takes `setting.steps` times the environment steps that HGAIL takes by default, to the nearest whole round.
-
-    Args:
-      task: the task's name.
-      setting: what to work out.
-      sizes_of: from a preset's name to its sizes on the task.
-      seeds: how many.
-      demonstrations_sha256: what the demonstrations are, where the setting has any.
-
-    """
-    env, sizes = envs.find_class(task), sizes_of("parallel")
-    base = METHODS[setting.method].apply(sizes_of(setting.preset).preset)
-    config = dataclasses.replace(base.config, **setting.config)
-    if "rounds" not in setting.config:
-        wanted = setting.steps * _steps(env, sizes.preset.config)
-        before = _steps(env, dataclasses.replace(config, rounds=0))
-        each = _steps(env, dataclasses.replace(config, rounds=1)) - before
-        config = dataclasses.replace(config, rounds=max(round((wanted - before) / each), 1))
-    return Trial(
-        task=task,
-        setting=setting,
-        config=config,
-        hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(),
-        seeds=seeds,
-        substeps=sizes.substeps,
-        evaluation_episodes=sizes.evaluation_episodes,
-        demonstrations_sha256=demonstrations_sha256,
-    )
-
-
-def _steps(env: Any, config: Config) -> int:
-    return int(env_steps(env, config, schedule(config)).sum())
 
 
 def _both(*settings: Setting) -> tuple[Setting, ...]:

@@ -124,8 +124,8 @@ def compile_train_step(
     on_a_device = len(states.rng) * config.num_envs // (1 if mesh is None else mesh.size)
     if env.max_worlds is not None and on_a_device > env.max_worlds:
         raise ValueError(
-            f"{len(states.rng)} seeds of {config.num_envs} environments are {on_a_device} on a device; the task was made"
-            f" for {env.max_worlds}: make it with worlds={on_a_device}"
+            f"{len(states.rng)} seeds of {config.num_envs} environments are {on_a_device} on a device; the task was"
+            f" made for {env.max_worlds}: make it with worlds={on_a_device}"
         )
     return compile_program(_jit_train_step(env, config, mesh), states, phases)
 

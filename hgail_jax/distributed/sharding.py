@@ -87,8 +87,8 @@ def shard(tree: Any, mesh: Mesh) -> Any:
     sharding = NamedSharding(mesh, ALONG_SEEDS)
 
     def place(array: jax.Array) -> jax.Array:
-        array = np.asarray(array)
-        return jax.make_array_from_callback(array.shape, sharding, lambda index: array[index])
+        values = np.asarray(array)
+        return jax.make_array_from_callback(values.shape, sharding, lambda index: values[index])
 
     return _on_numbers(lambda numbers: jax.tree.map(place, numbers), tree)
 

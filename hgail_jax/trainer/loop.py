@@ -197,7 +197,7 @@ def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) 
 def diverged_seeds(program: Program, progress: Progress) -> list[str]:
     """Returns the names of the seeds of which some update was not finite."""
     rates = np.array([row["diverged_rate"] for row in progress.history if row], float)
-    return [program.label(index) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
+    return [program.label(int(index)) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
 
 
 def _refuse(metrics: RoundMetrics, index: int) -> None:

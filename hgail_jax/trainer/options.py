@@ -160,9 +160,9 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     given = {"impl": options.impl, "worlds": worlds} | defaults
     if options.substeps is not None:
         given["substeps"] = options.substeps
-    if options.substeps is not None or options.impl != "auto":
-        if not {"substeps", "impl"} <= set(accepted):
-            raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
+    asks_for_physics = options.substeps is not None or options.impl != "auto"
+    if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
+        raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     try:
         return envs.make(options.task, **{name: given[name] for name in accepted if name in given}, **task_options)
     except ValueError:

@@ -2,20 +2,19 @@ import csv
 import dataclasses
 import json
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import envs
 from experiments.paper import __main__ as paper
-from experiments.paper.programs import programs, train_program
-from experiments.paper.reporting import confidence_interval, table_rows
-from experiments.paper.sizes import sizes
-from experiments.paper.studies import STUDIES, SWEEP, Study, hash_json, work_out
-from hgail_jax import PRESETS, env_steps, load_demonstrations, schedule
-from hgail_jax.cli import demos
-from hgail_jax.cli import train as run
+from experiments.paper import work
+from experiments.paper.programs import group_by_program, make_program, train_program
+from experiments.paper.statistics import confidence_interval
+from experiments.paper.studies import STUDIES, SWEEP, Study
+from experiments.paper.tables import table_rows
+from experiments.paper.trials import Scale, hash_json, work_out
+from hgail_jax import PRESETS, env_steps, schedule
 from hgail_jax.train import EVALUATE
 
 QUICK = ["--quick", "--seeds", "3"]
@@ -23,7 +22,11 @@ BY_NAME = {study.name: study for study in STUDIES}
 
 
 def trials_of(study, task, platform="gpu"):
-    return [work_out(task, setting, lambda name: sizes(task, platform, preset=name), 8) for setting in study.settings]
+    return [work_out(Scale(task, platform), setting, 8) for setting in study.settings]
+
+
+def phases_of(trial):
+    return make_program(envs.make("point"), [trial], None).phases()
 
 
 def read(path):
@@ -48,7 +51,7 @@ def results_of(trials):
                 "final": {name: rng.uniform(size=trial.seeds).tolist() for name in names},
                 "evaluation_episodes": 8,
                 "diverged_seeds": 0,
-                "program": {"settings": len(trials), "seconds": seconds, "dropped": 0.0, "overflow": 0.0},
+                "program": {"settings": len(trials), "seconds": seconds, "dropped": 0.0},
             }
         )
     return found
@@ -63,7 +66,7 @@ def trained(monkeypatch):
         asked.append([trial.setting.name for trial in trials])
         return results_of(trials)
 
-    monkeypatch.setattr(paper, "train_program", train)
+    monkeypatch.setattr(work, "train_program", train)
     return asked
 
 
@@ -94,11 +97,10 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
 
 
 def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
-    work = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
-    trials = [work.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
+    planned = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
+    trials = [planned.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
     env, stopped = envs.make("point"), threading.Event()
     (whole, *_) = train_program(env, trials, None, tmp_path / "whole", threading.Event())
-    assert not (tmp_path / "whole").exists()  # too short for a checkpoint
     stopped.set()
     assert train_program(env, trials, None, tmp_path / "parts", stopped) is None  # after a round
     (resumed, *_) = train_program(env, trials, None, tmp_path / "parts", threading.Event())
@@ -119,9 +121,9 @@ def test_every_study_writes_its_files(tmp_path, trained):
 
 def test_a_figure_s_data_is_what_was_measured(tmp_path, trained):
     paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    work = paper.plan(paper.Options(quick=True, seeds=3, table=(3,)), "cpu")
+    planned = paper.plan(paper.Options(quick=True, seeds=3, table=(3,)), "cpu")
     rows = read(tmp_path / "figure5-point.csv")
-    for trial in map(work.trial, BY_NAME["table3"].settings):
+    for trial in map(planned.trial, BY_NAME["table3"].settings):
         (result,) = results_of([trial])
         of_trial = [row for row in rows if (row["setting"], row["panel"]) == (trial.setting.name, trial.setting.panel)]
         assert len(of_trial) == 3 * len(result["env_steps"])
@@ -171,20 +173,20 @@ def test_what_is_there_is_left_and_what_is_missing_comes_back(tmp_path, trained)
 
 
 def test_a_stopped_run_keeps_the_programs_that_it_has(tmp_path, trained, monkeypatch, capsys):
-    train = paper.train_program
+    train = work.train_program
 
     def stop_at_the_second(*arguments):
         if trained:
             raise OSError(28, "No space left on device")
         return train(*arguments)
 
-    monkeypatch.setattr(paper, "train_program", stop_at_the_second)
+    monkeypatch.setattr(work, "train_program", stop_at_the_second)
     arguments = [*QUICK, "--table", "2", "--out", str(tmp_path)]
     with pytest.raises(SystemExit) as exit_info:
         paper.main(arguments)
     assert exit_info.value.code == 1
-    assert capsys.readouterr().err.splitlines()[-1].startswith("paper.py: stopped: ")
-    monkeypatch.setattr(paper, "train_program", train)
+    assert capsys.readouterr().err.splitlines()[-1].startswith("paper: stopped: ")
+    monkeypatch.setattr(work, "train_program", train)
     paper.main(arguments)
     assert len(trained) == 4  # each program once
     assert (tmp_path / "figure4.png").exists()
@@ -214,9 +216,9 @@ def test_figures_are_drawn_again_from_their_data(tmp_path, trained, monkeypatch)
     ("arguments", "message"),
     [
         ([], "nothing to make; name a --table or --figure"),
-        (["--table", "4"], "invalid choice"),
-        (["--figure", "8"], "invalid choice"),
-        (["--task", "poke", "--all"], "invalid choice"),
+        (["--table", "4"], "choose from"),
+        (["--figure", "8"], "choose from"),
+        (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--plots-only"], "holds no figure's data"),
     ],
@@ -237,7 +239,7 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
     def steps(config):
         return env_steps(envs.find_class(task), config, schedule(config)).sum()
 
-    expected = steps(sizes(task, platform).preset.config)
+    expected = steps(Scale(task, platform).preset().config)
     for trial in trials_of(BY_NAME["table1"], task, platform):
         assert steps(trial.config) == pytest.approx(expected, rel=0.07)
         assert trial.setting.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
@@ -247,23 +249,23 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
 
 def test_settings_of_few_rounds_are_evaluated_in_every_one():
     for trial in trials_of(BY_NAME["table1-longer"], "reach", "gpu") + trials_of(BY_NAME["table1"], "grasp", "gpu"):
-        np.testing.assert_array_equal(trial.phases(), schedule(trial.config))
+        np.testing.assert_array_equal(phases_of(trial), schedule(trial.config))
 
 
 def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_of_many_rounds_and_the_last():
     for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
-        evaluated = np.flatnonzero(trial.phases()[:, -1] == EVALUATE)
+        evaluated = np.flatnonzero(phases_of(trial)[:, -1] == EVALUATE)
         assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]
-        np.testing.assert_array_equal(trial.phases()[:, :-1], schedule(trial.config)[:, :-1])
+        np.testing.assert_array_equal(phases_of(trial)[:, :-1], schedule(trial.config)[:, :-1])
 
 
 def test_settings_that_differ_in_numbers_alone_share_a_program():
     sweep = trials_of(Study("sweep", "", SWEEP), "reach")
     assert len(sweep) >= 15
-    assert len(programs(sweep)) == 1
+    assert len(group_by_program(sweep)) == 1
     assert len({trial.key() for trial in sweep}) == len(sweep)
-    assert len(programs(trials_of(BY_NAME["p_ht"], "reach"))) == 2  # with and without pre-training
-    assert len(programs(trials_of(BY_NAME["table2"], "reach"))) == 4
+    assert len(group_by_program(trials_of(BY_NAME["p_ht"], "reach"))) == 2  # with and without pre-training
+    assert len(group_by_program(trials_of(BY_NAME["table2"], "reach"))) == 4
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
@@ -279,58 +281,9 @@ def test_likelihoods_are_weighed_as_their_names_say(task):
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
-    assert sizes("reach", "gpu", preset="paper").preset.config == dataclasses.replace(
+    assert Scale("reach", "gpu").preset("paper").config == dataclasses.replace(
         PRESETS["paper"].config, best_episodes=256
     )
-
-
-def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    demos.main(["--task", "point", "--episodes", "20"])
-    recorded = load_demonstrations("demonstrations/point.npz", "point")
-    assert recorded.episodes == 20
-    assert (recorded.success == 1.0).all()
-    moved = recorded.features[:, :-1] + 0.03 * recorded.action[:, :-1]
-    np.testing.assert_allclose(recorded.features[:, 1:], moved, atol=1e-5)
-    options = run.Options(task="point", method="gail-demo", demos=Path("demonstrations/point.npz"), seeds=2)
-    prepared = run.prepare(options, "cpu")
-    assert prepared.identity()["demonstrations"] == recorded.sha256
-    for expert_action in prepared.init().expert.action:
-        np.testing.assert_array_equal(expert_action, recorded.action.reshape(-1, 3))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--task", "poke"], "unknown task 'poke'"),
-        (["--task", "grasp-position"], "no controller demonstrates 'grasp-position'"),
-        (["--task", "point", "--episodes", "0"], "episodes is 0"),
-        (["--task", "point", "--seed", "-1"], "seed is -1"),
-        (["--task", "point", "--out", "file"], "file exists already"),
-    ],
-)
-def test_bad_demonstrations_are_one_line_and_write_nothing(tmp_path, monkeypatch, capsys, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SystemExit) as exit_info:
-        demos.main(arguments)
-    error = capsys.readouterr().err
-    assert exit_info.value.code == 2
-    assert error.count("\n") == 1
-    assert message in error
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-@pytest.mark.parametrize(
-    "arguments", [["--method", "gail-demo"], ["--demos", "missing"], ["--method", "gail-demo", "--demos", "missing"]]
-)
-def test_a_method_has_the_demonstrations_it_needs(tmp_path, monkeypatch, capsys, arguments):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as exit_info:
-        run.main(["--task", "point", *arguments])
-    assert exit_info.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -1,0 +1,156 @@
+"""A setting worked out for a task and a platform: all that decides what is computed."""
+
+import dataclasses
+import json
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+
+import envs
+from envs.engines import resolve_impl
+from experiments.paper.studies import Setting
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.methods import METHODS
+from hgail_jax.presets import EVALUATION_EPISODES, Preset, task_preset
+from hgail_jax.train import env_steps, schedule
+
+FEW_ROUNDS = 100
+"""Up to so many rounds a setting is evaluated in every one of them."""
+
+_PER_ROLL_OUT = 4  # roll-outs' worth of episodes that the best-of buffer holds
+_MOST_BEST = 1000  # as Guo et al. 2018 keep
+
+_QUICK: dict[str, Any] = {
+    "num_envs": 4,
+    "rounds": 1,
+    "ppo_minibatches": 2,
+    "discriminator_minibatches": 2,
+    "discriminator_batch": 16,
+    "pretrain_policy_minibatches": 5,
+    "pretrain_policy_batch": 16,
+    "pretrain_discriminator_minibatches": 5,
+}
+_QUICK_EVALUATION_EPISODES = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Scale:
+    """How large the experiments on a task are."""
+
+    task: str
+    platform: str
+    """`"cpu"` or `"gpu"`."""
+    quick: bool = False
+    """Takes sizes that show that everything runs, and nothing else."""
+
+    @property
+    def task_class(self) -> type[envs.GoalEnv]:
+        """The task."""
+        return envs.find_class(self.task)
+
+    @property
+    def evaluation_episodes(self) -> int:
+        """Episodes per seed that the final evaluation has at least."""
+        return _QUICK_EVALUATION_EPISODES if self.quick else EVALUATION_EPISODES[self.platform]
+
+    @property
+    def task_options(self) -> dict[str, Any]:
+        """Options of the task's class in training, e.g. `substeps` of the Fetch tasks."""
+        return dict(self.task_class.training[self.platform].options)
+
+    def preset(self, name: str = "parallel") -> Preset:
+        """Returns what a setting starts from."""
+        preset = task_preset(self.task_class, self.platform, name)
+        config = dataclasses.replace(preset.config, **(_QUICK if self.quick else {}))
+        config = dataclasses.replace(config, best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
+        return dataclasses.replace(preset, config=config)
+
+    def make_env(self, worlds: int) -> envs.GoalEnv:
+        """Makes the task with the physics that it is trained in, for so many environments at once."""
+        options = self.task_options
+        if "worlds" in envs.accepted_options(self.task):
+            options["worlds"] = worlds
+        return envs.make(self.task, **options)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A setting worked out for a task and a platform: all that decides what is computed."""
+
+    task: str
+    setting: Setting
+    config: Config
+    hyperparameters: Hyperparameters
+    seeds: int
+    task_options: dict[str, Any]
+    evaluation_episodes: int
+    demonstrations_sha256: str | None
+
+    def identity(self) -> dict[str, Any]:
+        """Returns, as JSON has it, what another computation of the same results shares with this one."""
+        physics = {"impl": resolve_impl("auto")} if "impl" in envs.accepted_options(self.task) else {}
+        identity = {
+            "task": self.task,
+            "method": self.setting.method,
+            "seeds": self.seeds,
+            "evaluation_episodes": self.evaluation_episodes,
+            "physics": physics | self.task_options,
+            "demonstrations": self.demonstrations_sha256,
+            "config": dataclasses.asdict(self.config),
+            "hyperparameters": {name: np.asarray(value).tolist() for name, value in vars(self.hyperparameters).items()},
+        }
+        return json.loads(json.dumps(identity))
+
+    @property
+    def evaluate_every(self) -> int:
+        """Rounds from one evaluation to the next: k in a setting of k times the steps and more than `FEW_ROUNDS`.
+
+        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training.
+        """
+        return self.setting.steps if self.config.rounds + 1 > FEW_ROUNDS else 1
+
+    def key(self) -> str:
+        """Returns a hash of the identity."""
+        return hash_json(self.identity())
+
+
+def hash_json(content: Any) -> str:
+    """Returns the first 16 hexadecimal digits of the SHA-256 of what JSON makes of `content`."""
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def work_out(scale: Scale, setting: Setting, seeds: int, demonstrations_sha256: str | None = None) -> Trial:
+    """Returns a setting as it is trained.
+
+    It takes `setting.steps` times the environment steps that HGAIL takes by default, to the nearest whole round.
+
+    Args:
+      scale: the task and its sizes.
+      setting: what to work out.
+      seeds: how many.
+      demonstrations_sha256: what the demonstrations are, where the setting has any.
+
+    """
+    env = scale.task_class
+    base = METHODS[setting.method].apply(scale.preset(setting.preset))
+    config = dataclasses.replace(base.config, **setting.config)
+    if "rounds" not in setting.config:
+        wanted = setting.steps * _steps(env, scale.preset().config)
+        before = _steps(env, dataclasses.replace(config, rounds=0))
+        each = _steps(env, dataclasses.replace(config, rounds=1)) - before
+        config = dataclasses.replace(config, rounds=max(round((wanted - before) / each), 1))
+    return Trial(
+        task=scale.task,
+        setting=setting,
+        config=config,
+        hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(),
+        seeds=seeds,
+        task_options=scale.task_options,
+        evaluation_episodes=scale.evaluation_episodes,
+        demonstrations_sha256=demonstrations_sha256,
+    )
+
+
+def _steps(env: Any, config: Config) -> int:
+    return int(env_steps(env, config, schedule(config)).sum())

@@ -1,0 +1,58 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hgail_jax import TrainOptions, load_demonstrations
+from hgail_jax.cli import demos
+from hgail_jax.cli import train as run
+from hgail_jax.trainer.options import plan
+
+
+def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    demos.main(["--task", "point", "--episodes", "20"])
+    recorded = load_demonstrations("demonstrations/point.npz", "point")
+    assert recorded.episodes == 20
+    assert (recorded.success == 1.0).all()
+    moved = recorded.features[:, :-1] + 0.03 * recorded.action[:, :-1]
+    np.testing.assert_allclose(recorded.features[:, 1:], moved, atol=1e-5)
+    options = TrainOptions(task="point", method="gail-demo", demos=Path("demonstrations/point.npz"), seeds=2)
+    prepared = plan(options, "cpu")
+    assert prepared.identity()["demonstrations"] == recorded.sha256
+    for expert_action in prepared.program().init().expert.action:
+        np.testing.assert_array_equal(expert_action, recorded.action.reshape(-1, 3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--task", "poke"], "unknown task 'poke'"),
+        (["--task", "grasp-aperture"], "no controller demonstrates 'grasp-aperture'"),
+        (["--task", "point", "--episodes", "0"], "episodes is 0"),
+        (["--task", "point", "--seed", "-1"], "seed is -1"),
+        (["--task", "point", "--out", "file"], "file exists already"),
+    ],
+)
+def test_bad_demonstrations_are_one_line_and_write_nothing(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit) as exit_info:
+        demos.main(arguments)
+    error = capsys.readouterr().err
+    assert exit_info.value.code == 2
+    assert error.count("\n") == 1
+    assert message in error
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--method", "gail-demo"], ["--demos", "missing"], ["--method", "gail-demo", "--demos", "missing"]]
+)
+def test_a_method_has_the_demonstrations_it_needs(tmp_path, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as exit_info:
+        run.main(["--task", "point", *arguments])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
