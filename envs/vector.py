@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -25,16 +26,16 @@ class GoalVectorEnv(VectorEnv):
     follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns the first
     observation of the next episode with reward 0.
 
-    Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: the first
-    is `env.reset(key)`, and before each later one `key` becomes the first of `jax.random.split(key)`. A `reset` without
-    a seed goes on with the next episode. With MJX-Warp, make the task with `worlds` at least `num_envs`.
+    Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
+    episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
+    a seed goes on with the next episode.
 
     Args:
       env: the task.
       num_envs: environments.
 
     Raises:
-      ValueError: `num_envs` is less than 1.
+      ValueError: `num_envs` is less than 1, or more than the task's physics can step at once.
 
     """
 
@@ -43,6 +44,8 @@ class GoalVectorEnv(VectorEnv):
     def __init__(self, env: GoalEnv, num_envs: int):
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
+        if env.max_worlds is not None and num_envs > env.max_worlds:
+            raise ValueError(f"num_envs is {num_envs}; the task was made for {env.max_worlds}: make it with worlds")
         self.env, self.num_envs = env, num_envs
 
         def box(size: int) -> gymnasium.spaces.Box:
@@ -55,7 +58,7 @@ class GoalVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._reset, self._step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
-        self._next = jax.jit(lambda keys: jax.vmap(jax.random.split)(keys)[:, 0])
+        self._split = jax.jit(lambda keys: jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0))
         self._success = jax.jit(env.success)
         self._keys: jax.Array | None = None
         self._state: State | None = None
@@ -76,7 +79,7 @@ class GoalVectorEnv(VectorEnv):
         """
         del options
         if seed is None and self._keys is not None:
-            return self._start(self._next(self._keys))
+            return self._start(self._keys)
         if seed is None or isinstance(seed, int | np.integer):
             super().reset(seed=None if seed is None else int(seed))
             first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(seed)
@@ -103,7 +106,7 @@ class GoalVectorEnv(VectorEnv):
             raise ValueError(f"actions have shape {np.shape(actions)}; it must be {self.action_space.shape}")
         no = np.zeros(self.num_envs, bool)
         if self._steps == self.env.episode_length:
-            observation, info = self._start(self._next(self._keys))
+            observation, info = self._start(self._keys)
             return observation, np.zeros(self.num_envs), no, no.copy(), info
         self._state = self._step(self._state, np.asarray(actions, np.float32))
         self._steps += 1
@@ -117,8 +120,8 @@ class GoalVectorEnv(VectorEnv):
         return np.asarray(self._success(achieved, desired), np.float64) - 1.0
 
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        self._keys, self._steps = keys, 0
-        self._state = self._reset(keys)
+        self._keys, episode_keys = self._split(keys)
+        self._steps, self._state = 0, self._reset(episode_keys)
         return self._observation(), {"is_success": np.asarray(self._state.reward) == 0.0}
 
     def _observation(self) -> dict[str, np.ndarray]:

@@ -3,6 +3,9 @@
 Below, `T` is the steps of an episode, `N` the episodes of a roll-out and `S` their product.
 """
 
+import math
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -26,8 +29,40 @@ class Samples(struct.PyTreeNode):
     """`[S]`: how often to draw each, relative to the others; 0 for what the simulation spoilt."""
 
     def draw(self, rng: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        """Returns indices of samples, drawn with replacement by their weights."""
-        return jax.random.choice(rng, self.weight.shape[0], shape, p=self.weight)
+        """Returns indices of samples, drawn with replacement by their weights.
+
+        First a block of samples is drawn, then one of the block: a random number in single precision has 23 bits, and a
+        sum of weights hardly more, so that one draw among millions of samples would leave some of them out.
+        """
+        samples = self.weight.shape[0]
+        width = math.isqrt(samples - 1) + 1
+        blocks = jnp.pad(self.weight, (0, -samples % width)).reshape(-1, width)
+        block_rng, within_rng = jax.random.split(rng)
+        block = jax.random.choice(block_rng, len(blocks), shape, p=blocks.sum(axis=1))
+        cumulative = jnp.cumsum(blocks, axis=1)
+        target = jax.random.uniform(within_rng, shape) * cumulative[block, -1]
+        return block * width + _first_above(cumulative, block, target)
+
+
+def _first_above(cumulative: jax.Array, block: jax.Array, target: jax.Array) -> jax.Array:
+    """Returns the first column of row `block` whose number is above `target`, by bisection; indices `[...]`.
+
+    Args:
+      cumulative: `[blocks, width]`, each row growing to more than its targets.
+      block: `[...]` rows.
+      target: `[...]` numbers.
+
+    """
+    width = cumulative.shape[1]
+
+    def halve(_: jax.Array, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = bounds  # the column is at least `low` and at most `high`
+        middle = (low + high) // 2
+        above = cumulative[block, middle] > target
+        return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
+
+    bounds = jnp.zeros_like(block), jnp.full_like(block, width - 1)
+    return jax.lax.fori_loop(0, width.bit_length(), halve, bounds)[0]
 
 
 def pursued_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
@@ -69,6 +104,6 @@ def step_weight(trajectory: Trajectory) -> jax.Array:
     return jnp.broadcast_to(trajectory.sound, trajectory.reward.shape).astype(jnp.float32)
 
 
-def flatten(tree):
+def flatten(tree: Any) -> Any:
     """Joins the first two axes, steps and episodes, of every leaf."""
     return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), tree)

@@ -28,7 +28,8 @@ class TrainState(struct.PyTreeNode):
     actor_critic_optimizer: optax.OptState
     discriminator_optimizer: optax.OptState
     statistics: running_statistics.RunningStatisticsState
-    """Mean and standard deviation of observations so far: expert samples, and the policy's own in its updates."""
+    """Mean and standard deviation of observations so far: the expert samples of the pre-training, and the policy's own
+    in its updates."""
     hyperparameters: Hyperparameters
     rng: jax.Array
     expert: Any = None

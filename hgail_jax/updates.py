@@ -90,7 +90,7 @@ def update_discriminator(
     relabel_rng, fit_rng = jax.random.split(rng)
     state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
     policy = policy_samples(env, trajectory)
-    state = _observe(state, expert)
+    # The statistics stay: they are the policy's input too, which this phase must not change.
     return _fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
 
@@ -276,8 +276,8 @@ def _expert_samples(
 def _observe(state: TrainState, samples: Samples) -> TrainState:
     """Counts samples into the state's statistics; how often they are to be drawn does not matter here.
 
-    Expert samples in the pre-training and in the discriminator's updates, the policy's own in the policy's. A policy
-    forgets as far as the statistics move, and after the pre-training they move less if they begin with what it is to
-    imitate, not with how it behaved before.
+    Expert samples in the pre-training, the policy's own in its updates, each of them once. A policy forgets as far as
+    the statistics move, and after the pre-training they move less if they begin with what it is to imitate, not with
+    how it behaved before.
     """
     return state.observe(samples.observation, (samples.weight > 0).astype(jnp.float32))

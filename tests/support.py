@@ -2,8 +2,12 @@
 
 import contextlib
 import resource
+from pathlib import Path
 
 from hgail_jax import Config
+
+ROOT = Path(__file__).parent.parent
+"""The project's folder."""
 
 TINY = Config(
     num_envs=4,

@@ -6,34 +6,30 @@ import jax
 from mujoco import mjx
 
 from envs.fetch.arm import settle
-from experiments.bench.speed import Size
 from experiments.bench.timing import arithmetic_rate, memory_bandwidth
+from experiments.bench.workload import Workload
 
 
-def measure_floors(size: Size) -> dict[str, float]:
+def measure_floors(workload: Workload) -> dict[str, float]:
     """Returns bytes and operations of a physics step, and the env steps per second that a device could do of either.
 
     State bytes are positions, velocities and the solver's start, read and written once in each step, as by an engine
     that keeps nothing on the chip between steps. Engine bytes are all that MJX-JAX holds of an environment, likewise;
     operations are its own as written, the loop of the solver run once: a scale for other engines, not a bound.
-
-    Args:
-      size: what is stepped.
-
     """
-    model, settled, host = size.env.model, settle(size.env.model), jax.devices("cpu")[0]
-    engine = mjx.put_model(model, device=host, impl="jax")
-    data = mjx.put_data(model, settled, device=host, impl="jax")
+    model, host = workload.env.model, jax.devices("cpu")[0]
+    mjx_model = mjx.put_model(model, device=host, impl="jax")
+    data = mjx.put_data(model, settle(model), device=host, impl="jax")
     with jax.default_device(host):
-        operations = (jax.jit(mjx.step).lower(engine, data).cost_analysis() or {}).get("flops", math.nan)
+        operations = (jax.jit(mjx.step).lower(mjx_model, data).cost_analysis() or {}).get("flops", math.nan)
     state_bytes = 2 * 4 * (model.nq + 2 * model.nv)
-    bandwidth, rate = memory_bandwidth(size.quick), arithmetic_rate(size.quick)
+    bandwidth, rate = memory_bandwidth(workload.quick), arithmetic_rate(workload.quick)
     return {
         "memory_bytes_per_second": bandwidth,
         "operations_per_second": rate,
         "state_bytes_per_substep": state_bytes,
         "engine_bytes_per_substep": 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(data)),
         "operations_per_substep": operations,
-        "state_floor_env_steps_per_second": bandwidth / (state_bytes * size.substeps),
-        "operations_floor_env_steps_per_second": rate / (operations * size.substeps),
+        "state_floor_env_steps_per_second": bandwidth / (state_bytes * workload.substeps),
+        "operations_floor_env_steps_per_second": rate / (operations * workload.substeps),
     }

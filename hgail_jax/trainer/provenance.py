@@ -27,8 +27,25 @@ _PACKAGES = (
 
 
 def own_command() -> str:
-    """Returns the command that started this process."""
-    return shlex.join(["python", *sys.argv])
+    """Returns the command that started this process, as one would type it, without the paths of this machine."""
+    return command_of(sys.orig_argv)
+
+
+def command_of(words: list[str]) -> str:
+    """Returns a process's words as one would type them.
+
+    >>> command_of(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
+    'python -m experiments.paper --all'
+    >>> command_of(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
+    'hgail train --seeds 2'
+    """
+    _, *rest = words
+    if rest and Path(rest[0]).name == "hgail":
+        return shlex.join(["hgail", *rest[1:]])
+    if rest and Path(rest[0]).is_absolute():
+        script = Path(rest[0])
+        rest[0] = str(script.relative_to(Path.cwd()) if script.is_relative_to(Path.cwd()) else script.name)
+    return shlex.join(["python", *rest])
 
 
 @functools.cache

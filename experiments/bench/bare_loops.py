@@ -1,0 +1,92 @@
+"""Times the engines alone, on the start states and controls that a task's own steps had: a floor of their cost.
+
+Below, `N` is environments and `T` actions.
+"""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import mujoco
+import numpy as np
+from mujoco import mjx, rollout
+
+from envs.engines import Control, EngineState
+from envs.engines.c import CEngine, usable_cores
+from envs.engines.mjx import MjxEngine
+from envs.fetch.arm import FetchEnv
+from experiments.bench.bare_warp import measure_warp_loop
+from experiments.bench.timing import compile_timed, seconds_per_call
+
+_FULL_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+_CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+
+
+def measure_bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -> dict[str, float]:
+    """Times what there is of the engine alone; returns environment steps per second, and what explains them.
+
+    Args:
+      env: the task.
+      physics: where it starts, `[N, ...]`.
+      controls: what acts on the scene, `[T, N, ...]`.
+
+    """
+    env_steps, engine = len(physics.qpos) * len(controls.ctrl), env.engine
+    if isinstance(engine, CEngine):
+        with rollout.Rollout(nthread=usable_cores()) as pool:
+            seconds = seconds_per_call(rollout_loop(engine, pool, physics, controls))
+        return {"bare_rollout_env_steps_per_second": env_steps / seconds}
+    assert isinstance(engine, MjxEngine)
+    seconds = seconds_per_call(mjx_loop(engine, physics, controls))
+    measured = {"bare_mjx_env_steps_per_second": env_steps / seconds}
+    return measured | (measure_warp_loop(engine.model, engine.substeps, physics, controls) if engine.name == "warp" else {})
+
+
+def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Callable[[], jax.Array]:
+    """Returns a function that steps MJX alone, in one compiled program, to the last positions, `[N, nq]`.
+
+    See `measure_bare_loops` for the arguments.
+    """
+
+    def step(data: mjx.Data, control: Control) -> tuple[mjx.Data, None]:
+        data = data.replace(**vars(control))
+        return jax.lax.fori_loop(0, engine.substeps, lambda _, data: mjx.step(engine.mjx_model, data), data), None
+
+    def run(physics: EngineState, controls: Control) -> jax.Array:
+        first = jax.tree.map(lambda values: values[0], controls)
+        return jax.lax.scan(step, engine.data(physics, first), controls)[0].qpos
+
+    compiled, _ = compile_timed(jax.vmap(run, in_axes=(0, 1)), physics, controls)
+    return functools.partial(compiled, physics, controls)
+
+
+def rollout_loop(
+    engine: CEngine, pool: rollout.Rollout, physics: EngineState, controls: Control
+) -> Callable[[], np.ndarray]:
+    """Returns a function that steps C MuJoCo alone, all environments in one call an action, to the last `[N, nq]`.
+
+    Args:
+      engine: whose model and physics steps are taken.
+      pool: the threads.
+      physics: see `measure_bare_loops`.
+      controls: likewise.
+
+    """
+    model = engine.model
+    datas = [mujoco.MjData(model) for _ in range(usable_cores())]
+    count, nq, nv = len(physics.qpos), model.nq, model.nv
+    start = np.zeros((count, mujoco.mj_stateSize(model, _FULL_STATE)))
+    start[:, 1 : 1 + nq] = physics.qpos  # time comes first
+    start[:, 1 + nq : 1 + nq + nv] = physics.qvel
+    parts = (controls.ctrl, controls.mocap_pos, controls.mocap_quat)
+    rows = [np.asarray(part, np.float64).reshape(len(part), count, 1, -1) for part in parts]
+    packed = np.concatenate(rows, axis=-1)  # [T, N, 1, nu + 7 nmocap]: the 1 is repeated over the physics steps
+
+    def run() -> np.ndarray:
+        state = start
+        for control in packed:
+            states, _ = pool.rollout(model, datas, state, control, control_spec=_CONTROL, nstep=engine.substeps)
+            state = states[:, -1]
+        return state[:, 1 : 1 + nq]
+
+    return run

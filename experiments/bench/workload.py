@@ -1,0 +1,78 @@
+"""What is stepped and trained in a measurement: a task on an engine, in so many environments."""
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+
+import envs
+from envs.fetch.arm import FetchEnv
+from hgail_jax.presets import Preset, platform_name, task_preset
+
+_QUICK_EPISODE = 4  # steps
+_QUICK_CONFIG: dict[str, Any] = {
+    "ppo_minibatches": 2,
+    "discriminator_minibatches": 2,
+    "discriminator_batch": 16,
+    "pretrain_policy_minibatches": 5,
+    "pretrain_policy_batch": 16,
+    "pretrain_discriminator_minibatches": 5,
+}
+
+
+def default_preset(task: str) -> Preset:
+    """Returns what a task is trained with on this platform."""
+    return task_preset(envs.find_class(task), platform_name())
+
+
+def default_substeps(task: str, platform: str) -> int:
+    """Returns the physics steps per action that a Fetch task is trained with on `"cpu"` or `"gpu"`."""
+    return envs.find_class(task).training[platform].options["substeps"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Workload:
+    """A Fetch task in `N = num_envs` environments, for episodes of `T` steps."""
+
+    task: str
+    impl: str
+    """Physics engine, see `envs.engines.resolve_impl`."""
+    num_envs: int
+    substeps: int
+    """Physics steps per action."""
+    quick: bool = False
+    """Takes short episodes and few updates, to show that everything runs."""
+    worlds: int | None = None
+    """Environments that a device steps at once, where that is not `num_envs`."""
+
+    @functools.cached_property
+    def env(self) -> FetchEnv:
+        """The task."""
+        env = envs.make(self.task, impl=self.impl, substeps=self.substeps, worlds=self.worlds or self.num_envs)
+        assert isinstance(env, FetchEnv)
+        if self.quick:
+            env.episode_length = _QUICK_EPISODE
+        return env
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps of one episode in every environment."""
+        return self.num_envs * self.env.episode_length
+
+    def preset(self) -> Preset:
+        """Returns what the task is trained with by default, in roll-outs of `num_envs` episodes."""
+        preset = default_preset(self.task)
+        quick = _QUICK_CONFIG if self.quick else {}
+        return dataclasses.replace(
+            preset, config=dataclasses.replace(preset.config, num_envs=self.num_envs, **quick)
+        )
+
+    def actions(self) -> jax.Array:
+        """Returns random actions, `[T, N, action_size]`."""
+        shape = (self.env.episode_length, self.num_envs, self.env.action_size)
+        return jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
+
+    def reset(self) -> envs.State:
+        """Returns the states at the start of an episode, `[N, ...]`."""
+        return jax.jit(jax.vmap(self.env.reset))(jax.random.split(jax.random.key(0), self.num_envs))
