@@ -90,26 +90,26 @@ class GoalEnv(Env):
     """What it is trained with by default, by platform."""
 
     @abc.abstractmethod
-    def reset_physics(self, rng: jax.Array):
+    def reset_physics(self, rng: jax.Array) -> Any:
         """Returns the physics state `P` at the start of an episode."""
 
     @abc.abstractmethod
-    def step_physics(self, physics, action: jax.Array):
+    def step_physics(self, physics: Any, action: jax.Array) -> Any:
         """Returns the physics state `P` after `action`, `[action_size]`, already clipped to [-1, 1]."""
 
     @abc.abstractmethod
-    def features(self, physics) -> jax.Array:
+    def features(self, physics: Any) -> jax.Array:
         """Returns what the policy sees besides the goal, `[feature_size]`."""
 
     @abc.abstractmethod
-    def achieved_goal(self, physics) -> jax.Array:
+    def achieved_goal(self, physics: Any) -> jax.Array:
         """Returns the goal that the physics state achieves, `[goal_size]`."""
 
     @abc.abstractmethod
-    def sample_goal(self, rng: jax.Array, physics) -> jax.Array:
+    def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
         """Draws the desired goal of an episode that starts in `physics` and is measured, `[goal_size]`."""
 
-    def sample_exploration_goal(self, rng: jax.Array, physics) -> jax.Array:
+    def sample_exploration_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
         """Draws the desired goal of an episode to learn from, `[goal_size]`; by default as `sample_goal` does."""
         return self.sample_goal(rng, physics)
 
@@ -130,7 +130,7 @@ class GoalEnv(Env):
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
-    def track_goal(self, desired: jax.Array, physics, exploring: jax.Array | bool) -> jax.Array:
+    def track_goal(self, desired: jax.Array, physics: Any, exploring: jax.Array | bool) -> jax.Array:
         """Returns the desired goal, `[goal_size]`, as it stands once `physics` is reached; by default it stays.
 
         `exploring` is whether the episode is one to learn from.
@@ -161,7 +161,7 @@ class GoalEnv(Env):
             distance_l2=jnp.linalg.norm(position - target),
         )
 
-    def overflow(self, physics) -> jax.Array:
+    def overflow(self, physics: Any) -> jax.Array:
         """Returns whether the simulation ran out of room for contacts, and so is wrong: a boolean `[]`."""
         del physics
         return jnp.zeros((), bool)
@@ -188,7 +188,7 @@ class GoalEnv(Env):
         following = self._observe(physics, desired, exploring, state.metrics)
         return following.replace(info=state.info | following.info)
 
-    def _observe(self, physics, desired: jax.Array, exploring: jax.Array, metrics: dict) -> State:
+    def _observe(self, physics: Any, desired: jax.Array, exploring: jax.Array, metrics: dict[str, jax.Array]) -> State:
         features, achieved = self.features(physics), self.achieved_goal(physics)
         return State(
             pipeline_state=physics,

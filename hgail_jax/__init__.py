@@ -24,8 +24,8 @@ from hgail_jax.updates import make_policy
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS",
     "EXPERT_SOURCES",
+    "METHODS",
     "PRESETS",
     "REWARDS",
     "STRATEGIES",

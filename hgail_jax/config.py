@@ -73,7 +73,7 @@ class Config:
     discriminator_hidden: tuple[int, ...] = (100, 100)
     """Widths of the hidden layers of the discriminator."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if field.type is int:

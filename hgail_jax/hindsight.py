@@ -59,16 +59,28 @@ def relabel(
             " [T + 1, goal_size] and [T, goal_size] or [goal_size], with T at least 1"
         )
     check_share("p_ht", p_ht)
-    kind = jnp.zeros(length + 1, jnp.int32) if kind is None else kind
-    kind_share = jnp.ones(1) if kind_share is None else kind_share
     chosen_rng, source_rng = jax.random.split(rng)
     chosen = jax.random.bernoulli(chosen_rng, p_ht, (length,))
     first = jnp.arange(length) + jnp.where(include_current, 0, 1)
-    ahead = jnp.arange(length + 1) >= first[:, None]
-    of_kind = jax.nn.one_hot(kind, kind_share.shape[0])
-    weight = jnp.where(ahead, kind_share[kind] / jnp.maximum(ahead @ of_kind, 1.0)[:, kind], 0.0)
-    future = jax.vmap(lambda rng, weight: jax.random.choice(rng, length + 1, p=weight))(
-        jax.random.split(source_rng, length), weight
-    )
+    if kind is None or kind_share is None:
+        kind, kind_share = jnp.zeros(length + 1, jnp.int32), jnp.ones(1)
+    future = _draw_future(source_rng, first, kind, kind_share)
     source = jnp.where(strategy == FINAL, length, future)
     return Hindsight(jnp.where(chosen[:, None], achieved[source], desired), chosen, source)
+
+
+def _draw_future(rng: jax.Array, first: jax.Array, kind: jax.Array, kind_share: jax.Array) -> jax.Array:
+    """Draws for each step `j` a state from `first[j]` on: a kind among those ahead by its share, then one of its states.
+
+    Args:
+      rng: a PRNG key.
+      first: `[T]`.
+      kind: `[T + 1]` integers below `K`.
+      kind_share: `[K]`.
+
+    """
+    ahead = jnp.arange(len(kind)) >= first[:, None]
+    states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 1.0)
+    weight = jnp.where(ahead, kind_share[kind] / states_of_kind[:, kind], 0.0)
+    rngs = jax.random.split(rng, len(first))
+    return jax.vmap(lambda rng, weight: jax.random.choice(rng, len(kind), p=weight))(rngs, weight)

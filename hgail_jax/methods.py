@@ -37,6 +37,8 @@ METHODS = {
         {"likelihood_weight": 1.0},
         {"likelihood_batch": LIKELIHOOD_BATCH},
     ),
+    # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
+    # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
     "gasil": Method(
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "explore": False},

@@ -23,7 +23,7 @@ def generalized_advantages(
     """
     delta = reward + discount * value[1:] - value[:-1]
 
-    def accumulate(advantage, delta):
+    def accumulate(advantage: jax.Array, delta: jax.Array) -> tuple[jax.Array, jax.Array]:
         advantage = delta + discount * gae_lambda * advantage
         return advantage, advantage
 

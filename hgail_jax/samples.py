@@ -83,7 +83,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     desired, weight = trajectory.desired[:-1], step_weight(trajectory)
     share = _kind_share(env, desired, weight)
 
-    def relabel_one(rng, achieved, desired):
+    def relabel_one(rng: jax.Array, achieved: jax.Array, desired: jax.Array) -> jax.Array:
         kind = env.goal_kind(achieved)
         return relabel(rng, achieved, desired, hyper.p_ht, hyper.strategy, hyper.include_current, kind, share).goal
 

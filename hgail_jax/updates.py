@@ -112,7 +112,7 @@ def update_policy(
         negative_log_likelihood = _negative_log_likelihood(env, config, state, expert)
         indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), config.likelihood_batch))
 
-    def loss(params, indices):
+    def loss(params: Params, indices: dict[str, jax.Array]) -> tuple[jax.Array, UpdateMetrics]:
         value, metrics = _ppo_loss(env, config, hyper, params, jax.tree.map(lambda array: array[indices["ppo"]], batch))
         if config.likelihood_batch:
             likelihood = negative_log_likelihood(params, indices["expert"])
@@ -169,7 +169,7 @@ def _negative_log_likelihood(
     """Returns a function of parameters and indices `[B]` of `samples` to their mean negative log-likelihood, `[]`."""
     observation = state.normalize(samples.observation)
 
-    def loss(params, indices):
+    def loss(params: Params, indices: jax.Array) -> jax.Array:
         mean = apply(policy_network(config, env.action_size), params["policy"], observation[indices])
         return -gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std).mean()
 
@@ -181,7 +181,7 @@ def _maximize_likelihood(
 ) -> tuple[TrainState, UpdateMetrics]:
     negative_log_likelihood = _negative_log_likelihood(env, config, state, samples)
 
-    def loss(params, indices):
+    def loss(params: Params, indices: jax.Array) -> tuple[jax.Array, UpdateMetrics]:
         value = negative_log_likelihood(params, indices)
         return value, UpdateMetrics(likelihood_loss=value)
 
@@ -194,7 +194,7 @@ def _fit_discriminator(
 ) -> tuple[TrainState, UpdateMetrics]:
     expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
 
-    def loss(params, indices):
+    def loss(params: Params, indices: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, UpdateMetrics]:
         of_expert, of_policy = indices
         expert_logits = _discriminate(config, params, expert_observation[of_expert], expert.action[of_expert])
         policy_logits = _discriminate(config, params, policy_observation[of_policy], policy.action[of_policy])
@@ -247,7 +247,7 @@ def _descend(
 ) -> tuple[Params, optax.OptState, Any]:
     """Takes a step for each entry of `minibatches` along its first axis; returns the mean metrics too."""
 
-    def step(carry, minibatch):
+    def step(carry: tuple[Params, optax.OptState], minibatch: Any) -> tuple[tuple[Params, optax.OptState], Any]:
         params, optimizer_state = carry
         gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
         update, optimizer_state = optimizer.update(gradient, optimizer_state)

@@ -1,7 +1,7 @@
 """Grasping a cube from the table, under three readings of what a goal is."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ _GOAL_RANGE = 0.15  # metres around the gripper's start, of goals that are not t
 _LOWEST_GOAL = 0.42  # metres; the pads rest on the table at 0.417
 
 
-def is_held(touching, gap):
+def is_held(touching: Any, gap: Any) -> Any:
     """Returns whether a hand holds the cube.
 
     Args:

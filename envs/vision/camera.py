@@ -35,7 +35,7 @@ class Camera:
     position: np.ndarray
     """`[3]`: T of Eq. 8, the optical centre in the world, metres."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ValueError(f"an image of {self.width} by {self.height} pixels; each must be at least 1")
         if not (self.matrix.shape == (3, 3) and self.matrix[0, 0] > 0 and self.matrix[1, 1] > 0):

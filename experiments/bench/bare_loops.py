@@ -4,6 +4,7 @@ Below, `N` is environments and `T` actions.
 """
 
 import functools
+import math
 from collections.abc import Callable
 
 import jax
@@ -39,7 +40,9 @@ def measure_bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -
     assert isinstance(engine, MjxEngine)
     seconds = seconds_per_call(mjx_loop(engine, physics, controls))
     measured = {"bare_mjx_env_steps_per_second": env_steps / seconds}
-    return measured | (measure_warp_loop(engine.model, engine.substeps, physics, controls) if engine.name == "warp" else {})
+    return measured | (
+        measure_warp_loop(engine.model, engine.substeps, physics, controls) if engine.name == "warp" else {}
+    )
 
 
 def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Callable[[], jax.Array]:
@@ -79,8 +82,8 @@ def rollout_loop(
     start[:, 1 : 1 + nq] = physics.qpos  # time comes first
     start[:, 1 + nq : 1 + nq + nv] = physics.qvel
     parts = (controls.ctrl, controls.mocap_pos, controls.mocap_quat)
-    rows = [np.asarray(part, np.float64).reshape(len(part), count, 1, -1) for part in parts]
-    packed = np.concatenate(rows, axis=-1)  # [T, N, 1, nu + 7 nmocap]: the 1 is repeated over the physics steps
+    flat = [np.asarray(part, np.float64).reshape(*part.shape[:2], 1, math.prod(part.shape[2:])) for part in parts]
+    packed = np.concatenate(flat, axis=-1)  # [T, N, 1, nu + 7 nmocap]: one control for all physics steps of an action
 
     def run() -> np.ndarray:
         state = start

@@ -4,10 +4,10 @@ import contextlib
 import functools
 import importlib
 import importlib.util
-import os
+import json
+import subprocess
 import sys
 import time
-import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,47 @@ import mujoco
 import numpy as np
 
 import envs
+from envs.engines.c import usable_cores
 from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, settle
 from envs.scenes import load_scene
 from experiments.bench.timing import compile_timed, seconds_per_call
-from hgail_jax.presets import defaults
+from experiments.bench.workload import default_substeps
+
+ENVIRONMENTS = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
+"""Gymnasium-Robotics' and EnvPool's names of the environments, by task."""
 
 _SECONDS, _QUICK_SECONDS = 10.0, 0.2
-_LEARNT = 0.98  # success rate at which stable-baselines3 is stopped
+_SUCCESS = 0.98  # rate at which stable-baselines3 is stopped
 _MOST_STEPS = 60_000
+_POOLED = 64  # environments of EnvPool
+
+_TIME_ENVPOOL = """
+import json, sys, time
+import envpool
+import numpy as np
+
+name, num_envs, num_threads, least_seconds = json.loads(sys.argv[1])
+env = envpool.make_gymnasium(name, num_envs=num_envs, num_threads=num_threads, seed=0)
+shape, rng = (num_envs, *env.action_space.shape), np.random.default_rng(0)
+env.reset()
+taken, started = 0, time.perf_counter()
+while (seconds := time.perf_counter() - started) < least_seconds:
+    env.step(rng.uniform(-1.0, 1.0, shape).astype(env.action_space.dtype))
+    taken += num_envs
+print(json.dumps({"version": envpool.__version__, "env_steps_per_second": taken / seconds}))
+"""
 
 
-def peer_rows(task: str, quick: bool) -> Iterator[dict]:
+def peer_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Yields a row for each peer that is installed; but for JaxGCRL they run on the CPU, on any machine."""
-    cpu_peers: list[Callable[[str, bool], Iterator[dict]]] = [rollout_rows, gymnasium_rows, stable_baselines_rows]
+    cpu_peers: list[Callable[[str, bool], Iterator[dict[str, Any]]]] = [
+        rollout_rows,
+        gymnasium_rows,
+        envpool_rows,
+        stable_baselines_rows,
+    ]
     for peer in (jaxgcrl_rows, *cpu_peers):
-        cores = {"cpu_cores": os.cpu_count()} if peer in cpu_peers else {}
+        cores = {"cpu_cores": usable_cores()} if peer in cpu_peers else {}
         try:
             for row in peer(task, quick):
                 yield {"task": task, **row, **cores}
@@ -39,15 +65,16 @@ def peer_rows(task: str, quick: bool) -> Iterator[dict]:
             print(f"left out: {peer.__name__.removesuffix('_rows')} ({error})")
 
 
-def rollout_rows(task: str, quick: bool) -> Iterator[dict]:
+def rollout_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times C MuJoCo on this project's scene, in as many threads as there are cores, with random targets."""
-    threads = os.cpu_count() or 1
-    for substeps in (ACCURATE_SUBSTEPS, defaults(envs.find_class(task), "cpu").substeps):
+    threads = usable_cores()
+    for substeps in (ACCURATE_SUBSTEPS, default_substeps(task, "cpu")):
         rate = _rollout_rate(task, substeps, threads, 2 if quick else 50)
         yield {"what": f"mujoco.rollout, {threads} threads", "substeps": substeps, "env_steps_per_second": rate}
 
 
 def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float:
+    """Returns the environment steps per second of whole episodes, each of them one call."""
     from mujoco import rollout
 
     model, batch = load_scene(f"fetch/{task}"), 8 * threads
@@ -65,15 +92,13 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
     return batch * actions / seconds
 
 
-def gymnasium_rows(task: str, quick: bool) -> Iterator[dict]:
+def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times Gymnasium-Robotics' environment as its users step it, with random actions."""
     import gymnasium
     import gymnasium_robotics
 
-    from experiments.transfer.robots.reference import ENVIRONMENTS
-
     gymnasium.register_envs(gymnasium_robotics)
-    cores = os.cpu_count() or 1
+    cores = usable_cores()
     make = functools.partial(gymnasium.make, ENVIRONMENTS[task])
     sync, parallel = gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv
     for kind, count in ((sync, 1), (parallel, cores), (parallel, 8 * cores)):
@@ -88,15 +113,31 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict]:
         yield {"what": what, "substeps": ACCURATE_SUBSTEPS, "env_steps_per_second": taken / seconds}
 
 
-def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict]:
+def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
+    """Times EnvPool's environment with random actions, in as many threads as there are cores."""
+    if importlib.util.find_spec("envpool") is None:
+        raise ImportError("No module named 'envpool'")
+    threads, seconds = usable_cores(), _QUICK_SECONDS if quick else _SECONDS
+    asked = json.dumps([ENVIRONMENTS[task], _POOLED, threads, seconds])
+    # In a process of its own: it is linked with a MuJoCo of its own, of another version than the one loaded here.
+    command = [sys.executable, "-c", _TIME_ENVPOOL, asked]
+    said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    measured = json.loads(said.splitlines()[-1])
+    yield {
+        "what": f"EnvPool {measured['version']} {ENVIRONMENTS[task]}, {threads} threads",
+        "num_envs": _POOLED,
+        "substeps": ACCURATE_SUBSTEPS,
+        "env_steps_per_second": measured["env_steps_per_second"],
+    }
+
+
+def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times stable-baselines3's SAC with HER on the reference, to a success rate of .98 in 100 episodes; reach only."""
     if task != "reach":
         return
     import gymnasium
     import gymnasium_robotics
     import stable_baselines3 as sb3
-
-    from experiments.transfer.robots.reference import ENVIRONMENTS
 
     gymnasium.register_envs(gymnasium_robotics)
     env, test = gymnasium.make(ENVIRONMENTS[task]), gymnasium.make(ENVIRONMENTS[task])
@@ -112,7 +153,7 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict]:
         device="cpu",
     )
     step, seconds, success = 150 if quick else 1000, 0.0, 0.0
-    while success < _LEARNT and learner.num_timesteps < (step if quick else _MOST_STEPS):
+    while success < _SUCCESS and learner.num_timesteps < (step if quick else _MOST_STEPS):
         started = time.perf_counter()
         learner.learn(step, reset_num_timesteps=False)
         seconds += time.perf_counter() - started
@@ -126,7 +167,7 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict]:
     }
 
 
-def _evaluate(learner, env, episodes: int) -> float:
+def _evaluate(learner: Any, env: Any, episodes: int) -> float:
     """Returns the share of episodes whose last step is a success, with the mean action."""
     successes = []
     for seed in range(episodes):
@@ -140,12 +181,12 @@ def _evaluate(learner, env, episodes: int) -> float:
     return float(np.mean(successes))
 
 
-def jaxgcrl_rows(task: str, quick: bool) -> Iterator[dict]:
+def jaxgcrl_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times JaxGCRL's arm task that resembles ours, 25 × 2 ms an action on MJX-JAX, stepped as ours is."""
-    env = _load_jaxgcrl(*{"reach": ("arm_reach", "ArmReach"), "grasp": ("arm_grasp", "ArmGrasp")}[task])
+    env = _make_jaxgcrl(*{"reach": ("arm_reach", "ArmReach"), "grasp": ("arm_grasp", "ArmGrasp")}[task])
 
-    def step(states, actions):
-        def act(states, actions):
+    def step(states: envs.State, actions: jax.Array) -> jax.Array:
+        def act(states: envs.State, actions: jax.Array) -> tuple[envs.State, None]:
             return jax.vmap(env.step)(states, actions), None
 
         return jax.lax.scan(act, states, actions)[0].obs
@@ -160,13 +201,9 @@ def jaxgcrl_rows(task: str, quick: bool) -> Iterator[dict]:
         yield {"what": what, "num_envs": num_envs, "substeps": env.n_frames, "env_steps_per_second": rate}
 
 
-def _load_jaxgcrl(module: str, name: str) -> Any:
-    spec = importlib.util.find_spec("jaxgcrl")
-    if spec is None or not spec.submodule_search_locations:
-        raise ImportError("No module named 'jaxgcrl'")
-    folder = Path(spec.submodule_search_locations[0])
-    for package in ("jaxgcrl", "jaxgcrl.envs", "jaxgcrl.envs.manipulation"):  # without what these import to train
-        sys.modules[package] = types.ModuleType(package)
-        sys.modules[package].__path__ = [str(folder.joinpath(*package.split(".")[1:]))]
-    with contextlib.chdir(folder):  # where the paths of its assets start
-        return getattr(importlib.import_module(f"jaxgcrl.envs.manipulation.{module}"), name)()
+def _make_jaxgcrl(module: str, name: str) -> Any:
+    """Makes an environment of JaxGCRL."""
+    package = importlib.import_module("jaxgcrl")
+    environment = getattr(importlib.import_module(f"jaxgcrl.envs.manipulation.{module}"), name)
+    with contextlib.chdir(Path(package.__path__[0])):  # its scenes' paths start there
+        return environment()

@@ -48,7 +48,8 @@ def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
 def _measure(workload: Workload, seeds: int, devices: int) -> dict[str, Any]:
     """Times a round of so many seeds, each in `workload.num_envs` environments, on so many devices."""
     mesh = make_mesh(seeds, workload.num_envs, jax.devices()[:devices])
-    training = Training(dataclasses.replace(workload, worlds=seeds * workload.num_envs // devices), seeds, mesh)
+    workload = dataclasses.replace(workload, worlds=seeds * workload.num_envs // devices)
+    training = Training(workload, seeds, mesh)
     phases = training.updates()
     seconds = training.seconds(*phases)
     return {

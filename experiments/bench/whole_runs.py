@@ -1,4 +1,4 @@
-"""Measures whole runs of run.py, each in a process of its own: compilation, and the time to a success rate."""
+"""Measures whole runs of `hgail train`, each in a process of its own: compilation, and the time to a success rate."""
 
 import csv
 import json
@@ -6,60 +6,53 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from hgail_jax.trainer.provenance import own_command
 
-_RUN = Path(__file__).parent / "run.py"
 SUCCESS = {"reach": 0.98, "grasp": 0.95}
 """The success rate that every seed is to reach, by task."""
 
-
-def _run(
-    folder: Path, arguments: list[str], programs: Path, kernels: Path | None = None
-) -> tuple[dict, list[dict[str, str]]]:
-    """Runs run.py, its output shown, and returns its summary and the rows of metrics.csv.
-
-    It finds compiled programs in the cache `programs`, and MuJoCo Warp's kernels in `kernels` or in the user's cache.
-    """
-    command = [sys.executable, str(_RUN), *arguments, "--out", str(folder)]
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
-    own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH", own_cache / "warp"))
-    subprocess.run(command, check=True, env=environment | {"XDG_CACHE_HOME": str(programs)})
-    with (folder / "metrics.csv").open() as file:
-        return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
+_TRAIN = (sys.executable, "-m", "hgail_jax.cli.train")
+_QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
 
 
-def _made_by(summary: dict) -> dict:
-    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "versions")}
-
-
-def measure_compilation(task: str, arguments: list[str]) -> tuple[dict, dict]:
+def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """Compiles the program that a run trains with three times; returns a row and what made it.
 
     The totals are those of whole runs without rounds, and hold the compilation of the final evaluation too.
 
     At `first` nothing is cached; MuJoCo Warp then compiles its kernels when the program first runs, so that they count
     in the total alone. At `cold` they are there and the program is not, at `cached` both are.
+
+    Args:
+      task: what is trained.
+      options: further ones of `hgail train`.
+      quick: whether to take the smallest sizes.
+
     """
+    arguments = ["--task", task, "--iterations", "0", *(_QUICK if quick else ()), *options]
     with tempfile.TemporaryDirectory() as name:
         folder, measured = Path(name), dict[str, Any](task=task)
         for run, programs in (("first", "of-first"), ("cold", "of-others"), ("cached", "of-others")):
-            call = ["--task", task, "--iterations", "0", *arguments]
-            summary, _ = _run(folder / run, call, folder / programs, folder / "kernels")
+            summary, _ = _train(folder / run, arguments, folder / programs, folder / "kernels")
             measured[f"{run}_compile_seconds"] = summary["wall_seconds"]["compile"]
             measured[f"{run}_total_seconds"] = summary["wall_seconds"]["total"]
-    return measured, _made_by(summary)
+    return measured | _given(options), _made_by(summary)
 
 
-def measure_time_to_success(task: str, arguments: list[str]) -> tuple[dict, dict]:
-    """Trains by default; returns when every seed had the success rate wanted in one evaluation, and what made it."""
+def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Trains by default; returns when every seed had the success rate wanted in one evaluation, and what made it.
+
+    See `measure_compilation` for the arguments.
+    """
+    arguments = ["--task", task, *(_QUICK if quick else ()), *options]
     with tempfile.TemporaryDirectory() as folder:
-        summary, rows = _run(Path(folder) / "run", ["--task", task, *arguments], Path(folder) / "programs")
+        summary, rows = _train(Path(folder) / "run", arguments, Path(folder) / "programs")
     seconds, steps = first_success(rows, SUCCESS[task])
-    return {
+    measured = {
         "task": task,
         "seeds": summary["seeds"],
         "wanted": SUCCESS[task],
@@ -71,7 +64,8 @@ def measure_time_to_success(task: str, arguments: list[str]) -> tuple[dict, dict
         "train_env_steps_per_second": summary["env_steps_per_second"],
         "final_success_mean": summary["success_rate"]["mean"],
         "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
-    }, _made_by(summary)
+    }
+    return measured | _given(options), _made_by(summary)
 
 
 def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
@@ -89,3 +83,27 @@ def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | No
         if all(float(row["success_rate"] or 0.0) >= wanted for row in seeds):
             return float(seeds[0]["seconds"]), int(seeds[0]["env_steps"])
     return None, None
+
+
+def _train(
+    folder: Path, arguments: Sequence[str], programs: Path, kernels: Path | None = None
+) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """Trains, its output shown, and returns the run's summary and the rows of metrics.csv.
+
+    It finds compiled programs in the cache `programs`, and MuJoCo Warp's kernels in `kernels` or in the user's cache.
+    """
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
+    own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH", own_cache / "warp"))
+    environment["XDG_CACHE_HOME"] = str(programs)
+    subprocess.run([*_TRAIN, *arguments, "--out", str(folder)], check=True, env=environment)
+    with (folder / "metrics.csv").open() as file:
+        return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
+
+
+def _given(options: Sequence[str]) -> dict[str, str]:
+    return {"options": " ".join(options)} if options else {}
+
+
+def _made_by(summary: dict[str, Any]) -> dict[str, Any]:
+    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "versions")}

@@ -64,9 +64,7 @@ class Workload:
         """Returns what the task is trained with by default, in roll-outs of `num_envs` episodes."""
         preset = default_preset(self.task)
         quick = _QUICK_CONFIG if self.quick else {}
-        return dataclasses.replace(
-            preset, config=dataclasses.replace(preset.config, num_envs=self.num_envs, **quick)
-        )
+        return dataclasses.replace(preset, config=dataclasses.replace(preset.config, num_envs=self.num_envs, **quick))
 
     def actions(self) -> jax.Array:
         """Returns random actions, `[T, N, action_size]`."""

@@ -27,7 +27,7 @@ class Options:
     figure: tuple[Literal[3, 4, 5, 6, 7], ...] = ()
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
     ablations: bool = False
-    """One table of all ablations."""
+    """A table of all ablations, and one of rewards that are not standardised."""
     all: bool = False
     """Everything that the paper has on the task: all of the above on reach, table 1 on grasp."""
     longer: bool = True
@@ -65,7 +65,7 @@ def plan(options: Options, platform: str) -> Work:
             (options.all and study in everything)
             or study.table in options.table
             or study.figure in options.figure
-            or (options.ablations and study.name == "ablations")
+            or (options.ablations and study.table is None and study.figure is None)
         )
     )
     if not (wanted or options.sweep or options.plots_only):

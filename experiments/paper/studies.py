@@ -105,6 +105,12 @@ _METHODS = Study(
             for weight in (3.0, 10.0)  # of the method's 1
         ),
         Setting("GASIL, ties by distance", _VARIANTS, method="gasil", hyperparameters={"ties_by_distance": True}),
+        Setting(
+            "GASIL, half of the reward the environment's",
+            _VARIANTS,
+            method="gasil",
+            hyperparameters={"environment_reward": 0.5},
+        ),
         Setting("HGAIL, no pre-training", _VARIANTS, config={"pretrain": False}),
     ),
     table=1,
@@ -169,7 +175,17 @@ _ABLATIONS = Study(
         ),
     ),
 )
-STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS)
+_RAW = {"standardize_reward": False}
+_STANDARDIZATION = Study(
+    "standardization",
+    "rewards as they are",
+    (
+        Setting("PPO, raw reward", "PPO", method="ppo", hyperparameters=_RAW),
+        Setting("PPO, raw reward", "PPO, 10 times the steps", method="ppo", hyperparameters=_RAW, steps=10),
+        *_both(*(Setting(f"{name}, raw", hyperparameters={"reward": form} | _RAW) for name, form in REWARDS.items())),
+    ),
+)
+STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _STANDARDIZATION)
 """Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}
 """Titles by the paper's number."""

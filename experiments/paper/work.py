@@ -16,7 +16,7 @@ from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
 from hgail_jax.recording import load_or_record, make_for_demonstrations
-from hgail_jax.trainer.checkpoint import refuse_another_run
+from hgail_jax.trainer.identity import refuse_another_run
 from hgail_jax.trainer.provenance import provenance
 
 

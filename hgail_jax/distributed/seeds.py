@@ -101,8 +101,8 @@ def compile_train_step(
 ) -> SeedsStep:
     """Compiles `train_step` for all seeds at once. The step consumes the states that it is given.
 
-    With a mesh of several devices each runs its part, see `hgail_jax.distributed.sharding`. The step then takes states that
-    `shard` placed, and every process can read its metrics.
+    With a mesh of several devices each runs its part, see `hgail_jax.distributed.sharding`. The step then takes states
+    that `shard` placed, and every process can read its metrics.
 
     On a GPU it compiles without autotuning and at a low optimisation level: the program is thousands of small kernels,
     and on an H200 this took a third off the compilation and nothing off the speed.
@@ -152,7 +152,7 @@ def _compiler_options() -> dict[str, Any] | None:
 
 
 def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
-    def step(axis, states, phases):
+    def step(axis: str | None, states: TrainState, phases: jax.Array) -> tuple[TrainState, RoundMetrics]:
         return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
 
     return _jit_over_seeds(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
@@ -200,13 +200,13 @@ def evaluate_seeds(
     """
     accurate, rollouts = env.accurate(), evaluation_episodes(config, num_episodes) // config.num_envs
 
-    def measure(axis, states):
-        def roll_out(state, rng):
+    def measure(axis: str | None, states: TrainState) -> tuple[EpisodeMetrics, jax.Array]:
+        def roll_out(state: TrainState, rng: jax.Array) -> tuple[EpisodeMetrics, jax.Array]:
             policy = make_policy(accurate, config, state, noise=0.0, axis=axis)
             trajectory = rollout(accurate, policy, rng, config.num_envs, probe=True, axis=axis)
             return mean_outcome(trajectory), trajectory.overflow.any()
 
-        def of_seed(state):
+        def of_seed(state: TrainState) -> tuple[EpisodeMetrics, jax.Array]:
             rngs = jax.random.split(split_key(state.rng).final_evaluation, rollouts)
             outcomes, overflow = jax.lax.map(functools.partial(roll_out, state), rngs)
             return jax.tree.map(jnp.mean, outcomes), overflow.any()

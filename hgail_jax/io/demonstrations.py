@@ -47,7 +47,7 @@ class Demonstrations:
     made_by: dict = dataclasses.field(default_factory=dict)
     """What else the header says: controller, seed, physics, versions."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in _STEPS + _EPISODES:
             array = getattr(self, name)
             if array.dtype != np.float32 or not np.isfinite(array).all():

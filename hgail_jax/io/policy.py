@@ -51,7 +51,7 @@ class MeanPolicy:
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
         if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays):
             raise ValueError("not all of its arrays are finite float32 numbers")

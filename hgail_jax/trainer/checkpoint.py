@@ -17,6 +17,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from hgail_jax.distributed.sharding import is_first_process
+from hgail_jax.trainer.identity import AnotherRunError, as_json, refuse_another_run
 
 SCHEMA = 1
 """Version of what a checkpoint holds; one of another schema is refused."""
@@ -26,10 +27,6 @@ KEPT = 3
 
 # Orbax logs, over hundreds of lines, each error that it then raises, and which here is said in one.
 logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
-
-
-class AnotherRunError(ValueError):
-    """What is there belongs to another run; the message says in what they differ."""
 
 
 class Checkpoint(NamedTuple):
@@ -62,7 +59,7 @@ class Checkpoints:
         self.folder = Path(folder).resolve()
         self.saved: int | None = None
         """Rounds done in the checkpoint saved last or restored."""
-        self._run = _plain(run)
+        self._run = as_json(run)
         self._scores: dict[str, list[float]] = {}  # by rounds done
         self._manager: ocp.CheckpointManager | None = None
 
@@ -102,7 +99,7 @@ class Checkpoints:
         if not is_first_process():
             self.saved = rounds
             return
-        body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": _plain(record)}
+        body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": as_json(record)}
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
         with self._one_error():
             if self._manager is None:
@@ -242,24 +239,6 @@ class _LastAndBest:
         return [info is best or info in last for info in checkpoints]
 
 
-def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
-    """Raises an AnotherRunError that names the first entry in which two nested dicts, of JSON's types, differ."""
-    difference = _difference(there, _plain(here))
-    if difference is not None:
-        name, of_there, of_here = difference
-        raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
-
-
-def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
-    if not (isinstance(there, dict) and isinstance(here, dict)):
-        return None if there == here else (name, there, here)
-    for key in [*here, *(key for key in there if key not in here)]:
-        found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)
-        if found is not None:
-            return found
-    return None
-
-
 def _raw(state: Any) -> Any:
     """Replaces PRNG keys by their numbers."""
     return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, state)
@@ -280,7 +259,7 @@ def _to_arrays(state: Any) -> dict[str, np.ndarray]:
 
 
 def _from_arrays(arrays: dict[str, np.ndarray], template: Any) -> Any:
-    def place(leaf, array):
+    def place(leaf: Any, array: np.ndarray) -> jax.Array:
         value = jax.random.wrap_key_data(array) if _is_key(leaf) else array
         return jax.device_put(value, getattr(leaf, "sharding", None), may_alias=False)
 
@@ -296,11 +275,6 @@ def _describe(array: np.ndarray) -> dict:
 
 def _hash_json(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(content: Any) -> Any:
-    """Returns `content` as JSON gives it back: tuples are lists, keys are text."""
-    return json.loads(json.dumps(content))
 
 
 def _reason(error: BaseException) -> str:

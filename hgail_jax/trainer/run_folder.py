@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from hgail_jax.trainer.checkpoint import refuse_another_run
+from hgail_jax.trainer.identity import refuse_another_run
 
 
 def next_folder(parent: Path, stem: str) -> Path:

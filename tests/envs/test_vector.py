@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import envs
+from envs.point import Point
 from envs.vector import GoalVectorEnv
 
 TASK = envs.make("point")
@@ -77,7 +78,7 @@ def same(left, right):
 def test_an_episode_is_the_task_s():
     vector = GoalVectorEnv(TASK, NUM_ENVS)
     observation, _ = vector.reset(seed=11)
-    states = [TASK.reset(jax.random.key(11 + index)) for index in range(NUM_ENVS)]
+    states = [TASK.reset(jax.random.split(jax.random.key(11 + index))[1]) for index in range(NUM_ENVS)]
     action = np.array([0.4, -0.2, 2.0], np.float32)
     for _ in range(4):
         np.testing.assert_allclose(
@@ -101,6 +102,41 @@ def test_episodes_differ_and_a_reset_goes_on():
     np.testing.assert_array_equal(vector.reset(seed=[1, 2, 3])[0]["desired_goal"], first)
 
 
+class Keyed(Point):
+    """A start and a goal made of whatever can be drawn from their keys, and from those that these are split into."""
+
+    feature_size = goal_size = 7
+
+    def draws(self, rng):
+        keys = [rng, *jax.random.split(rng)]
+        keys += [key for half in keys[1:] for key in jax.random.split(half)]
+        return jnp.stack([jax.random.uniform(key) for key in keys])
+
+    def reset_physics(self, rng):
+        return self.draws(rng)
+
+    def sample_goal(self, rng, physics):
+        return self.draws(rng)
+
+
+def test_no_key_is_used_in_two_episodes():
+    """Nor one that an episode's keys are split into, where a task's reset splits them further."""
+    vector, seen = GoalVectorEnv(Keyed(), NUM_ENVS), []
+    for episode in range(4):
+        observation, _ = vector.reset(seed=0) if episode == 0 else vector.reset()
+        seen += [observation["observation"], observation["desired_goal"]]
+    assert len(np.unique(seen)) == np.size(seen) == 4 * NUM_ENVS * 14
+
+
+def test_the_episode_after_a_time_limit_is_that_after_a_reset():
+    vector, other = GoalVectorEnv(TASK, NUM_ENVS), GoalVectorEnv(TASK, NUM_ENVS)
+    for one in (vector, other):
+        one.reset(seed=4)
+    for _ in range(TASK.episode_length + 1):
+        observation, *_ = vector.step(np.zeros((NUM_ENVS, 3)))
+    same(observation, other.reset()[0])
+
+
 def test_rewards_of_relabelled_goals():
     vector = GoalVectorEnv(TASK, NUM_ENVS)
     achieved = np.zeros((2, 3), np.float32)
@@ -111,6 +147,11 @@ def test_rewards_of_relabelled_goals():
 def test_misuse_is_refused():
     with pytest.raises(ValueError, match="num_envs is 0"):
         GoalVectorEnv(TASK, 0)
+    few = Point()
+    few.max_worlds = 2
+    GoalVectorEnv(few, 2)
+    with pytest.raises(ValueError, match="num_envs is 3; the task was made for 2"):
+        GoalVectorEnv(few, 3)
     vector = GoalVectorEnv(TASK, NUM_ENVS)
     with pytest.raises(gymnasium.error.ResetNeeded):
         vector.step(np.zeros((NUM_ENVS, 3)))

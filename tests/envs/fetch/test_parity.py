@@ -1,4 +1,6 @@
-"""The MJX scene against Gymnasium-Robotics' FetchReach-v4 on C MuJoCo."""
+"""The scene of reach, on C MuJoCo and on MJX-JAX, against Gymnasium-Robotics' FetchReach-v4."""
+
+import functools
 
 import gymnasium
 import gymnasium_robotics
@@ -30,12 +32,17 @@ def reference():
 
 @pytest.fixture(scope="module")
 def reach():
-    return envs.make("reach")
+    return envs.make("reach", impl="c")
+
+
+@functools.cache
+def compiled_step(impl, substeps):
+    return jax.jit(jax.vmap(envs.make("reach", impl=impl, substeps=substeps).step))
 
 
 @pytest.fixture(scope="module")
-def step(reach):
-    return jax.jit(jax.vmap(reach.step))
+def step():
+    return compiled_step("c", 20)
 
 
 @pytest.fixture(scope="module")
@@ -81,31 +88,27 @@ def put(reach, state, joints, qpos, qvel):
     return state.replace(pipeline_state=physics)
 
 
-def test_one_step_displacement(reach, step, start, joints, transitions, record_property):
-    errors = []
+# MJX leaves out how the weld's Jacobian changes in time, hence its wider bounds.
+@pytest.mark.parametrize(("impl", "median_mm", "percentile_mm"), [("c", 0.2, 0.4), ("jax", 0.5, 1.5)])
+def test_one_step_displacement(reach, start, joints, transitions, impl, median_mm, percentile_mm):
+    step, errors = compiled_step(impl, 20), []
     for part in range(3):
         qpos, qvel, action, before, after = (column[part * BATCH : (part + 1) * BATCH] for column in transitions)
         state = put(reach, start, joints, qpos, qvel)
         np.testing.assert_allclose(state.pipeline_state.gripper_position, before, atol=1e-4)
         ours = np.asarray(step(state, action).info["achieved_goal"])
         errors.append(np.linalg.norm((ours - before) - (after - before), axis=-1))
-    millimetres = 1000 * np.concatenate(errors)
-    median, percentile = np.median(millimetres), np.percentile(millimetres, 99)
-    record_property("one_step_error_mm", f"median {median:.3f}, 99th percentile {percentile:.3f}")
-    print(f"one step: median {median:.3f} mm, 99th percentile {percentile:.3f} mm, worst {millimetres.max():.3f} mm")
-    assert median <= 0.5
-    assert percentile <= 1.5
+    median, percentile = 1000 * np.percentile(np.concatenate(errors), [50, 99])
+    print(f"one step on {impl}: median {median:.3f} mm, 99th percentile {percentile:.3f} mm")
+    assert median <= median_mm
+    assert percentile <= percentile_mm
 
 
-@pytest.mark.parametrize(("substeps", "bound_mm"), [(20, 25.0), (4, 40.0)], ids=["accurate", "fast"])
-def test_open_loop_drift(reference, reach, step, start, substeps, bound_mm, record_property):
+@pytest.mark.parametrize(("impl", "substeps", "bound_mm"), [("c", 20, 15.0), ("c", 4, 30.0), ("jax", 20, 25.0)])
+def test_open_loop_drift(reference, start, impl, substeps, bound_mm):
     """Fifty random actions from the reset pose without feedback; smooth ones, so that the gripper travels."""
-    if substeps != 20:
-        fast = envs.make("reach", substeps=substeps)
-        step = jax.jit(jax.vmap(fast.step))
-    rng = np.random.default_rng(1)
+    rng, step, state = np.random.default_rng(1), compiled_step(impl, substeps), start
     actions = np.repeat(rng.uniform(-1, 1, (10, BATCH, 4)), 5, axis=0).astype(np.float32)
-    state = start
     for action in actions:
         state = step(state, action)
     ends = []
@@ -115,8 +118,7 @@ def test_open_loop_drift(reference, reach, step, start, substeps, bound_mm, reco
             reference.step(action)
         ends.append(gripper(reference))
     drift = 1000 * np.linalg.norm(np.asarray(state.info["achieved_goal"])[:EPISODES] - np.stack(ends), axis=-1)
-    record_property(f"drift_{substeps}_substeps_mm", f"median {np.median(drift):.1f}, worst {drift.max():.1f}")
-    print(f"50 steps open loop, {substeps} substeps: median {np.median(drift):.1f} mm, worst {drift.max():.1f} mm")
+    print(f"50 steps open loop on {impl}, {substeps} substeps: median {np.median(drift):.1f} mm")
     assert np.median(drift) <= bound_mm
 
 

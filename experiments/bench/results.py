@@ -1,0 +1,87 @@
+"""The file of measurements, rows of quantities, and how rows are printed."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from hgail_jax.io.files import write_json
+
+_SAME = (
+    "section",
+    "task",
+    "impl",
+    "num_envs",
+    "substeps",
+    "seeds",
+    "num_envs_per_seed",
+    "devices",
+    "what",
+    "options",
+    "quick",
+)
+"""Entries that tell rows apart; a row that agrees with an older one in these, and its device, takes its place."""
+
+
+class Results:
+    """The rows in a JSON file; each is written as soon as it is there.
+
+    Args:
+      path: the file, which need not exist; its folder is made.
+
+    Raises:
+      ValueError: the file is there and is not one of measurements.
+      OSError: the folder cannot be made, or the file not be read.
+
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._rows: list[dict[str, Any]] = []
+        self.added: list[dict[str, Any]] = []
+        """The rows of this process."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            try:
+                self._rows = json.loads(path.read_text())["rows"]
+                for row in self._rows:
+                    _key(row)
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise ValueError(f"{path} is no file of measurements: {error!r}") from None
+
+    def add(self, row: dict[str, Any], made_by: dict[str, Any]) -> None:
+        """Adds a row, in place of an older one of the same.
+
+        Args:
+          row: quantities by name.
+          made_by: as from `provenance`.
+
+        """
+        self.added.append(row)
+        row = row | {"made_by": made_by}
+        self._rows = [old for old in self._rows if _key(old) != _key(row)] + [row]
+        write_json(self._path, {"rows": self._rows})
+
+
+def _key(row: dict[str, Any]) -> tuple:
+    """Returns what a row that takes its place agrees in."""
+    return *(row.get(name) for name in _SAME), json.dumps(row["made_by"]["device"], sort_keys=True)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Returns rows as text: a line for each quantity, a column for each row."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[name, *(_short(row.get(name, "")) for row in rows)] for name in names]
+    widths = [max(len(line[column]) for line in cells) for column in range(len(rows) + 1)]
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
+
+
+def _short(value: Any) -> str:
+    """Returns a number to three digits, anything else as it is.
+
+    >>> _short(1234567.8), _short(0.98765), _short(4)
+    ('1,230,000', '0.988', '4')
+    """
+    if not isinstance(value, float):
+        return str(value)
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if abs(rounded) >= 100 else f"{rounded:g}"

@@ -1,0 +1,53 @@
+"""The workarounds, and that what they work around does not come back."""
+
+import ctypes.util
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from envs import _platform
+from tests.support import ROOT
+
+
+def test_xla_flags_only_where_the_fault_is():
+    for version in ("0.7.2", "0.10.2"):
+        assert _platform.xla_flags("--a=1", version) == "--a=1 --xla_cpu_use_fusion_emitters=false"
+        assert _platform.thread_pool_size(2, version) == 8
+    for version in ("0.6.2", "0.11.2", "0.12.0.1"):
+        assert _platform.xla_flags("--a=1", version) == "--a=1"
+        assert _platform.thread_pool_size(2, version) is None
+    assert _platform.thread_pool_size(16, "0.10.2") is None
+
+
+def test_batched_cholesky_does_not_hang():
+    """Three factorisations at once, each large enough to be spread over XLA's threads."""
+    matrices = jnp.eye(13) * 2.0 + jnp.zeros((2000, 13, 13))
+
+    @jax.jit
+    def factorise(matrices):
+        return sum(jnp.linalg.cholesky(matrices + shift * jnp.eye(13)).sum() for shift in (0.0, 1.0, 2.0))
+
+    expected = 2000 * 13 * sum(np.sqrt([2.0, 3.0, 4.0]))
+    assert float(factorise(matrices)) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_cpu_dispatches_in_order():
+    """Callbacks into C MuJoCo and asynchronous dispatch can wait for one another for ever."""
+    assert not jax.config.read("jax_cpu_enable_async_dispatch")
+
+
+@pytest.mark.parametrize("modules", ["envs", "mujoco, envs", "hgail_jax.cli.play"])
+def test_without_a_display_mujoco_renders_with_what_is_there(modules):
+    backend = _platform.headless_backend(ctypes.util.find_library)
+    if sys.platform != "linux" or backend is None:
+        pytest.skip("neither EGL nor OSMesa")
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    code = f"import {modules}; from mujoco.rendering.classic import gl_context; print(gl_context.GLContext.__module__)"
+    environment["PYTHONPATH"] = str(ROOT)
+    printed = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert f"mujoco.{backend}" in printed.stdout

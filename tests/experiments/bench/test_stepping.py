@@ -1,0 +1,54 @@
+"""The engine's own loops do the work that the task's steps do."""
+
+import jax
+import numpy as np
+import pytest
+from mujoco import rollout
+
+from envs.engines.c import usable_cores
+from experiments.bench import stepping
+from experiments.bench.bare_loops import mjx_loop, rollout_loop
+from experiments.bench.workload import Workload
+
+ARM = slice(3, 11)  # joints that move; the base stands, and reach puts its fingers back after each action
+
+
+def run_both(task, impl, substeps):
+    """Start, end by the task's steps, and end by the engine's own loop: positions `[N, nq]`."""
+    workload = Workload(task, impl, num_envs=3, substeps=substeps, quick=True)
+    states, engine = workload.reset(), workload.env.engine
+    ends, controls = jax.jit(stepping.step_task, static_argnums=0)(workload.env, states, workload.actions())
+    start = states.pipeline_state
+    if impl == "c":
+        with rollout.Rollout(nthread=usable_cores()) as pool:
+            bare = rollout_loop(engine, pool, start, controls)()
+    else:
+        bare = mjx_loop(engine, start, controls)()
+    return np.asarray(start.qpos), np.asarray(ends.pipeline_state.qpos), np.asarray(bare)
+
+
+def test_the_loop_of_c_mujoco_ends_where_the_task_does():
+    start, end, bare = run_both("grasp", "c", substeps=8)
+    assert np.ptp(end - start, axis=0).max() > 0.01, "the environments are to do different things"
+    np.testing.assert_allclose(bare, end, atol=1e-6)  # radians and metres; the task rounds to single precision
+
+
+def test_the_loop_of_c_mujoco_moves_the_arm_as_reach_does():
+    start, end, bare = run_both("reach", "c", substeps=4)
+    assert np.abs(end - start)[:, ARM].max() > 0.1
+    np.testing.assert_allclose(bare[:, ARM], end[:, ARM], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_loop_of_mjx_ends_where_the_task_does():
+    start, end, bare = run_both("grasp", "jax", substeps=8)
+    assert np.ptp(end - start, axis=0).max() > 0.01
+    np.testing.assert_allclose(bare, end, atol=1e-4)
+
+
+def test_what_is_measured_of_c_mujoco_has_its_bare_loop(monkeypatch):
+    monkeypatch.setattr("experiments.bench.timing._MOST_CALLS", 1)
+    measured = stepping.measure_stepping(Workload("reach", "c", num_envs=2, substeps=4, quick=True))
+    assert measured["raw_to_bare"] == (
+        measured["raw_env_steps_per_second"] / measured["bare_rollout_env_steps_per_second"]
+    )

@@ -1,0 +1,237 @@
+"""Breaks the learning core, one small change at a time, and tells which changes no test notices.
+
+    python -m tests.mutants [module ...] [--sample N] [--seed S]
+
+A module is named by its path less the suffix, e.g. `hgail_jax/ppo`. Each mutant runs in a process of its own, forked
+from this one, which has imported the libraries but started nothing of JAX.
+"""
+
+import argparse
+import ast
+import contextlib
+import copy
+import importlib.abc
+import importlib.util
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parent.parent
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))  # as in conftest.py
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+os.environ.setdefault("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+
+TIMEOUT = 120.0  # seconds
+SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
+EXPERTS, GOALS, PPO = "tests/hgail_jax/test_experts.py", "tests/envs/test_goals.py", "tests/hgail_jax/test_ppo.py"
+ROLLOUT, TRAIN = "tests/hgail_jax/test_rollout.py", "tests/hgail_jax/test_train.py"
+
+TESTS = {
+    "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
+    "hgail_jax/samples": [SAMPLES, UPDATES],
+    "hgail_jax/experts": [SAMPLES, EXPERTS],
+    "hgail_jax/rewards": ["tests/hgail_jax/test_rewards.py", UPDATES],
+    "hgail_jax/ppo": [PPO, UPDATES],
+    "hgail_jax/discriminator": ["tests/hgail_jax/test_discriminator.py", UPDATES],
+    "hgail_jax/networks": [PPO, UPDATES, LEARNING],
+    "hgail_jax/updates": [UPDATES, LEARNING],
+    "hgail_jax/train": [UPDATES, LEARNING, TRAIN],
+    "hgail_jax/rollout": [SAMPLES, ROLLOUT, UPDATES],
+    "hgail_jax/evaluate": [SAMPLES, UPDATES],
+    "hgail_jax/state": [UPDATES, LEARNING],
+    "hgail_jax/methods": [LEARNING, EXPERTS],
+    "envs/base": [GOALS, SAMPLES],
+    "envs/point": [GOALS, SAMPLES],
+    "envs/fetch/reach": [GOALS, "tests/hgail_jax/test_presets.py"],
+    "envs/fetch/grasp": [GOALS, "tests/hgail_jax/test_presets.py"],
+}
+"""What is run for a module, the quickest first."""
+
+EQUIVALENT: dict[tuple[str, str], str] = {}
+"""Mutants that change no behaviour: module and changed line, and why."""
+
+_SWAPS = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
+    ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn,
+    ast.NotIn: ast.In, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE,
+    ast.LtE: ast.Gt,
+}  # fmt: skip
+_BOUNDARIES = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
+_NAMES = {"minimum": "maximum", "min": "max", "argmin": "argmax", "any": "all", "zeros_like": "ones_like"}
+_NAMES |= {other: name for name, other in _NAMES.items()}
+_NOT_CODE = {"annotation", "returns", "decorator_list", "type_params"}
+_CHECKS = {"__post_init__", "validate", "_check"}
+
+
+class Mutant(NamedTuple):
+    """A module with one change."""
+
+    module: str
+    line: int
+    text: str
+    """The changed line."""
+    source: str
+
+
+def mutants(module: str) -> list[Mutant]:
+    """Returns all mutants of a module, in the order of its lines."""
+    source = (ROOT / f"{module}.py").read_bytes()
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    found = {}
+    for node in _code(ast.parse(source)):
+        for change in _changes(node):
+            start, end = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+            changed = (source[:start] + change.encode() + source[end:]).decode()
+            found[changed] = Mutant(module, node.lineno, changed.splitlines()[node.lineno - 1].strip(), changed)
+    return sorted(found.values(), key=lambda mutant: mutant.line)
+
+
+def _code(node: ast.AST) -> Iterator[ast.AST]:
+    """Yields what is below a node, less types, messages, documentation and checks of what comes from outside."""
+    for name, value in ast.iter_fields(node):
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST) and name not in _NOT_CODE and not _is_text(child):
+                yield child
+                yield from _code(child)
+
+
+def _is_text(node: ast.AST) -> bool:
+    match node:
+        case ast.Raise() | ast.JoinedStr() | ast.Expr(value=ast.Constant()) | ast.Import() | ast.ImportFrom():
+            return True
+        case ast.FunctionDef(name=name):
+            return name in _CHECKS
+        case ast.Assign(value=ast.Subscript(value=ast.Name(id="Callable"))) | ast.Call(func=ast.Name(id="isinstance")):
+            return True
+    return False
+
+
+def _changes(node: ast.AST) -> Iterator[str]:
+    """Yields what may stand in a node's place."""
+
+    def but(**fields) -> str:
+        changed = copy.copy(node)
+        for name, value in fields.items():
+            setattr(changed, name, value)
+        return ast.unparse(changed)
+
+    match node:
+        case ast.BinOp(op=op) | ast.BoolOp(op=op) if type(op) in _SWAPS:
+            yield f"({but(op=_SWAPS[type(op)]())})"
+        case ast.Compare(ops=[op]):
+            for swaps in (_SWAPS, _BOUNDARIES):
+                if type(op) in swaps:
+                    yield f"({but(ops=[swaps[type(op)]()])})"
+        case ast.UnaryOp(op=ast.USub() | ast.Not() | ast.Invert(), operand=operand):
+            yield f"({ast.unparse(operand)})"
+        case ast.Constant(value=bool(value)):
+            yield str(not value)
+        case ast.Constant(value=int(value)):
+            yield str({0: 1, 1: 0}.get(value, value + 1 if value < 10 else 2 * value))
+        case ast.Constant(value=float(value)):
+            yield str({0.0: 1.0, 1.0: 0.0}.get(value, 2.0 * value))
+        case ast.Name(id=name) if name in _NAMES:
+            yield _NAMES[name]
+        case ast.Attribute(attr=name) if name in _NAMES:
+            yield but(attr=_NAMES[name])
+        case ast.Call(func=function, args=args, keywords=keywords):
+            if ast.unparse(function) == "jnp.where":
+                yield but(args=[args[0], args[2], args[1]])
+            for index, keyword in enumerate(keywords):
+                if keyword.arg is not None:
+                    yield but(keywords=keywords[:index] + keywords[index + 1 :])
+            for index, arg in enumerate(args):
+                other = args[(index + 1) % len(args)]
+                if all(isinstance(each, ast.Name | ast.Attribute) for each in (arg, other)) and other is not arg:
+                    yield but(args=[*args[:index], other, *args[index + 1 :]])
+
+
+class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Imports the mutant in its module's place."""
+
+    def __init__(self, mutant: Mutant):
+        self.name, self.path, self.source = mutant.module.replace("/", "."), f"{mutant.module}.py", mutant.source
+
+    def find_spec(self, name, path, target=None):
+        return importlib.util.spec_from_loader(name, self, origin=self.path) if name == self.name else None
+
+    def exec_module(self, module):
+        module.__file__ = str(ROOT / self.path)
+        exec(compile(self.source, self.path, "exec"), module.__dict__)
+
+
+def run(files: list[str], mutant: Mutant | None = None) -> str:
+    """Runs tests in a process of its own; returns "killed", "survived" or "timed out"."""
+    import pytest
+
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        quiet = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(quiet, 1)
+        os.dup2(quiet, 2)
+        code = 1
+        with contextlib.suppress(BaseException):
+            if mutant is not None:
+                import jax
+
+                jax.config.update("jax_persistent_cache_min_compile_time_secs", 1e9)  # mutants leave nothing behind
+                sys.meta_path.insert(0, _Mutated(mutant))
+            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *files]))
+        os._exit(code)
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return "survived" if status == 0 else "killed"
+        time.sleep(0.02)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return "timed out"
+
+
+def main() -> None:
+    """Reads the command line, runs the mutants and reports."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("modules", nargs="*", default=list(TESTS))
+    parser.add_argument("--sample", type=int, help="so many mutants in all, spread over the modules; default all")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    import brax.envs.base, brax.training.acme.running_statistics, flax.linen, jax, mujoco.mjx, optax, orbax.checkpoint, scipy.stats  # noqa: E401, E501, F401, I001
+
+    tests = {module: TESTS[module] for module in options.modules}
+    sound = {file: run([file]) == "survived" for file in dict.fromkeys(file for files in tests.values() for file in files)}
+    for file in (file for file, passes in sound.items() if not passes):
+        print(f"left out, fails without a mutant: {file}", flush=True)
+    chosen = [mutant for module in tests for mutant in mutants(module) if (module, mutant.text) not in EQUIVALENT]
+    if options.sample is not None:
+        picked = random.Random(options.seed).sample(range(len(chosen)), min(options.sample, len(chosen)))
+        chosen = [chosen[index] for index in sorted(picked)]
+    results = []
+    for mutant in chosen:
+        start = time.monotonic()
+        files = [file for file in tests[mutant.module] if sound[file]]
+        results.append((mutant, run(files, mutant)))
+        print(f"{results[-1][1]:9} {time.monotonic() - start:5.1f} s  {_at(mutant)}", flush=True)
+    print()
+    for module in (*tests, None):
+        ends = [end for mutant, end in results if module in (None, mutant.module)]
+        print(f"{module or 'in all':25} {len(ends) - ends.count('survived'):4} of {len(ends):4} killed")
+    print("\nSurvivors:")
+    for mutant in (mutant for mutant, end in results if end == "survived"):
+        print(_at(mutant))
+
+
+def _at(mutant: Mutant) -> str:
+    return f"{mutant.module}.py:{mutant.line}: {mutant.text[:160]}"
+
+
+if __name__ == "__main__":
+    main()
