@@ -70,7 +70,7 @@ def relabel(
 
 
 def _draw_future(rng: jax.Array, first: jax.Array, kind: jax.Array, kind_share: jax.Array) -> jax.Array:
-    """Draws for each step `j` a state from `first[j]` on: a kind among those ahead by its share, then one of its states.
+    """Draws a state for each step, from `first` on: a kind among those ahead by its share, then one of its states.
 
     Args:
       rng: a PRNG key.

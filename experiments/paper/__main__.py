@@ -13,6 +13,7 @@ from hgail_jax.distributed.seeds import check_seeds
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.run_folder import sole_user
 from hgail_jax.trainer.signals import stop_on_signal
+from hgail_jax.validation import check_name
 
 _PROGRAM = "paper"
 _QUICK_SEEDS = 2
@@ -26,8 +27,9 @@ class Options:
     """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
     figure: tuple[Literal[3, 4, 5, 6, 7], ...] = ()
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
-    ablations: bool = False
-    """A table of all ablations, and one of rewards that are not standardised."""
+    study: tuple[str, ...] = ()
+    """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
+    (of rewards), and those behind the tables and figures."""
     all: bool = False
     """Everything that the paper has on the task: all of the above on reach, table 1 on grasp."""
     longer: bool = True
@@ -56,6 +58,8 @@ def plan(options: Options, platform: str) -> Work:
     task = options.task or ("point" if options.quick else "reach")
     seeds = (_QUICK_SEEDS if options.quick else 8) if options.seeds is None else options.seeds
     check_seeds(0, seeds)
+    for name in options.study:
+        check_name("study", name, [study.name for study in STUDIES])
     everything = [study for study in STUDIES if task != "grasp" or study.table == 1]
     wanted = tuple(
         study
@@ -65,11 +69,11 @@ def plan(options: Options, platform: str) -> Work:
             (options.all and study in everything)
             or study.table in options.table
             or study.figure in options.figure
-            or (options.ablations and study.table is None and study.figure is None)
+            or study.name in options.study
         )
     )
     if not (wanted or options.sweep or options.plots_only):
-        raise ValueError("nothing to make; name a --table or --figure, or --ablations, --all, --sweep or --plots-only")
+        raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
     folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
     return Work(Scale(task, platform, options.quick), seeds, folder, wanted, options.sweep)
 

@@ -105,12 +105,6 @@ _METHODS = Study(
             for weight in (3.0, 10.0)  # of the method's 1
         ),
         Setting("GASIL, ties by distance", _VARIANTS, method="gasil", hyperparameters={"ties_by_distance": True}),
-        Setting(
-            "GASIL, half of the reward the environment's",
-            _VARIANTS,
-            method="gasil",
-            hyperparameters={"environment_reward": 0.5},
-        ),
         Setting("HGAIL, no pre-training", _VARIANTS, config={"pretrain": False}),
     ),
     table=1,
@@ -175,17 +169,37 @@ _ABLATIONS = Study(
         ),
     ),
 )
-_RAW = {"standardize_reward": False}
-_STANDARDIZATION = Study(
-    "standardization",
-    "rewards as they are",
+_GASIL = Study(
+    "gasil",
+    "GASIL with the environment's reward",
     (
-        Setting("PPO, raw reward", "PPO", method="ppo", hyperparameters=_RAW),
-        Setting("PPO, raw reward", "PPO, 10 times the steps", method="ppo", hyperparameters=_RAW, steps=10),
-        *_both(*(Setting(f"{name}, raw", hyperparameters={"reward": form} | _RAW) for name, form in REWARDS.items())),
+        Setting("GASIL", method="gasil"),
+        Setting(
+            "GASIL, half of its reward the environment's", method="gasil", hyperparameters={"environment_reward": 0.5}
+        ),
     ),
 )
-STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _STANDARDIZATION)
+
+
+def _raw_beside(*settings: Setting) -> tuple[Setting, ...]:
+    """Returns settings, and the same with rewards that are not standardised."""
+    raw = {"standardize_reward": False}
+    return settings + tuple(
+        dataclasses.replace(setting, name=f"{setting.name}, raw", hyperparameters=setting.hyperparameters | raw)
+        for setting in settings
+    )
+
+
+_STANDARDIZATION = Study(
+    "standardization",
+    "rewards standardised or raw",
+    _raw_beside(
+        Setting("PPO", "PPO", method="ppo"),
+        Setting("PPO", "PPO, 10 times the steps", method="ppo", steps=10),
+        *_both(*(Setting(name, hyperparameters={"reward": form}) for name, form in REWARDS.items())),
+    ),
+)
+STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
 """Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}
 """Titles by the paper's number."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
@@ -260,7 +261,7 @@ def _to_arrays(state: Any) -> dict[str, np.ndarray]:
 
 def _from_arrays(arrays: dict[str, np.ndarray], template: Any) -> Any:
     def place(leaf: Any, array: np.ndarray) -> jax.Array:
-        value = jax.random.wrap_key_data(array) if _is_key(leaf) else array
+        value = jax.random.wrap_key_data(jnp.asarray(array)) if _is_key(leaf) else array
         return jax.device_put(value, getattr(leaf, "sharding", None), may_alias=False)
 
     leaves, structure = jax.tree.flatten(template)

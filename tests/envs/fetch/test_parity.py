@@ -12,7 +12,8 @@ import pytest
 import envs
 from envs.fetch.arm import CONTROL_PERIOD
 
-BATCH = 128
+BATCH = 32
+PARTS = 12
 EPISODES = 8
 _NAMES = {
     "base_x": "slide0",
@@ -78,7 +79,7 @@ def transitions(reference):
             before = (data.qpos.copy(), data.qvel.copy(), action, gripper(reference))
             reference.step(action)
             rows.append((*before, gripper(reference)))
-    assert len(rows) == 3 * BATCH
+    assert len(rows) == PARTS * BATCH
     return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
@@ -92,7 +93,7 @@ def put(reach, state, joints, qpos, qvel):
 @pytest.mark.parametrize(("impl", "median_mm", "percentile_mm"), [("c", 0.2, 0.4), ("jax", 0.5, 1.5)])
 def test_one_step_displacement(reach, start, joints, transitions, impl, median_mm, percentile_mm):
     step, errors = compiled_step(impl, 20), []
-    for part in range(3):
+    for part in range(PARTS):
         qpos, qvel, action, before, after = (column[part * BATCH : (part + 1) * BATCH] for column in transitions)
         state = put(reach, start, joints, qpos, qvel)
         np.testing.assert_allclose(state.pipeline_state.gripper_position, before, atol=1e-4)

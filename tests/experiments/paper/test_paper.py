@@ -111,7 +111,7 @@ def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
 def test_every_study_writes_its_files(tmp_path, trained):
     paper.main([*QUICK, "--all", "--out", str(tmp_path)])
     names = {path.name for path in tmp_path.iterdir()} - {"parts", "demonstrations"}
-    tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations")
+    tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations", "gasil", "standardization")
     expected = {f"{name}-point.{ending}" for name in tables for ending in ("csv", "md", "json")}
     expected |= {f"figure{number}{ending}" for number in range(3, 8) for ending in ("-point.csv", ".png")}
     assert names == expected | {"figure3-longer-point.csv"}
@@ -215,11 +215,12 @@ def test_figures_are_drawn_again_from_their_data(tmp_path, trained, monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "nothing to make; name a --table or --figure"),
+        ([], "nothing to make; name a --table, a --figure or a --study"),
         (["--table", "4"], "choose from"),
         (["--figure", "8"], "choose from"),
         (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
+        (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
         (["--plots-only"], "holds no figure's data"),
     ],
 )

@@ -1,0 +1,95 @@
+"""What holds for every engine that runs here: which one is chosen, and that all step the same scene alike."""
+
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from envs.engines import ENGINES, Control, EngineState, make_engine, resolve_impl
+
+PERIOD = 0.04
+HERE = [name for name in ENGINES if name != "warp"]
+
+# A motor turns a pendulum, whose tip a weld pulls to a mocap body; and a sensor. Small enough to compile in a second.
+MODEL = mujoco.MjModel.from_xml_string(
+    """<mujoco><option timestep=".002"/><worldbody><body name="hand" mocap="true" pos="0 0 .5"/>
+      <body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" damping=".1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02"/>
+        <body name="tip" pos="0 0 -.5"><joint name="slide" type="slide" axis="0 0 1" damping="1"/>
+          <geom type="sphere" size=".05"/></body></body></worldbody>
+      <equality><weld body1="hand" body2="tip" solref=".05 1"/></equality>
+      <actuator><motor joint="hinge" gear="2"/></actuator><sensor><jointpos joint="slide"/></sensor></mujoco>"""
+)
+
+
+def random_actions(count):
+    rng = np.random.default_rng(0)
+    turn = np.array([1.0, 0.0, 0.0, 0.0]) + 0.1 * rng.normal(size=(count, 1, 4))
+    return rng.normal(size=(count, 2)) * 0.2, rng.normal(size=(count, 2)), rng.normal(size=(count, 1, 3)), turn
+
+
+def by_hand(substeps, qpos, qvel, mocap_pos, mocap_quat, ctrl):
+    MODEL.opt.timestep = PERIOD / substeps
+    data = mujoco.MjData(MODEL)
+    data.qpos, data.qvel, data.mocap_pos, data.mocap_quat, data.ctrl = qpos, qvel, mocap_pos, mocap_quat, ctrl
+    for _ in range(substeps):
+        mujoco.mj_step(MODEL, data)
+    MODEL.opt.timestep = 0.002
+    return data.qpos.copy(), data.qvel.copy(), data.sensordata.copy()
+
+
+@pytest.mark.parametrize("impl", HERE)
+def test_a_batch_of_actions_is_mujoco_s_own_and_so_with_more_steps(impl):
+    count = 8
+    qpos, qvel, mocap_pos, mocap_quat = random_actions(count)
+    ctrl = np.linspace(-1.0, 1.0, count)[:, None]
+    state = EngineState(
+        qpos=jnp.asarray(qpos, jnp.float32),
+        qvel=jnp.asarray(qvel, jnp.float32),
+        warmstart=jnp.zeros((count, MODEL.nv)),
+        sensordata=jnp.zeros((count, MODEL.nsensordata)),
+        overflow=jnp.zeros(count, bool),
+    )
+    control = Control(*(jnp.asarray(array, jnp.float32) for array in (mocap_pos, mocap_quat, ctrl)))
+    few = make_engine(impl, MODEL, PERIOD, 5, worlds=1)
+    many = few.with_substeps(20)
+    ends = {}
+    for engine, substeps in ((few, 5), (many, 20)):
+        assert (engine.name, engine.substeps, engine.model.opt.timestep) == (impl, substeps, PERIOD / substeps)
+        after = jax.jit(jax.vmap(engine.step))(state, control)
+        ends[substeps] = found = [np.asarray(array) for array in (after.qpos, after.qvel, after.sensordata)]
+        rows = zip(*(by_hand(substeps, *row) for row in zip(qpos, qvel, mocap_pos, mocap_quat, ctrl, strict=True)))
+        for ours, theirs in zip(found, rows, strict=True):
+            np.testing.assert_allclose(ours, np.array(theirs), atol=2e-3)
+    assert np.abs(ends[5][0] - ends[20][0]).max() > 1e-2  # so that the two can be told apart
+
+
+@pytest.mark.parametrize("impl", HERE)
+def test_nothing_of_the_model_that_it_is_made_of_is_changed(impl):
+    make_engine(impl, MODEL, PERIOD, 5, worlds=1).with_substeps(20)
+    assert MODEL.opt.timestep == 0.002
+
+
+@pytest.mark.parametrize(
+    ("backend", "has_warp", "chosen"),
+    [("cpu", False, "c"), ("cpu", True, "c"), ("gpu", True, "warp"), ("gpu", False, "jax"), ("tpu", True, "jax")],
+)
+def test_auto_is_the_fastest_that_is_there(monkeypatch, backend, has_warp, chosen):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object() if has_warp and name == "warp" else None)
+    assert resolve_impl("auto") == chosen
+    for name in HERE:
+        assert resolve_impl(name) == name
+    if chosen == "warp":
+        assert resolve_impl("warp") == "warp"
+    else:
+        with pytest.raises(ValueError, match="impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'"):
+            resolve_impl("warp")
+
+
+def test_an_unknown_engine_is_refused():
+    with pytest.raises(ValueError, match="unknown impl 'bullet'; choose from auto, warp, c, jax"):
+        resolve_impl("bullet")
