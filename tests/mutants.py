@@ -12,6 +12,7 @@ import contextlib
 import copy
 import importlib.abc
 import importlib.util
+import itertools
 import os
 import random
 import signal
@@ -27,9 +28,11 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 os.environ.setdefault("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 TIMEOUT = 120.0  # seconds
+LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
+LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
-EXPERTS, GOALS, PPO = "tests/hgail_jax/test_experts.py", "tests/envs/test_goals.py", "tests/hgail_jax/test_ppo.py"
-ROLLOUT, TRAIN = "tests/hgail_jax/test_rollout.py", "tests/hgail_jax/test_train.py"
+EXPERTS, PPO, ROLLOUT = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout"))
+GOALS, PRESETS = "tests/envs/test_goals.py", "tests/hgail_jax/test_presets.py"
 
 TESTS = {
     "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
@@ -40,15 +43,15 @@ TESTS = {
     "hgail_jax/discriminator": ["tests/hgail_jax/test_discriminator.py", UPDATES],
     "hgail_jax/networks": [PPO, UPDATES, LEARNING],
     "hgail_jax/updates": [UPDATES, LEARNING],
-    "hgail_jax/train": [UPDATES, LEARNING, TRAIN],
+    "hgail_jax/train": [UPDATES, LEARNING],
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, UPDATES],
     "hgail_jax/evaluate": [SAMPLES, UPDATES],
     "hgail_jax/state": [UPDATES, LEARNING],
     "hgail_jax/methods": [LEARNING, EXPERTS],
     "envs/base": [GOALS, SAMPLES],
     "envs/point": [GOALS, SAMPLES],
-    "envs/fetch/reach": [GOALS, "tests/hgail_jax/test_presets.py"],
-    "envs/fetch/grasp": [GOALS, "tests/hgail_jax/test_presets.py"],
+    "envs/fetch/reach": [GOALS, PRESETS],
+    "envs/fetch/grasp": [GOALS, PRESETS],
 }
 """What is run for a module, the quickest first."""
 
@@ -204,29 +207,27 @@ def main() -> None:
     parser.add_argument("--sample", type=int, help="so many mutants in all, spread over the modules; default all")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    import brax.envs.base, brax.training.acme.running_statistics, flax.linen, jax, mujoco.mjx, optax, orbax.checkpoint, scipy.stats  # noqa: E401, E501, F401, I001
-
+    for name in LIBRARIES:
+        importlib.import_module(name)
     tests = {module: TESTS[module] for module in options.modules}
-    sound = {file: run([file]) == "survived" for file in dict.fromkeys(file for files in tests.values() for file in files)}
-    for file in (file for file, passes in sound.items() if not passes):
+    broken = {file for file in sorted({*itertools.chain(*tests.values())}) if run([file]) != "survived"}
+    for file in sorted(broken):
         print(f"left out, fails without a mutant: {file}", flush=True)
     chosen = [mutant for module in tests for mutant in mutants(module) if (module, mutant.text) not in EQUIVALENT]
     if options.sample is not None:
         picked = random.Random(options.seed).sample(range(len(chosen)), min(options.sample, len(chosen)))
         chosen = [chosen[index] for index in sorted(picked)]
-    results = []
+    ends: dict[Mutant, str] = {}
     for mutant in chosen:
         start = time.monotonic()
-        files = [file for file in tests[mutant.module] if sound[file]]
-        results.append((mutant, run(files, mutant)))
-        print(f"{results[-1][1]:9} {time.monotonic() - start:5.1f} s  {_at(mutant)}", flush=True)
+        ends[mutant] = run([file for file in tests[mutant.module] if file not in broken], mutant)
+        print(f"{ends[mutant]:9} {time.monotonic() - start:5.1f} s  {_at(mutant)}", flush=True)
     print()
     for module in (*tests, None):
-        ends = [end for mutant, end in results if module in (None, mutant.module)]
-        print(f"{module or 'in all':25} {len(ends) - ends.count('survived'):4} of {len(ends):4} killed")
-    print("\nSurvivors:")
-    for mutant in (mutant for mutant, end in results if end == "survived"):
-        print(_at(mutant))
+        of_module = [end for mutant, end in ends.items() if module in (None, mutant.module)]
+        killed = sum(end != "survived" for end in of_module)
+        print(f"{module or 'in all':25} {killed:4} of {len(of_module):4} killed")
+    print("\nSurvivors:", *(_at(mutant) for mutant, end in ends.items() if end == "survived"), sep="\n")
 
 
 def _at(mutant: Mutant) -> str:

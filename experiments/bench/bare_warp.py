@@ -17,73 +17,89 @@ _KERNEL_SECONDS = 2e-6  # that a GPU takes at least from the start of a kernel t
 def measure_warp_loop(
     model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control
 ) -> dict[str, float]:
-    """Times MuJoCo Warp without JAX: a CUDA graph of an action's physics steps, replayed for each action.
+    """Times MuJoCo Warp by itself; see `WarpLoop` for the arguments.
+
+    Returns environment steps per second; the kernels that a physics step starts; and the environment steps per second
+    that starting so many would allow.
+    """
+    loop = WarpLoop(model, substeps, physics, controls)
+    num_actions, num_envs = controls.ctrl.shape[:2]
+    return {
+        "bare_warp_env_steps_per_second": num_envs * num_actions / seconds_per_call(loop),
+        "kernels_per_substep": loop.kernels,
+        "launch_floor_env_steps_per_second": num_envs / (loop.kernels * _KERNEL_SECONDS * substeps),
+    }
+
+
+class WarpLoop:
+    """An episode of MuJoCo Warp without JAX: a CUDA graph of an action's physics steps, replayed for each action.
 
     Args:
       model: the scene, with its time step.
       substeps: physics steps per action.
-      physics: where it starts, `[N, ...]`.
+      physics: where the episode starts, `[N, ...]`.
       controls: what acts on the scene, `[T, N, ...]`.
 
-    Returns:
-      Environment steps per second; kernels that a physics step starts, and the environment steps per second that
-      starting so many would allow.
-
     """
-    import warp as wp  # not a dependency of the project
-    from mujoco.mjx.third_party import mujoco_warp
 
-    num_envs, num_actions = controls.ctrl.shape[:2]
-    warp_model = mujoco_warp.put_model(model)
-    data = mujoco_warp.make_data(model, nworld=num_envs, **buffer_sizes(model, num_envs))
-    start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
-    given = {
-        name: wp.array(np.asarray(values), dtype=getattr(data, name).dtype)
-        for name, values in vars(controls).items()
-        if values.size
-    }
+    def __init__(self, model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control):
+        import warp as wp  # not a dependency of the project
+        from mujoco.mjx.third_party import mujoco_warp
 
-    def reset() -> None:
-        for name, values in start.items():
-            wp.copy(getattr(data, name), values)
+        self._substeps, (self._num_actions, num_envs) = substeps, controls.ctrl.shape[:2]
+        self._model = mujoco_warp.put_model(model)
+        self._data = mujoco_warp.make_data(model, nworld=num_envs, **buffer_sizes(model, num_envs))
+        self._start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
+        self._controls = {
+            name: wp.array(np.asarray(values), dtype=getattr(self._data, name).dtype)
+            for name, values in vars(controls).items()
+            if values.size
+        }
+        self._set(self._start)
+        self._set_control(0)
+        self.kernels = _count_launches(lambda: mujoco_warp.step(self._model, self._data))
+        """Kernels that a physics step starts."""
+        self._replay = self._capture()
 
-    def control(index: int) -> None:
-        for name, values in given.items():
-            wp.copy(getattr(data, name), values[index])
+    def __call__(self) -> None:
+        """Steps from the start under all controls, and waits for the end."""
+        import warp as wp
 
-    def act() -> None:
-        for _ in range(substeps):
-            mujoco_warp.step(warp_model, data)
-
-    reset()
-    control(0)
-    kernels = _count_launches(lambda: mujoco_warp.step(warp_model, data))  # compiles them, too
-    replay = _capture(act)
-
-    def run() -> None:
-        reset()
-        for index in range(num_actions):
-            control(index)
-            replay()
+        self._set(self._start)
+        for index in range(self._num_actions):
+            self._set_control(index)
+            self._replay()
         wp.synchronize()
 
-    return {
-        "bare_warp_env_steps_per_second": num_envs * num_actions / seconds_per_call(run),
-        "kernels_per_substep": kernels,
-        "launch_floor_env_steps_per_second": num_envs / (kernels * _KERNEL_SECONDS * substeps),
-    }
+    def positions(self) -> np.ndarray:
+        """Returns the joint positions as they are, `[N, nq]`."""
+        return self._data.qpos.numpy()
 
+    def _set(self, values: dict[str, Any]) -> None:
+        import warp as wp
 
-def _capture(act: Callable[[], None]) -> Callable[[], Any]:
-    """Returns a function that replays the kernels of `act` as a CUDA graph; on a CPU, `act` itself."""
-    import warp as wp
+        for name, array in values.items():
+            wp.copy(getattr(self._data, name), array)
 
-    act()  # once outside the graph, which cannot hold what is allocated or compiled at first use
-    if not wp.get_device().is_cuda:
-        return act
-    with wp.ScopedCapture() as capture:
-        act()
-    return functools.partial(wp.capture_launch, capture.graph)
+    def _set_control(self, index: int) -> None:
+        self._set({name: values[index] for name, values in self._controls.items()})
+
+    def _act(self) -> None:
+        from mujoco.mjx.third_party import mujoco_warp
+
+        for _ in range(self._substeps):
+            mujoco_warp.step(self._model, self._data)
+
+    def _capture(self) -> Callable[[], Any]:
+        """Returns a function that carries out an action: on a GPU as a CUDA graph, which the host starts at once."""
+        import warp as wp
+
+        self._act()  # once outside the graph, which cannot hold what is compiled at first use
+        if not wp.get_device().is_cuda:
+            return self._act
+        with wp.ScopedCapture() as capture:
+            self._act()
+        return functools.partial(wp.capture_launch, capture.graph)
 
 
 def _count_launches(call: Callable[[], None]) -> int:

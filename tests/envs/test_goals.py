@@ -287,17 +287,19 @@ def check_random_positions(env, positions):
     offset = positions - env.initial_gripper_position
     for axis in range(2):
         assert is_uniform(offset[:, axis], -0.15, 0.15)
-    height = np.maximum(RNG.uniform(-0.15, 0.15, 20 * MANY) + env.initial_gripper_position[2], 0.42)
+    height = np.maximum(RNG.uniform(-0.15, 0.15, 20 * MANY) + env.initial_gripper_position[2], 0.42).astype(np.float32)
     assert kstest(positions[:, 2], height).pvalue > 1e-4
     assert positions[:, 2].min() == np.float32(0.42)
-    above = positions[positions[:, 2] > 0.42]
+    above = positions[positions[:, 2] > positions[:, 2].min()]
     assert np.abs(np.corrcoef(above.T) - np.eye(3)).max() < 0.12
 
 
 def test_grasp_is_measured_on_the_cube_and_half_learns_elsewhere(tasks, starts):
     env = tasks["grasp"]
     measured, learnt = starts["grasp"]
-    np.testing.assert_array_equal(measured.info["desired_goal"], np.pad(cubes(measured), ((0, 0), (0, 1)), constant_values=1))
+    np.testing.assert_array_equal(
+        measured.info["desired_goal"], np.pad(cubes(measured), ((0, 0), (0, 1)), constant_values=1)
+    )
     goal, cube = learnt.info["desired_goal"], cubes(learnt)
     held = goal[:, 3] == 1.0
     np.testing.assert_array_equal(env.goal_kind(goal), held)
@@ -334,10 +336,11 @@ def test_a_cube_is_held_where_both_pads_touch_it_and_the_gap_is_its_width(tasks,
         np.testing.assert_allclose(
             tasks["grasp-aperture"].achieved_goal(placed), [*physics.gripper_position, gap], rtol=1e-5
         )
-    edge = np.array(0.05) + [0.008, -0.008]
-    edge = [gap for gap in np.concatenate([np.nextafter(edge, 0), edge, np.nextafter(edge, 1)]) if abs(gap - 0.05) == 0.008]
-    assert edge
-    assert is_held(True, np.array(edge)).all()
+    edge = np.array([0.05 + 0.008, 0.05 - 0.008])
+    edge = np.concatenate([np.nextafter(edge, 0), edge, np.nextafter(edge, 1)])
+    edge = edge[abs(edge - 0.05) == 0.008]
+    assert len(edge) > 0
+    assert is_held(True, edge).all()
 
 
 def test_success_of_grasp_takes_position_and_holding(tasks):
@@ -395,7 +398,7 @@ def test_apertures_are_learnt_at_random_and_measured_by_a_plan(tasks, starts):
     goal = learnt.info["desired_goal"]
     check_random_positions(env, goal[:, :3])
     assert is_uniform(goal[:, 3], 0.0, 0.1)
-    assert np.abs(np.corrcoef(goal[goal[:, 2] > 0.42].T) - np.eye(4)).max() < 0.12
+    assert np.abs(np.corrcoef(goal[goal[:, 2] > goal[:, 2].min()].T) - np.eye(4)).max() < 0.12
     physics = jax.tree.map(lambda leaf: leaf[0], measured.pipeline_state)
     np.testing.assert_allclose(env.sample_goal(None, physics), [*cubes(measured)[0], 0.1], atol=1e-6)
     desired = np.float32([1.1, 0.6, 0.5, 0.03])

@@ -1,96 +1,113 @@
+"""Algorithm 1 against its own words: the law of every step's source, worked out by hand."""
+
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import binomtest, chisquare
 
 from hgail_jax.config import STRATEGIES
 from hgail_jax.hindsight import FINAL, FUTURE, relabel
 
-LENGTH, TRAJECTORIES = 12, 400
-# The achieved goal of state l of trajectory n is (n, l), so that every goal says where it came from.
-ACHIEVED = np.stack(
-    np.broadcast_arrays(np.arange(TRAJECTORIES)[:, None], np.arange(LENGTH + 1)[None, :]), axis=-1
-).astype(np.float32)
-DESIRED = np.full((TRAJECTORIES, 2), -1.0, np.float32)
+LENGTH, DRAWS = 7, 20_000
+# A goal says where it is from: achieved in state l is (l, 100), desired in step j is (j, -100).
+ACHIEVED = jnp.stack([jnp.arange(0.0, LENGTH + 1), jnp.full(LENGTH + 1, 100.0)], axis=1)
+DESIRED = jnp.stack([jnp.arange(0.0, LENGTH), jnp.full(LENGTH, -100.0)], axis=1)
+KINDS = {"one": [0] * 8, "two": [1, 0, 0, 1, 0, 0, 1, 0], "three": [0, 2, 1, 1, 2, 0, 1, 0]}
+SHARES = {"one": [1.0], "two": [0.3, 0.7], "three": [0.5, 0.2, 0.3]}
+UNLIKELY = 1e-5  # a p-value; keys are fixed, so that a test does not fail by chance now and then
 
 
-def relabel_all(p_ht, strategy=FUTURE, include_current=False):
-    rngs = jax.random.split(jax.random.key(0), TRAJECTORIES)
-    relabel_batch = jax.jit(jax.vmap(relabel, in_axes=(0, 0, 0, None, None, None)))
-    return jax.tree.map(np.asarray, relabel_batch(rngs, ACHIEVED, DESIRED, p_ht, strategy, include_current))
+@functools.partial(jax.jit, static_argnames="draws")
+def draw(p_ht, strategy=FUTURE, include_current=False, kind=None, kind_share=None, draws=DRAWS):
+    rngs = jax.random.split(jax.random.key(0), draws)
+    return jax.vmap(lambda rng: relabel(rng, ACHIEVED, DESIRED, p_ht, strategy, include_current, kind, kind_share))(
+        rngs
+    )
 
 
-def by_loop(hindsight):
-    """Algorithm 1 as a plain double loop, given which steps are chosen and which later state each one takes."""
-    goals = np.empty((TRAJECTORIES, LENGTH, 2), np.float32)
-    for n in range(TRAJECTORIES):
-        for j in range(LENGTH):
-            goals[n, j] = ACHIEVED[n, hindsight.source[n, j]] if hindsight.chosen[n, j] else DESIRED[n]
-    return goals
+def law(step, strategy, include_current, kind, share):
+    """Returns the probability of each state to be the source of a step's goal, `[T + 1]`."""
+    probability = np.zeros(LENGTH + 1)
+    if strategy == FINAL:
+        probability[LENGTH] = 1.0
+        return probability
+    ahead = [state for state in range(LENGTH + 1) if state > step or (include_current and state == step)]
+    present = {kind[state] for state in ahead}
+    for state in ahead:
+        of_its_kind = [other for other in ahead if kind[other] == kind[state]]
+        probability[state] = share[kind[state]] / sum(share[one] for one in present) / len(of_its_kind)
+    return probability
 
 
-@pytest.mark.parametrize("p_ht", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES)
 @pytest.mark.parametrize("include_current", [False, True])
-def test_agrees_with_a_double_loop(p_ht, strategy, include_current):
-    hindsight = relabel_all(p_ht, strategy, include_current)
-    np.testing.assert_array_equal(hindsight.goal, by_loop(hindsight))
+@pytest.mark.parametrize("kinds", KINDS)
+def test_the_source_of_every_step_follows_the_law(strategy, include_current, kinds):
+    kind, share = KINDS[kinds], SHARES[kinds]
+    given = {} if kinds == "one" else {"kind": jnp.array(kind), "kind_share": jnp.array(share)}
+    source = np.asarray(draw(1.0, strategy, include_current, **given).source)
+    for step in range(LENGTH):
+        expected = DRAWS * law(step, strategy, include_current, kind, share)
+        counts = np.bincount(source[:, step], minlength=LENGTH + 1)
+        possible = expected > 0
+        assert counts[~possible].sum() == 0
+        if possible.sum() > 1:
+            assert chisquare(counts[possible], expected[possible]).pvalue > UNLIKELY
 
 
+@pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES)
 @pytest.mark.parametrize("include_current", [False, True])
-def test_a_goal_is_achieved_later_in_the_same_trajectory(include_current):
-    goal = relabel_all(1.0, FUTURE, include_current).goal
-    step = np.arange(LENGTH)[None, :]
-    np.testing.assert_array_equal(goal[..., 0], ACHIEVED[:, :LENGTH, 0])
-    first = step if include_current else step + 1
-    assert (goal[..., 1] >= first).all()
-    assert (goal[..., 1] <= LENGTH).all()
+@pytest.mark.parametrize("p_ht", [0.0, 0.3, 1.0])
+def test_a_goal_is_the_one_achieved_at_its_source_where_chosen_and_else_the_desired_one(
+    strategy, include_current, p_ht
+):
+    hindsight = jax.tree.map(np.asarray, draw(p_ht, strategy, include_current, draws=500))
+    for goals, chosen, source in zip(*hindsight, strict=True):
+        for step in range(LENGTH):
+            expected = [source[step], 100] if chosen[step] else [step, -100]
+            np.testing.assert_array_equal(goals[step], expected)
 
 
-def test_final_takes_the_last_state():
-    assert (relabel_all(1.0, FINAL).goal[..., 1] == LENGTH).all()
+@pytest.mark.parametrize("p_ht", [0.0, 0.1, 0.8, 1.0])
+def test_each_step_is_chosen_with_the_probability_asked_for_whatever_the_others(p_ht):
+    chosen = np.asarray(draw(p_ht).chosen)
+    for step in range(LENGTH):
+        assert binomtest(int(chosen[:, step].sum()), DRAWS, p_ht).pvalue > UNLIKELY
+    for step in range(LENGTH - 1):
+        both = int((chosen[:, step] & chosen[:, step + 1]).sum())
+        assert binomtest(both, DRAWS, p_ht**2).pvalue > UNLIKELY
 
 
-def test_steps_that_are_not_chosen_keep_their_goal():
-    hindsight = relabel_all(0.5)
-    np.testing.assert_array_equal(hindsight.goal[~hindsight.chosen], -1.0)
-    assert abs(hindsight.chosen.mean() - 0.5) < 0.03
-    np.testing.assert_array_equal(relabel_all(0.0).goal, np.broadcast_to(DESIRED[:, None], (TRAJECTORIES, LENGTH, 2)))
-    assert relabel_all(1.0).chosen.all()
+def test_sources_of_two_steps_are_drawn_apart():
+    """Two early steps have six states in common, each with the other's probability: one in six draws they meet."""
+    source = np.asarray(draw(1.0).source)
+    meet = int((source[:, 0] == source[:, 1]).sum())
+    assert binomtest(meet, DRAWS, 6 * (1 / 7) * (1 / 6)).pvalue > UNLIKELY
 
 
-def test_future_steps_are_drawn_uniformly():
-    source = relabel_all(1.0).source[:, 4]
-    counts = np.bincount(source, minlength=LENGTH + 1)
-    expected = TRAJECTORIES / (LENGTH - 4)
-    assert counts[:5].sum() == 0
-    chi_squared = ((counts[5:] - expected) ** 2 / expected).sum()
-    assert chi_squared < 24.3  # 0.1 % point of 7 degrees of freedom
+def test_a_goal_pursued_all_along_may_be_given_once():
+    rng, goal = jax.random.key(3), jnp.array([7.0, 8.0])
+    once = relabel(rng, ACHIEVED, goal, 0.5)
+    for_each_step = relabel(rng, ACHIEVED, jnp.tile(goal, (LENGTH, 1)), 0.5)
+    jax.tree.map(np.testing.assert_array_equal, once, for_each_step)
+    assert 0 < once.chosen.sum() < LENGTH
 
 
 def test_hyperparameters_may_be_traced_and_swept():
-    p_ht = jnp.array([0.0, 1.0])
-    chosen = jax.vmap(lambda p: relabel(jax.random.key(0), ACHIEVED[0], DESIRED[0], p).chosen)(p_ht)
-    assert not chosen[0].any()
-    assert chosen[1].all()
-
-
-def test_kinds_ahead_are_drawn_by_their_shares():
-    """Against the probabilities by hand: a kind by its share among those ahead, then one of its steps."""
-    kind = np.array([0, 0, 0, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0])
-    achieved = jnp.asarray(ACHIEVED[0])
-    share = jnp.array([0.3, 0.7])
-    rngs = jax.random.split(jax.random.key(1), 4000)
-    draw = jax.jit(
-        jax.vmap(lambda rng: relabel(rng, achieved, DESIRED[0], 1.0, kind=jnp.asarray(kind), kind_share=share).source)
+    p_ht, strategies, current = (
+        jnp.array([0.0, 1.0, 1.0]),
+        jnp.array([FUTURE, FUTURE, FINAL]),
+        jnp.array([0, 1, 0], bool),
     )
-    source = np.asarray(draw(rngs))
-    for step in (0, 4, 7, 10):
-        ahead = np.arange(step + 1, LENGTH + 1)
-        present = [k for k in (0, 1) if (kind[ahead] == k).any()]
-        total = sum(float(share[k]) for k in present)
-        counts = np.bincount(source[:, step], minlength=LENGTH + 1) / len(source)
-        assert counts[: step + 1].sum() == 0
-        for state in ahead:
-            expected = float(share[kind[state]]) / total / (kind[ahead] == kind[state]).sum()
-            assert counts[state] == pytest.approx(expected, abs=0.03)
+    sweep = jax.vmap(lambda *one: relabel(jax.random.key(0), ACHIEVED, DESIRED, *one))
+    swept = sweep(p_ht, strategies, current)
+    for index in range(3):
+        alone = relabel(jax.random.key(0), ACHIEVED, DESIRED, p_ht[index], strategies[index], current[index])
+        jax.tree.map(
+            lambda ours, all_of_them, i=index: np.testing.assert_array_equal(ours, all_of_them[i]), alone, swept
+        )
+    assert not swept.chosen[0].any()
+    np.testing.assert_array_equal(swept.source[2], LENGTH)

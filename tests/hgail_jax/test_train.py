@@ -16,7 +16,8 @@ from hgail_jax.evaluate import evaluate
 from hgail_jax.recording import record
 from hgail_jax.rollout import _blank
 from hgail_jax.samples import relabelled_samples
-from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, evaluation_rng
+from hgail_jax.state import split_key
+from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.updates import make_policy, pretrain, update_discriminator, update_policy
 from tests.support import TINY
 
@@ -178,7 +179,7 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
         for seed in range(2):
             state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)
             policy = make_policy(env, TINY, state, noise=0.0)
-            rngs = jax.random.split(evaluation_rng(state), rollouts)
+            rngs = jax.random.split(split_key(state.rng).final_evaluation, rollouts)
             alone = [evaluate(env.accurate(), policy, rng, 4) for rng in rngs]
             expected = np.mean([outcome.distance_l1 for outcome in alone])
             np.testing.assert_allclose(measured.distance_l1[seed], expected, rtol=1e-4)
@@ -209,14 +210,6 @@ def solve_point(method, rounds, **changes):
 
 def test_hgail_solves_the_probe_task_without_pretraining():
     assert (solve_point("hgail", rounds=12, pretrain=False) >= 0.95).all()
-
-
-def test_hgail_solves_the_probe_task_with_pretraining():
-    assert (solve_point("hgail", rounds=6) >= 0.97).all()
-
-
-def test_without_hindsight_the_probe_task_is_not_learnt():
-    assert (solve_point("hgail-no", rounds=6) <= 0.3).all()
 
 
 @pytest.mark.parametrize(

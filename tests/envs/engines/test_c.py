@@ -123,7 +123,9 @@ def test_a_full_arena_is_not_a_number(substeps):
     )
     positions = {}
     for memory in ("1M", "64K"):
-        xml = f"<mujoco><size memory='{memory}'/><worldbody><geom type='plane' size='9 9 1'/>{boxes}</worldbody></mujoco>"
+        xml = (
+            f"<mujoco><size memory='{memory}'/><worldbody><geom type='plane' size='9 9 1'/>{boxes}</worldbody></mujoco>"
+        )
         model = mujoco.MjModel.from_xml_string(xml)
         rollout = HostRollout(model, substeps, 1)
         positions[memory], _, _ = rollout(model.qpos0[None], np.zeros((1, model.nv)), np.zeros((1, 0)))

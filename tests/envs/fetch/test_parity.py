@@ -105,20 +105,27 @@ def test_one_step_displacement(reach, start, joints, transitions, impl, median_m
     assert percentile <= percentile_mm
 
 
-@pytest.mark.parametrize(("impl", "substeps", "bound_mm"), [("c", 20, 15.0), ("c", 4, 30.0), ("jax", 20, 25.0)])
-def test_open_loop_drift(reference, start, impl, substeps, bound_mm):
-    """Fifty random actions from the reset pose without feedback; smooth ones, so that the gripper travels."""
-    rng, step, state = np.random.default_rng(1), compiled_step(impl, substeps), start
+@pytest.fixture(scope="module")
+def open_loop(reference):
+    """Fifty random actions for each of a batch, smooth ones so that the gripper travels; and where they end."""
+    rng = np.random.default_rng(1)
     actions = np.repeat(rng.uniform(-1, 1, (10, BATCH, 4)), 5, axis=0).astype(np.float32)
-    for action in actions:
-        state = step(state, action)
     ends = []
-    for episode in range(EPISODES):
+    for episode in range(BATCH):
         reference.reset(seed=episode)
         for action in actions[:, episode]:
             reference.step(action)
         ends.append(gripper(reference))
-    drift = 1000 * np.linalg.norm(np.asarray(state.info["achieved_goal"])[:EPISODES] - np.stack(ends), axis=-1)
+    return actions, np.stack(ends)
+
+
+@pytest.mark.parametrize(("impl", "substeps", "bound_mm"), [("c", 20, 10.0), ("c", 4, 20.0), ("jax", 20, 20.0)])
+def test_open_loop_drift(open_loop, start, impl, substeps, bound_mm):
+    """From the reset pose without feedback; an arm that is stretched out soon goes a way of its own."""
+    step, (actions, ends), state = compiled_step(impl, substeps), open_loop, start
+    for action in actions:
+        state = step(state, action)
+    drift = 1000 * np.linalg.norm(np.asarray(state.info["achieved_goal"]) - ends, axis=-1)
     print(f"50 steps open loop on {impl}, {substeps} substeps: median {np.median(drift):.1f} mm")
     assert np.median(drift) <= bound_mm
 

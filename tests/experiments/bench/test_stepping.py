@@ -8,6 +8,7 @@ from mujoco import rollout
 from envs.engines.c import usable_cores
 from experiments.bench import stepping
 from experiments.bench.bare_loops import mjx_loop, rollout_loop
+from experiments.bench.bare_warp import WarpLoop
 from experiments.bench.workload import Workload
 
 ARM = slice(3, 11)  # joints that move; the base stands, and reach puts its fingers back after each action
@@ -44,6 +45,18 @@ def test_the_loop_of_mjx_ends_where_the_task_does():
     start, end, bare = run_both("grasp", "jax", substeps=8)
     assert np.ptp(end - start, axis=0).max() > 0.01
     np.testing.assert_allclose(bare, end, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_loop_of_mujoco_warp_moves_the_arm_as_reach_does():
+    pytest.importorskip("warp")
+    workload = Workload("reach", "c", num_envs=3, substeps=4, quick=True)
+    states = workload.reset()
+    ends, controls = jax.jit(stepping.step_task, static_argnums=0)(workload.env, states, workload.actions())
+    loop = WarpLoop(workload.env.engine.model, 4, states.pipeline_state, controls)
+    for _ in range(2):  # each call starts anew
+        loop()
+        np.testing.assert_allclose(loop.positions()[:, ARM], ends.pipeline_state.qpos[:, ARM], atol=1e-2)
 
 
 def test_what_is_measured_of_c_mujoco_has_its_bare_loop(monkeypatch):
