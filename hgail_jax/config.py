@@ -100,8 +100,6 @@ class Config:
             raise ValueError(f"{env!r} is not a GoalEnv")
         samples = self.num_envs * env.episode_length
         check_count("ppo_minibatches", self.ppo_minibatches, most=samples)
-        if env.max_worlds is not None:
-            check_count("num_envs, in a task made for so many worlds,", self.num_envs, most=env.max_worlds)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
 

@@ -69,12 +69,14 @@ def rollout(
         them, asks `policy` for their actions alone, and returns the trajectory of all of them.
 
     Raises:
-      ValueError: `num_envs` is no count from 1.
+      ValueError: `num_envs` is no count from 1, or a device would step more environments than `env.max_worlds`.
 
     """
     check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)
     reset_rngs = local_shard(jax.random.split(reset_rng, num_envs), axis)
+    if env.max_worlds is not None:
+        check_count("the number of environments on a device", len(reset_rngs), most=env.max_worlds)
     start = _depend_on(reset_rng, jax.vmap(env.reset, in_axes=(0, None))(reset_rngs, exploring))
     move = jax.jit(jax.vmap(env.step))  # which the probe does not trace again
 

@@ -1,5 +1,7 @@
 """Starts, steps, goals and outcomes of the tasks, against plain NumPy."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from scipy.stats import kstest, uniform
 
 import envs
-from envs.base import EpisodeMetrics, GoalEnv
+from envs.base import EpisodeMetrics, GoalEnv, TrainingDefaults
 from envs.fetch.grasp import is_held
 from envs.point import Point, straight
 
@@ -125,6 +127,7 @@ def test_defaults_of_a_task():
         "gpu": {"num_envs": 256, "rounds": 4},
     }
     assert set(vars(EpisodeMetrics()).values()) == {0.0}
+    assert vars(TrainingDefaults()) == {"config": {}, "hyperparameters": {}, "options": {}}
 
 
 def test_an_outcome_is_distances_and_whether_they_are_small():
@@ -231,6 +234,10 @@ def test_scripted_controllers_have_names(tasks):
     assert set(tasks["reach"].controllers) == {"proportional"}
     assert set(tasks["grasp"].controllers) == {"from-above", "straight", "closed"}
     assert not tasks["grasp-aperture"].controllers
+
+
+def test_all_tasks_of_the_arm_take_the_same_arguments(tasks):
+    assert len({inspect.signature(type(env)) for env in tasks.values()}) == 1
 
 
 def test_the_arm_s_number_of_substeps_is_the_caller_s(tasks):
@@ -383,6 +390,8 @@ def test_a_grasp_succeeds_where_the_cube_is_touched_and_rises(name, tasks, start
             np.testing.assert_allclose(outcome.distance_l1, np.abs(distance).sum(), rtol=1e-4)
             np.testing.assert_allclose(outcome.distance_l2, np.sqrt((distance**2).sum()), rtol=1e-4)
             assert outcome.success_l1 == 0.0
+    low, high = (end.replace(pipeline_state=last.replace(qpos=fingers.at[15].set(z))) for z in (0.0, 0.05))
+    assert env.outcome(low, high).success == 0.0  # it is to rise by more
 
 
 def test_the_literal_reading_always_goes_for_the_cube(starts):

@@ -13,7 +13,15 @@ from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.experts import BestEpisodes, expert_samples, init_expert, keep_best
 from hgail_jax.hindsight import FINAL, FUTURE, relabel
 from hgail_jax.rollout import Trajectory, rollout
-from hgail_jax.samples import Samples, flatten, policy_samples, pursued_samples, relabelled_samples, step_weight
+from hgail_jax.samples import (
+    Samples,
+    _first_above,
+    flatten,
+    policy_samples,
+    pursued_samples,
+    relabelled_samples,
+    step_weight,
+)
 
 LENGTH, EPISODES = 6, 40
 RNG = np.random.default_rng(0)
@@ -122,6 +130,12 @@ def test_of_more_samples_than_a_single_number_counts_every_one_can_be_drawn():
         assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < chi2.isf(1e-4, regions - 1)
 
 
+def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
+    cumulative = jnp.array([[0.0, 0.0, 1.0, 1.0, 3.0], [2.0, 2.0, 2.0, 5.0, 9.0]])
+    block, target = jnp.array([0, 0, 0, 0, 1, 1, 1]), jnp.array([0.0, 0.9, 1.0, 2.9, 0.0, 2.0, 5.0])
+    np.testing.assert_array_equal(_first_above(cumulative, block, target), [2, 2, 4, 4, 0, 3, 4])
+
+
 # Samples of a roll-out
 
 
@@ -190,8 +204,35 @@ def test_which_step_is_chosen_says_nothing_of_where_its_goal_comes_from():
         jax.random.split(jax.random.key(5), 4000)
     )
     chosen, source = np.asarray(found.chosen), np.asarray(found.source)
+    assert (source > np.arange(8)).all()
     for step in range(7):
         assert abs(source[chosen[:, step], step].mean() - (step + 9) / 2) < 0.45
+
+
+def test_kinds_count_only_where_their_shares_are_given_too():
+    achieved, desired, kind = jnp.arange(10.0)[:, None], jnp.zeros(1), jnp.arange(10) % 2
+    plain = relabel(jax.random.key(0), achieved, desired, 0.5)
+    assert_same(relabel(jax.random.key(0), achieved, desired, 0.5, kind=kind), plain)
+    assert_same(relabel(jax.random.key(0), achieved, desired, 0.5, kind_share=jnp.ones(2)), plain)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    one = relabel(jax.random.key(0), jnp.array([[1.0, 2.0], [3.0, 4.0]]), jnp.zeros(2), 1.0)
+    np.testing.assert_array_equal(one.goal, [[3.0, 4.0]])
+    whole = relabel(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros((3, 2)), 0.0)
+    np.testing.assert_array_equal(whole.goal, np.zeros((3, 2)))
+    for achieved, desired in (
+        ((1, 2), (2,)),
+        ((1, 2), (0, 2)),
+        ((4, 2), (4, 2)),
+        ((4, 2), (3,)),
+        ((4,), ()),
+        ((4, 2, 2), (2, 2)),
+    ):
+        with pytest.raises(ValueError, match="achieved and desired"):
+            relabel(jax.random.key(0), jnp.ones(achieved), jnp.zeros(desired), 1.0)
+    with pytest.raises(ValueError, match="p_ht"):
+        relabel(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros(2), 1.5)
 
 
 def test_kinds_have_among_samples_drawn_the_share_they_have_among_goals_pursued():
@@ -300,7 +341,7 @@ def assert_same(one, other):
 
 
 def test_each_source_gives_its_expert_samples():
-    first, second = trajectory(), trajectory(sound=np.arange(EPISODES) > 4)
+    first, second = trajectory(sound=np.arange(EPISODES) > 1), trajectory(sound=np.arange(EPISODES) > 4)
     fresh = relabelled(first, jax.random.key(0), jax.tree.map(jnp.asarray, Hyperparameters()))
     kept, samples = learn_from(RELABELLED, None, first)
     assert kept is None

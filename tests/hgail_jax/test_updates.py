@@ -12,7 +12,8 @@ from scipy.stats import kstest, norm
 
 from envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import Config, Hyperparameters, Trajectory, check_metrics, env_steps, init_state, rollout, schedule
-from hgail_jax.config import DEMONSTRATIONS
+from hgail_jax.config import DEMONSTRATIONS, FROZEN
+from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
 from hgail_jax.evaluate import mean_outcome
 from hgail_jax.networks import MLP, discriminator_network, gaussian_log_prob, policy_network, value_network
 from hgail_jax.ppo import policy_loss, standardize, weighted_mean
@@ -22,6 +23,7 @@ from hgail_jax.state import actor_critic_optimizer, split_key
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, MEASURED_BY, POLICY, PRETRAIN, SKIP, RoundMetrics, train_step
 from hgail_jax.updates import (
     UpdateMetrics,
+    _expert_samples,
     _fit_discriminator,
     _minibatches,
     _ppo_batch,
@@ -186,7 +188,7 @@ def test_the_first_policy_hardly_moves_and_the_first_value_does():
 
 
 def test_the_log_density_is_the_normal_one():
-    action, mean = RNG.normal(size=(2, 9, 2)).astype(np.float32)
+    action, mean = RNG.normal(size=(2, 9, 3, 2)).astype(np.float32)
     for std in (0.3, np.array([0.2, 1.5])):
         expected = norm.logpdf(action, mean, std).sum(axis=-1)
         np.testing.assert_allclose(gaussian_log_prob(action, mean, std), expected, rtol=1e-4)
@@ -353,6 +355,18 @@ def test_the_policy_s_loss_by_hand():
         assert found.kl == pytest.approx(np.average(ratio - 1 - np.log(ratio), weights=weight), rel=1e-3)
 
 
+def test_a_ratio_at_the_bound_is_not_outside():
+    assert policy_loss(np.zeros(3), np.zeros(3), np.ones(3), np.ones(3), 0.0).clip_fraction == 0.0
+
+
+def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():
+    expert, policy = np.float32([0.5, 0.0, 2.0, -0.5]), np.float32([-0.5, 0.0, 0.5])
+    assert discriminator_accuracy(expert, policy) == pytest.approx((2 / 4 + 2 / 3) / 2)
+    assert discriminator_loss(expert, policy) == pytest.approx(
+        np.logaddexp(0, -expert).mean() + np.logaddexp(0, policy).mean(), rel=1e-5
+    )
+
+
 def test_minibatches_pass_through_all_samples_in_a_new_order_each_time():
     found = np.asarray(_minibatches(jax.random.key(0), 12, 5, 3))
     assert found.shape == (15, 4)
@@ -512,6 +526,17 @@ def test_statistics_count_each_sample_once_and_none_of_a_broken_episode():
         assert int(statistics.count.lo) == len(counted)
 
 
+def test_expert_samples_that_are_kept_stay_in_the_state():
+    config = dataclasses.replace(CONFIG, expert_source=FROZEN)
+    state = init(config, HYPER, jax.random.key(0))
+    keep = jax.jit(functools.partial(_expert_samples, ENV, config))
+    after, samples = keep(state, a_trajectory(SOUND), jax.random.key(0))
+    assert_close(after.expert, samples, rtol=0, atol=0)
+    assert float(samples.weight.sum()) > 0
+    again, samples = keep(after, a_trajectory(), jax.random.key(1))
+    assert_close((again.expert, samples), (after.expert, after.expert), rtol=0, atol=0)
+
+
 def test_the_discriminator_learns_the_log_ratio_of_two_gaussians_in_what_the_environment_sees():
     """Expert actions are N(0.5, 0.3²), the policy's N(-0.5, 0.3²), clipped: inside the logit is x / 0.09."""
     config = dataclasses.replace(CONFIG, discriminator_hidden=(32,), discriminator_batch=256)
@@ -656,17 +681,38 @@ def test_nothing_is_learnt_where_every_episode_breaks_down():
 
 
 def test_without_exploring_no_roll_out_goes_for_the_goals_to_learn_from(monkeypatch):
-    asked = []
+    asked, axes = [], []
 
-    def watched(env, policy, rng, num_envs, exploring, **options):
+    def watched(env, policy, rng, num_envs, exploring, *, axis, **options):
         asked.append(exploring)
-        return rollout(env, policy, rng, num_envs, exploring, **options)
+        axes.append(axis)
+        return rollout(env, policy, rng, num_envs, exploring, axis=axis, **options)
+
+    def watched_policy(env, config, state, noise, axis):
+        axes.append(axis)
+        return make_policy(env, config, state, noise, axis)
 
     monkeypatch.setattr("hgail_jax.train.rollout", watched)
+    monkeypatch.setattr("hgail_jax.train.make_policy", watched_policy)
     config = dataclasses.replace(CONFIG, explore=False)
-    jax.eval_shape(functools.partial(train_step, ENV, config), make_state(), schedule(config)[0])
+    step = functools.partial(train_step, ENV, config, axis="devices")
+    on_two = jax.vmap(step, in_axes=(None, None), axis_name="devices", axis_size=2)
+    jax.eval_shape(on_two, make_state(), schedule(config)[0])
     assert asked
     assert all(exploring is False for exploring in asked)
+    assert set(axes) == {"devices"}  # what says along which axis the environments are split reaches both
+
+
+def test_environments_split_over_devices_give_the_roll_out_of_one():
+    state = broad(make_state())
+
+    def roll_out(state, axis):
+        return rollout(ENV, make_policy(ENV, CONFIG, state, 1.0, axis), jax.random.key(3), EPISODES, True, axis=axis)
+
+    alone = jax.jit(lambda state: roll_out(state, None))(state)
+    split = jax.vmap(lambda state: roll_out(state, "devices"), in_axes=None, axis_name="devices", axis_size=2)
+    for device in range(2):
+        assert_close(jax.tree.map(lambda leaf, n=device: leaf[n], jax.jit(split)(state)), alone)
 
 
 def test_the_schedule_of_a_run():
