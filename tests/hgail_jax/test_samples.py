@@ -94,48 +94,6 @@ def relabelled_steps(trajectory, seed=0, **changes):
     return (np.asarray(leaf).reshape(LENGTH, episodes, -1) for leaf in (samples.observation[:, 1:], samples.weight))
 
 
-# Drawing
-
-
-@pytest.mark.parametrize("samples", [1, 2, 3, 7, 12, 16, 17, 30])
-@pytest.mark.parametrize("kind", ["even", "random", "zero at the ends", "one"])
-def test_draws_follow_the_weights(samples, kind):
-    weight = {
-        "even": np.full(samples, 3.0),
-        "random": RNG.uniform(0.1, 1.0, samples) * RNG.integers(1, 9, samples),
-        "zero at the ends": np.pad(RNG.integers(0, 3, samples) + np.eye(samples)[samples // 2], (5, 9)),
-        "one": np.eye(samples)[-1] * 0.2,
-    }[kind]
-    weight = np.asarray(weight, np.float32)
-    of_weight = Samples(jnp.zeros((len(weight), 1)), jnp.zeros((len(weight), 1)), jnp.asarray(weight))
-    drawn = np.asarray(draw(of_weight, jax.random.key(samples), (100, 200)))
-    assert drawn.shape == (100, 200)
-    counts = np.bincount(drawn.ravel(), minlength=len(weight))
-    assert len(counts) == len(weight)
-    assert (counts[weight == 0] == 0).all()
-    expected, found = (array[weight > 0] for array in (20000 * weight / weight.sum(), counts))
-    assert (
-        ((found - expected) ** 2 / expected).sum() <= chi2.isf(1e-4, len(expected) - 1) if len(expected) > 1 else True
-    )
-
-
-def test_of_more_samples_than_a_single_number_counts_every_one_can_be_drawn():
-    count = 2**24 + 2**22 + 3
-    samples = Samples(jnp.zeros((1, 1)), jnp.zeros((1, 1)), jnp.ones(count))
-    drawn = np.asarray(draw(samples, jax.random.key(0), (256_000,)))
-    assert drawn.min() >= 0
-    assert drawn.max() < count
-    for region, regions in ((drawn * 64 // count, 64), (drawn % 16, 16), (drawn % 4489, 4489)):
-        counts = np.bincount(region, minlength=regions)
-        assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < chi2.isf(1e-4, regions - 1)
-
-
-def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
-    cumulative = jnp.array([[0.0, 0.0, 1.0, 1.0, 3.0], [2.0, 2.0, 2.0, 5.0, 9.0]])
-    block, target = jnp.array([0, 0, 0, 0, 1, 1, 1]), jnp.array([0.0, 0.9, 1.0, 2.9, 0.0, 2.0, 5.0])
-    np.testing.assert_array_equal(_first_above(cumulative, block, target), [2, 2, 4, 4, 0, 3, 4])
-
-
 # Samples of a roll-out
 
 
@@ -530,3 +488,45 @@ def test_an_evaluation_probes_and_does_not_explore():
     measured = jax.jit(lambda rng: evaluate(Watched(), steady(speeds), rng, 4))(jax.random.key(0))
     np.testing.assert_allclose(measured.distance_l1, np.mean([0.75, 1.5, 2.25, 0.0]), rtol=1e-4)
     assert not any(bool(exploring) for exploring in seen)
+
+
+# Drawing
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 7, 12, 16, 17, 30])
+@pytest.mark.parametrize("kind", ["even", "random", "zero at the ends", "one"])
+def test_draws_follow_the_weights(samples, kind):
+    weight = {
+        "even": np.full(samples, 3.0),
+        "random": RNG.uniform(0.1, 1.0, samples) * RNG.integers(1, 9, samples),
+        "zero at the ends": np.pad(RNG.integers(0, 3, samples) + np.eye(samples)[samples // 2], (5, 9)),
+        "one": np.eye(samples)[-1] * 0.2,
+    }[kind]
+    weight = np.asarray(weight, np.float32)
+    of_weight = Samples(jnp.zeros((len(weight), 1)), jnp.zeros((len(weight), 1)), jnp.asarray(weight))
+    drawn = np.asarray(draw(of_weight, jax.random.key(samples), (100, 200)))
+    assert drawn.shape == (100, 200)
+    counts = np.bincount(drawn.ravel(), minlength=len(weight))
+    assert len(counts) == len(weight)
+    assert (counts[weight == 0] == 0).all()
+    expected, found = (array[weight > 0] for array in (20000 * weight / weight.sum(), counts))
+    assert (
+        ((found - expected) ** 2 / expected).sum() <= chi2.isf(1e-4, len(expected) - 1) if len(expected) > 1 else True
+    )
+
+
+def test_of_more_samples_than_a_single_number_counts_every_one_can_be_drawn():
+    count = 2**24 + 2**22 + 3
+    samples = Samples(jnp.zeros((1, 1)), jnp.zeros((1, 1)), jnp.ones(count))
+    drawn = np.asarray(draw(samples, jax.random.key(0), (256_000,)))
+    assert drawn.min() >= 0
+    assert drawn.max() < count
+    for region, regions in ((drawn * 64 // count, 64), (drawn % 16, 16), (drawn % 4489, 4489)):
+        counts = np.bincount(region, minlength=regions)
+        assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < chi2.isf(1e-4, regions - 1)
+
+
+def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
+    cumulative = jnp.array([[0.0, 0.0, 1.0, 1.0, 3.0], [2.0, 2.0, 2.0, 5.0, 9.0]])
+    block, target = jnp.array([0, 0, 0, 0, 1, 1, 1]), jnp.array([0.0, 0.9, 1.0, 2.9, 0.0, 2.0, 5.0])
+    np.testing.assert_array_equal(_first_above(cumulative, block, target), [2, 2, 4, 4, 0, 3, 4])

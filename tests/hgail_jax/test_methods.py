@@ -1,0 +1,131 @@
+"""What the methods come to on a task that each should solve, or should not."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from envs.point import Point
+from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, Preset, schedule
+from hgail_jax.distributed.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
+from hgail_jax.recording import record
+from hgail_jax.train import POLICY, PRETRAIN
+from tests.support import TINY
+
+SEEDS = 3
+SMALL = Config(
+    num_envs=128,
+    discriminator_batch=256,
+    pretrain_policy_minibatches=100,
+    pretrain_policy_batch=256,
+    pretrain_discriminator_minibatches=100,
+    best_episodes=100,
+    policy_hidden=(32, 32),
+    discriminator_hidden=(64, 64),
+)
+HYPER = Hyperparameters(policy_learning_rate=1e-3, discriminator_learning_rate=5e-4)
+
+
+class Line(Point):
+    """A point on a line: who stands still, or walks at random, is at its goal in one episode of five."""
+
+    episode_length = 20
+    feature_size = goal_size = action_size = 1
+    controllers = {"straight": lambda seen: jnp.clip(20.0 * (seen[..., 1:] - seen[..., :1]), -1.0, 1.0)}  # noqa: RUF012
+
+    def reset_physics(self, rng):
+        return jnp.zeros(1)
+
+    def sample_goal(self, rng, physics):
+        return jax.random.uniform(rng, (1,), minval=-0.3, maxval=0.3)
+
+
+def train(config, states):
+    """Returns the success rates after each round, `[rounds + 1, settings * seeds]`, and the states."""
+    step = compile_train_step(Line(), config, states, schedule(config)[0])
+    success = []
+    for row in schedule(config):
+        states, metrics = step(states, row)
+        success.append(np.asarray(metrics.evaluation.success))
+    return np.array(success), states
+
+
+def test_hindsight_is_what_teaches():
+    """HGAIL and HGAIL without hindsight, from scratch, in one program: they differ in a probability alone."""
+    presets = [METHODS[name].apply(Preset(SMALL, HYPER)) for name in ("hgail", "hgail-no")]
+    assert presets[0].config == presets[1].config
+    config = dataclasses.replace(SMALL, pretrain=False, rounds=8)
+    settings = [preset.hyperparameters for preset in presets]
+    success, _ = train(config, init_sweep(Line(), config, settings, seed_keys(0, SEEDS)))
+    with_it, without = split_sweep(success.T, 2)[:, :, -1]
+    assert success[0].max() <= 0.3
+    assert with_it.min() >= 0.9
+    assert without.max() <= 0.4
+
+
+def test_adversarial_imitation_keeps_what_demonstrations_taught():
+    """GAIL from 20 demonstrations: success is 1 after the pre-training, and it stays there."""
+    preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER))
+    config = dataclasses.replace(preset.config, likelihood_batch=0, rounds=3)
+    samples = record(Line(), "line", 20).samples(Line())
+    success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS), samples))
+    assert success.min() >= 0.9
+    for seed in range(SEEDS):  # who demonstrates does not change
+        jax.tree.map(lambda kept, given, i=seed: np.testing.assert_array_equal(kept[i], given), states.expert, samples)
+
+
+def test_the_best_episodes_so_far_teach():
+    preset = METHODS["gasil"].apply(Preset(dataclasses.replace(SMALL, num_envs=64), HYPER))
+    config = dataclasses.replace(preset.config, rounds=8)
+    success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS)))
+    assert success[0].mean() <= 0.3
+    assert success[-3:].mean() >= 0.4
+    # No policy succeeds in more than 20 steps, nor, as it starts, in more than the 14 after the first strides.
+    assert (np.asarray(states.expert.returns) >= -10).all()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_tiny_run_of_every_method_uses_the_networks_that_it_names(name):
+    """Those that have no discriminator leave it as it was, and those without pre-training are not pre-trained."""
+    preset = METHODS[name].apply(Preset(dataclasses.replace(TINY, rounds=1, best_episodes=5), Hyperparameters()))
+    samples = record(Line(), "line", 5).samples(Line()) if name == "gail-demo" else None
+    start = init_seeds(Line(), preset.config, preset.hyperparameters, seed_keys(0, 1), samples)
+    before = jax.tree.map(np.asarray, start.replace(rng=None))
+    success, after = train(preset.config, start)
+    assert success.shape == (2, 1)
+
+    def changed(part):
+        pairs = zip(jax.tree.leaves(part(before)), jax.tree.leaves(part(after)), strict=True)
+        return any(not np.array_equal(one, other) for one, other in pairs)
+
+    assert changed(lambda state: state.actor_critic["policy"])
+    assert changed(lambda state: state.discriminator) == (name != "ppo")
+    steps = int(after.actor_critic_optimizer[0].count[0])
+    in_rounds = preset.config.policy_phases * preset.config.ppo_epochs * preset.config.ppo_minibatches
+    assert steps == in_rounds + (TINY.pretrain_policy_minibatches if name != "ppo" else 0)
+
+
+def test_maximum_likelihood_alone_ignores_rewards():
+    """With no weight on PPO's loss the policy is the same whatever the reward; with it, it is not."""
+    preset = METHODS["gcsl"].apply(Preset(TINY, Hyperparameters()))
+    weights = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
+    settings = [preset.hyperparameters.replace(ppo_weight=ppo, environment_reward=mix) for ppo, mix in weights]
+    states = init_sweep(Line(), preset.config, settings, seed_keys(0, 1))
+    row = np.where(np.isin(schedule(preset.config)[1], [POLICY]), POLICY, 0)
+    states, _ = compile_train_step(Line(), preset.config, states, row)(states, row)
+    policies = [np.concatenate([leaf.ravel() for leaf in leaves]) for leaves in by_setting(states, len(weights))]
+    np.testing.assert_array_equal(policies[0], policies[1])
+    assert not np.array_equal(policies[2], policies[3])
+
+
+def by_setting(states, settings):
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(states.actor_critic["policy"])]
+    return [[leaf[index] for leaf in leaves] for index in range(settings)]
+
+
+def test_without_hindsight_expert_samples_are_the_roll_out_s_own():
+    """So that pre-training raises the likelihood of what the policy did under the goals that it pursued."""
+    assert METHODS["hgail-no"].apply(PRESETS["parallel"]).hyperparameters.p_ht == 0.0
+    assert PRETRAIN in schedule(METHODS["hgail-no"].apply(PRESETS["parallel"]).config)
