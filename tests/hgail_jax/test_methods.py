@@ -5,16 +5,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from envs.point import Point
-from hgail_jax import METHODS, PRESETS, Config, Hyperparameters, Preset, schedule
+from hgail_jax import METHODS, Config, Hyperparameters, Preset, schedule
 from hgail_jax.distributed.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.recording import record
-from hgail_jax.train import POLICY, PRETRAIN
-from tests.support import TINY
 
-SEEDS = 3
+SEEDS = 2
 SMALL = Config(
     num_envs=128,
     discriminator_batch=256,
@@ -67,7 +64,7 @@ def test_hindsight_is_what_teaches():
 
 def test_adversarial_imitation_keeps_what_demonstrations_taught():
     """GAIL from 20 demonstrations: success is 1 after the pre-training, and it stays there."""
-    preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER))
+    preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER.replace(policy_learning_rate=3e-4)))
     config = dataclasses.replace(preset.config, likelihood_batch=0, rounds=3)
     samples = record(Line(), "line", 20).samples(Line())
     success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS), samples))
@@ -84,48 +81,3 @@ def test_the_best_episodes_so_far_teach():
     assert success[-3:].mean() >= 0.4
     # No policy succeeds in more than 20 steps, nor, as it starts, in more than the 14 after the first strides.
     assert (np.asarray(states.expert.returns) >= -10).all()
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_a_tiny_run_of_every_method_uses_the_networks_that_it_names(name):
-    """Those that have no discriminator leave it as it was, and those without pre-training are not pre-trained."""
-    preset = METHODS[name].apply(Preset(dataclasses.replace(TINY, rounds=1, best_episodes=5), Hyperparameters()))
-    samples = record(Line(), "line", 5).samples(Line()) if name == "gail-demo" else None
-    start = init_seeds(Line(), preset.config, preset.hyperparameters, seed_keys(0, 1), samples)
-    before = jax.tree.map(np.asarray, start.replace(rng=None))
-    success, after = train(preset.config, start)
-    assert success.shape == (2, 1)
-
-    def changed(part):
-        pairs = zip(jax.tree.leaves(part(before)), jax.tree.leaves(part(after)), strict=True)
-        return any(not np.array_equal(one, other) for one, other in pairs)
-
-    assert changed(lambda state: state.actor_critic["policy"])
-    assert changed(lambda state: state.discriminator) == (name != "ppo")
-    steps = int(after.actor_critic_optimizer[0].count[0])
-    in_rounds = preset.config.policy_phases * preset.config.ppo_epochs * preset.config.ppo_minibatches
-    assert steps == in_rounds + (TINY.pretrain_policy_minibatches if name != "ppo" else 0)
-
-
-def test_maximum_likelihood_alone_ignores_rewards():
-    """With no weight on PPO's loss the policy is the same whatever the reward; with it, it is not."""
-    preset = METHODS["gcsl"].apply(Preset(TINY, Hyperparameters()))
-    weights = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-    settings = [preset.hyperparameters.replace(ppo_weight=ppo, environment_reward=mix) for ppo, mix in weights]
-    states = init_sweep(Line(), preset.config, settings, seed_keys(0, 1))
-    row = np.where(np.isin(schedule(preset.config)[1], [POLICY]), POLICY, 0)
-    states, _ = compile_train_step(Line(), preset.config, states, row)(states, row)
-    policies = [np.concatenate([leaf.ravel() for leaf in leaves]) for leaves in by_setting(states, len(weights))]
-    np.testing.assert_array_equal(policies[0], policies[1])
-    assert not np.array_equal(policies[2], policies[3])
-
-
-def by_setting(states, settings):
-    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(states.actor_critic["policy"])]
-    return [[leaf[index] for leaf in leaves] for index in range(settings)]
-
-
-def test_without_hindsight_expert_samples_are_the_roll_out_s_own():
-    """So that pre-training raises the likelihood of what the policy did under the goals that it pursued."""
-    assert METHODS["hgail-no"].apply(PRESETS["parallel"]).hyperparameters.p_ht == 0.0
-    assert PRETRAIN in schedule(METHODS["hgail-no"].apply(PRESETS["parallel"]).config)
