@@ -1,6 +1,7 @@
 """Sizes and hyperparameters that belong together: the presets, and what they become for a task on a platform."""
 
 import dataclasses
+from typing import Any
 
 import jax
 
@@ -8,6 +9,15 @@ from envs import GoalEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.validation import check_name
 
+FEW_UPDATES: dict[str, Any] = {
+    "ppo_minibatches": 2,
+    "discriminator_minibatches": 2,
+    "discriminator_batch": 16,
+    "pretrain_policy_minibatches": 5,
+    "pretrain_policy_batch": 16,
+    "pretrain_discriminator_minibatches": 5,
+}
+"""Changes to a `Config` that show in seconds that everything runs, and nothing else."""
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Episodes per seed that a final evaluation has at least, by platform."""
 

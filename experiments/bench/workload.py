@@ -2,23 +2,14 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import jax
 
 import envs
 from envs.fetch.arm import FetchEnv
-from hgail_jax.presets import Preset, platform_name, task_preset
+from hgail_jax.presets import FEW_UPDATES, Preset, platform_name, task_preset
 
 _QUICK_EPISODE = 4  # steps
-_QUICK_CONFIG: dict[str, Any] = {
-    "ppo_minibatches": 2,
-    "discriminator_minibatches": 2,
-    "discriminator_batch": 16,
-    "pretrain_policy_minibatches": 5,
-    "pretrain_policy_batch": 16,
-    "pretrain_discriminator_minibatches": 5,
-}
 
 
 def default_preset(task: str) -> Preset:
@@ -63,7 +54,7 @@ class Workload:
     def preset(self) -> Preset:
         """Returns what the task is trained with by default, in roll-outs of `num_envs` episodes."""
         preset = default_preset(self.task)
-        quick = _QUICK_CONFIG if self.quick else {}
+        quick = FEW_UPDATES if self.quick else {}
         return dataclasses.replace(preset, config=dataclasses.replace(preset.config, num_envs=self.num_envs, **quick))
 
     def actions(self) -> jax.Array:

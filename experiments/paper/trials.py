@@ -12,7 +12,7 @@ from envs.engines import resolve_impl
 from experiments.paper.studies import Setting
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.methods import METHODS
-from hgail_jax.presets import EVALUATION_EPISODES, Preset, task_preset
+from hgail_jax.presets import EVALUATION_EPISODES, FEW_UPDATES, Preset, task_preset
 from hgail_jax.train import env_steps, schedule
 
 FEW_ROUNDS = 100
@@ -21,16 +21,7 @@ FEW_ROUNDS = 100
 _PER_ROLL_OUT = 4  # roll-outs' worth of episodes that the best-of buffer holds
 _MOST_BEST = 1000  # as Guo et al. 2018 keep
 
-_QUICK: dict[str, Any] = {
-    "num_envs": 4,
-    "rounds": 1,
-    "ppo_minibatches": 2,
-    "discriminator_minibatches": 2,
-    "discriminator_batch": 16,
-    "pretrain_policy_minibatches": 5,
-    "pretrain_policy_batch": 16,
-    "pretrain_discriminator_minibatches": 5,
-}
+_QUICK: dict[str, Any] = FEW_UPDATES | {"num_envs": 4, "rounds": 1}
 _QUICK_EVALUATION_EPISODES = 8
 
 

@@ -1,4 +1,8 @@
-"""Turns the signals that end a process into a request to stop."""
+"""Turns the signals that end a process into a request to stop.
+
+JAX and orbax notice a preemption too, but SIGTERM alone and only once `jax.distributed` has joined processes; a run in
+one process, and one that a user interrupts, should end with a checkpoint as well.
+"""
 
 import contextlib
 import os
