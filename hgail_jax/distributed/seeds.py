@@ -25,6 +25,8 @@ _MOST_SEEDS = 2**31 - 1
 
 SeedsStep = Callable[[TrainState, np.ndarray], tuple[TrainState, RoundMetrics]]
 """A compiled function of states and a row of phases to new states and metrics, all with an axis over seeds."""
+SeedsEvaluation = Callable[[TrainState], EpisodeMetrics]
+"""A compiled function of states to how their episodes ended, all with an axis over seeds."""
 
 
 def check_seeds(first: int, count: int) -> None:
@@ -181,21 +183,28 @@ def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any,
 def evaluate_seeds(
     env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
 ) -> EpisodeMetrics:
-    """Evaluates every seed's mean action in the task's most accurate physics, by a program that it compiles for that.
+    """Evaluates every seed once; see `compile_evaluation` for the arguments, and what is returned and raised."""
+    return compile_evaluation(env, config, states, num_episodes, mesh)(states)
+
+
+def compile_evaluation(
+    env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
+) -> SeedsEvaluation:
+    """Compiles the evaluation of every seed's mean action in the task's most accurate physics.
 
     Args:
       env: the task.
       config: sizes and counts.
-      states: with an axis over seeds; with a mesh as `shard` placed them.
+      states: with an axis over seeds; only their shapes are read.
       num_episodes: that each seed has at least: whole roll-outs.
       mesh: see `compile_train_step`.
 
     Returns:
-      The means over the episodes, `[seeds]`.
+      A function of states, with a mesh as `shard` placed them, to the means over the episodes, `[seeds]`. It raises an
+      OverflowError if the simulation runs out of room for contacts.
 
     Raises:
       ValueError: `num_episodes` is no count from 1.
-      OverflowError: the simulation ran out of room for contacts.
 
     """
     accurate, rollouts = env.accurate(), evaluation_episodes(config, num_episodes) // config.num_envs
@@ -209,15 +218,20 @@ def evaluate_seeds(
         def of_seed(state: TrainState) -> tuple[EpisodeMetrics, jax.Array]:
             rngs = jax.random.split(split_key(state.rng).final_evaluation, rollouts)
             outcomes, overflow = jax.lax.map(functools.partial(roll_out, state), rngs)
-            return jax.tree.map(jnp.mean, outcomes), overflow.any()
+            # A roll-out in which every episode broke has no distance; the others have the mean one.
+            return jax.tree.map(jnp.nanmean, outcomes), overflow.any()
 
         return jax.vmap(of_seed)(states)
 
     compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
-    outcome, overflow = jax.tree.map(np.asarray, compiled(states))
-    if overflow.any():
-        raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
-    return outcome
+
+    def evaluate(states: TrainState) -> EpisodeMetrics:
+        outcome, overflow = jax.tree.map(np.asarray, compiled(states))
+        if overflow.any():
+            raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
+        return outcome
+
+    return evaluate
 
 
 def evaluation_episodes(config: Config, num_episodes: int) -> int:

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -13,7 +14,7 @@ from typing import Any, Self
 import jax
 
 from hgail_jax.distributed.processes import silent_but_first
-from hgail_jax.distributed.seeds import SeedsStep, evaluate_seeds
+from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, compile_evaluation
 from hgail_jax.distributed.sharding import any_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import MeanPolicy, load_policy
@@ -183,15 +184,21 @@ class Trainer:
             print("compiling ...", flush=True)
             step = program.compile()
         progress = begin(program, self._restored)
-        self._train_rounds(step, progress, stop)
+        with ThreadPoolExecutor(1) as background:  # the final evaluation is compiled while the training runs
+            compiling = background.submit(self._compile_evaluation)
+            self._train_rounds(step, progress, stop)
         if is_stopped(stop):
             return None
         timing["train"] = progress.seconds
         with _timed(timing, "evaluation"):
-            print("compiling and running the final evaluation ...", flush=True)
-            final = evaluate_seeds(run.env, run.config, progress.states, run.evaluation_episodes, run.mesh)
+            print("running the final evaluation ...", flush=True)
+            final = compiling.result()(progress.states)
         write_results(run, self.folder, replicate(progress.states), progress.history)
         return summarize(run, progress, final, timing)
+
+    def _compile_evaluation(self) -> SeedsEvaluation:
+        run, states = self.run, jax.eval_shape(self.run.program().init)
+        return compile_evaluation(run.env, run.config, states, run.evaluation_episodes, run.mesh)
 
     def _train_rounds(self, step: SeedsStep, progress: Progress, stop: threading.Event) -> None:
         def write(progress: Progress) -> None:

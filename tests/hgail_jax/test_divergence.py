@@ -1,0 +1,127 @@
+"""An update that is not finite is undone and counted; the other seeds, and the run, go on."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+import envs
+from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, schedule
+from hgail_jax.distributed.seeds import compile_train_step, init_sweep, seed_keys
+from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
+from tests.support import TINY
+
+ENV = envs.make("point")
+SOUND = Hyperparameters()
+# With such steps the policy's weights overflow in their second; the discriminator's are as ever.
+DIVERGES = SOUND.replace(policy_learning_rate=1e38)
+
+
+@pytest.fixture(scope="module")
+def step():
+    """The step of two settings of one seed."""
+    states = init_sweep(ENV, TINY, [SOUND, SOUND], seed_keys(0, 1))
+    return compile_train_step(ENV, TINY, states, schedule(TINY)[0])
+
+
+def start(*settings):
+    return init_sweep(ENV, TINY, settings, seed_keys(0, 1))
+
+
+def one(states, index):
+    """Returns the numbers of one of the settings, without its key."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], states.replace(rng=None, hyperparameters=None))
+
+
+def assert_same(left, right):
+    jax.tree.map(np.testing.assert_array_equal, left, right)
+
+
+def row(*phases):
+    return np.array([*phases, *[SKIP] * (schedule(TINY).shape[1] - len(phases))])
+
+
+def test_a_round_that_diverges_for_one_leaves_the_others_to_the_bit_what_they_are_without_it(step):
+    (mixed, among), (sound, apart) = (step(start(SOUND, other), row(PRETRAIN, POLICY)) for other in (DIVERGES, SOUND))
+    assert_same(one(mixed, 0), one(sound, 0))
+    np.testing.assert_array_equal(among.diverged, [0.0, 1.0])
+    np.testing.assert_array_equal(apart.diverged, [0.0, 0.0])
+    check_metrics(among)
+
+
+@pytest.mark.parametrize("phase", [PRETRAIN, POLICY])
+def test_an_update_that_diverges_is_undone_in_all_its_parts(step, phase):
+    before = one(start(SOUND, DIVERGES), 1)
+    after, metrics = step(start(SOUND, DIVERGES), row(phase))
+    assert_same(one(after, 1), before)
+    np.testing.assert_array_equal(metrics.diverged, [0.0, 1.0])
+
+
+def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step):
+    """The discriminator's phase is not undone with the policy's; and an evaluation is none of the updates counted."""
+    after, metrics = step(start(SOUND, DIVERGES), row(POLICY, POLICY, DISCRIMINATOR, EVALUATE))
+    before = one(start(SOUND, DIVERGES), 1)
+    assert_same(one(after, 1).actor_critic, before.actor_critic)
+    assert not np.array_equal(*(jax.tree.leaves(state.discriminator)[1] for state in (one(after, 1), before)))
+    np.testing.assert_allclose(metrics.diverged, [0.0, 2 / 3], rtol=1e-6)
+    assert np.isfinite(metrics.evaluation.distance_l1).all()
+
+
+def test_each_try_has_data_of_its_own(step):
+    """So that who diverged by bad luck can go on: the key is not undone."""
+    states = start(SOUND, DIVERGES)
+    keys = np.asarray(jax.random.key_data(states.rng))
+    after, _ = step(states, row(POLICY))
+    assert (np.asarray(jax.random.key_data(after.rng)) != keys).any(axis=1).all()
+
+
+def metrics_of(**changes):
+    """Metrics of two seeds in which nothing is wrong, but for the changes."""
+    fields = {field.name: np.zeros(2) for field in dataclasses.fields(RoundMetrics)}
+    return RoundMetrics(**(fields | {name: np.array(value) for name, value in changes.items()}))
+
+
+@pytest.mark.parametrize("diverged", [[0.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.1, np.nan]])
+def test_a_round_in_which_some_seed_learns_is_taken(diverged):
+    check_metrics(metrics_of(diverged=diverged, overflow=[0.0, np.nan]))
+
+
+def test_a_round_in_which_no_seed_learns_or_one_overflows_is_refused():
+    with pytest.raises(FloatingPointError, match=r"^no seed's update is finite$"):
+        check_metrics(metrics_of(diverged=[0.2, 1.0]))
+    with pytest.raises(FloatingPointError):
+        check_metrics(metrics_of(diverged=0.5))
+    with pytest.raises(OverflowError, match=r"^the simulation ran out of room for contacts$"):
+        check_metrics(metrics_of(overflow=[0.0, 1e-4], diverged=[1.0, 1.0]))
+
+
+def program(*settings):
+    return Program(ENV, TINY, settings, seeds=1, first_seed=3)
+
+
+def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_do(step):
+    mixed = program(SOUND, DIVERGES)
+    progress = begin(mixed)
+    train(mixed, step, progress)
+    assert progress.rounds == 3
+    np.testing.assert_allclose(
+        [record["diverged_rate"] for record in progress.history], [[0, 1], [0, 2 / 3], [0, 2 / 3]]
+    )
+    assert diverged_seeds(mixed, progress) == ["seed 3 of setting 1"]
+    json.dumps(progress.history, allow_nan=False)  # what was not finite is None
+    assert progress.history[1]["policy_loss"][1] is None
+    alone, of_sound = program(SOUND, SOUND), begin(program(SOUND, SOUND))
+    train(alone, step, of_sound)
+    assert_same(one(progress.states, 0), one(of_sound.states, 0))
+    assert diverged_seeds(alone, of_sound) == []
+
+
+def test_a_training_stops_where_all_diverge(step):
+    all_of_them = program(DIVERGES, DIVERGES)
+    progress = begin(all_of_them)
+    with pytest.raises(FloatingPointError, match=r"^no seed's update is finite in round 0$"):
+        train(all_of_them, step, progress)
+    assert progress.rounds == 0
