@@ -21,7 +21,7 @@ from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.updates import make_policy
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "EXPERT_SOURCES",
