@@ -174,9 +174,7 @@ class GoalEnv(Env):
         """Starts an episode to be measured, or one to learn from where `exploring`, which may be traced."""
         physics_rng, goal_rng = jax.random.split(rng)
         physics = self.reset_physics(physics_rng)
-        goal = jnp.where(
-            exploring, self.sample_exploration_goal(goal_rng, physics), self.sample_goal(goal_rng, physics)
-        )
+        goal = jax.lax.cond(exploring, self.sample_exploration_goal, self.sample_goal, goal_rng, physics)
         desired = self.track_goal(goal, physics, exploring)
         return self._observe(physics, desired, jnp.asarray(exploring, bool), metrics={})
 

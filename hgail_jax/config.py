@@ -155,7 +155,9 @@ class Hyperparameters(struct.PyTreeNode):
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "likelihood_weight"):
             check_not_negative(name, getattr(self, name))
-        if action_size is not None and np.shape(self.action_std) not in ((), (action_size,)):
+        std = self.action_std
+        shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
+        if action_size is not None and shape not in ((), (action_size,)):
             raise ValueError(f"action_std is {self.action_std}; it must be one number or {action_size}")
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)

@@ -183,18 +183,30 @@ def _run_phase(
 
     def run(state: TrainState) -> tuple[TrainState, PhaseMetrics]:
         evaluating = phase == EVALUATE
-        keys = split_key(state.rng)
-        phase_rng = jax.lax.cond(evaluating, lambda: keys.evaluation, lambda: keys.phase)
+        following_rng, phase_rng = jax.lax.cond(evaluating, _keys_of_evaluation, _keys_of_learning, state.rng)
         rollout_rng, update_rng = jax.random.split(phase_rng)
         policy = make_policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         exploring = ~evaluating if config.explore else False
         trajectory = rollout(env, policy, rollout_rng, config.num_envs, exploring, probe=evaluating, axis=axis)
         after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
-        # An evaluation leaves the key as it was, so that it changes nothing in the training.
-        rng = jax.lax.cond(evaluating, lambda: state.rng, lambda: keys.following)
-        return after.replace(rng=rng), metrics
+        return after.replace(rng=following_rng), metrics
 
     return jax.lax.cond(phase == SKIP, skip, run, state)
+
+
+def _keys_of_evaluation(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns the key of what follows an evaluation, and of the evaluation.
+
+    The first is the key itself, so that an evaluation changes nothing in the training: the next phase splits it again,
+    and takes other parts of it.
+    """
+    return jax.random.clone(rng), split_key(rng).evaluation
+
+
+def _keys_of_learning(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns the key of what follows a phase that learns, and of the phase."""
+    keys = split_key(rng)
+    return keys.following, keys.phase
 
 
 def _learn(
@@ -210,16 +222,15 @@ def _learn(
         return run
 
     learnt, metrics = jax.lax.switch(phase, [branch(_UPDATES[kind]) for kind in Phase], state, trajectory, rng)
-    finite = _is_finite((learnt, metrics))
-    kept = finite & trajectory.sound.any()
-    after = jax.tree.map(lambda new, old: jnp.where(kept, new, old), learnt, state)
+    taught, finite = trajectory.sound.any(), _is_finite((learnt, metrics))
+    after = jax.tree.map(lambda new, old: jnp.where(taught & finite, new, old), learnt, state)
     return after, _as_arrays(
         PhaseMetrics(
             episodes=mean_outcome(trajectory),
             update=metrics,
             dropped=1.0 - trajectory.sound.mean(),
             overflow=trajectory.overflow.mean(),
-            diverged=~finite,
+            diverged=taught & ~finite,
         )
     )
 

@@ -23,9 +23,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))  # as in conftest.py
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-os.environ.setdefault("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 TIMEOUT = 120.0  # seconds
 LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
@@ -56,34 +53,58 @@ TESTS = {
 """What is run for a module, the quickest first."""
 
 EQUIVALENT = {
-    "hgail_jax/hindsight": {
-        "states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 0.0)": "it is left out",
-    },
-    "hgail_jax/samples": {
-        "width = math.isqrt((samples + 1)) + 1": "blocks may be wider",
-        "width = math.isqrt(samples - 0) + 1": "blocks may be wider",
-        "bounds = jnp.zeros_like(block), jnp.full_like(block, width - 0)": "the last is never reached",
-    },
-    "hgail_jax/experts": {
-        "order = jnp.lexsort((jnp.where(hyper.ties_by_distance, distance, 1.0), -returns))[:count]": "a constant",
-    },
-    "hgail_jax/ppo": {
-        "return jax.lax.scan(accumulate, jnp.zeros_like(delta[1]), delta, reverse=True)[1]": "the shapes are the same",
-        "return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 2e-08)": "weights are 0 or 1",
-    },
-    "hgail_jax/rollout": {
-        "if (env.probe_length or probe is not False):": "it only spares the compiler a branch",
-        "always = jnp.all(jax.random.key_data(rng) >= 0)": "a choice between equals",
-        "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)": "a choice between equals",
-    },
-    "hgail_jax/train": {
-        "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)": "it is replaced",
-    },
-    "envs/fetch/grasp": {
-        "far = (jnp.linalg.norm(offsets, axis=-1) > LEAST_DISTANCE)": "no draw lies on the edge",
-    },
+    "hgail_jax/hindsight": [
+        # Where nothing of a kind lies ahead, what is divided by 0 is left out.
+        "states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 0.0)",
+    ],
+    "hgail_jax/samples": [
+        # Blocks may be wider, and the search may begin beyond the end, which it never returns.
+        "width = math.isqrt((samples + 1)) + 1",
+        "width = math.isqrt(samples - 0) + 1",
+        "bounds = jnp.zeros_like(block), jnp.full_like(block, width - 0)",
+    ],
+    "hgail_jax/experts": [
+        # Any constant leaves the order to what was kept earlier.
+        "order = jnp.lexsort((jnp.where(hyper.ties_by_distance, distance, 1.0), -returns))[:count]",
+    ],
+    "hgail_jax/ppo": [
+        # The shapes are the same; a sum of weights is 0 or at least 1.
+        "return jax.lax.scan(accumulate, jnp.zeros_like(delta[1]), delta, reverse=True)[1]",
+        "return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 2e-08)",
+    ],
+    "hgail_jax/updates": [
+        # Of an axis of one number JAX takes that one for any index.
+        'value = apply(value_network(config), state.actor_critic["value"], observation)[..., 1]',
+        'predicted = apply(value_network(config), params["value"], part["observation"])[..., 1]',
+        "return apply(discriminator_network(config), params, inputs)[..., 1]",
+    ],
+    "hgail_jax/rollout": [
+        # It only spares the compiler a branch.
+        "if (env.probe_length or probe is not False):",
+        # A choice between equals, there for the compiler.
+        "always = jnp.all(jax.random.key_data(rng) >= 0)",
+        "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)",
+    ],
+    "hgail_jax/train": [
+        # Integers are finite too.
+        "floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.floating, jnp.floating)]",
+        "floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, leaf.dtype)]",
+        # The key is replaced right after.
+        "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
+    ],
+    "envs/fetch/grasp": [
+        # No draw lies on the edge; of two axes 1 is the last; 32 candidates are enough.
+        "far = (jnp.linalg.norm(offsets, axis=-1) > LEAST_DISTANCE)",
+        "far = jnp.linalg.norm(offsets, axis=(1)) >= LEAST_DISTANCE",
+        "_CANDIDATES = 64  # positions drawn to find one far enough; each is with probability 0.65",
+        # Of two kinds as likely as each other either may come first; the method does not look at its object.
+        "return jnp.where(jax.random.bernoulli(kind_rng), self.sample_goal(rng, physics), elsewhere)",
+        "return FetchEnv.goal_kind(goal, goal)",
+        # The last number is set.
+        "return jnp.array([0.0, 0.0, 1.0, 1.0]).at[3].set(action[3])",
+    ],
 }
-"""Mutants that change no behaviour, and why: the changed line, or one of which that is true however it is changed."""
+"""Mutants that change no behaviour: the changed line, or a line of which that is true however it is changed."""
 
 _SWAPS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
@@ -121,7 +142,7 @@ def mutants(module: str) -> list[Mutant]:
             start, end = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
             changed = (source[:start] + change.encode() + source[end:]).decode()
             original, text = (each.splitlines()[node.lineno - 1].strip() for each in (source.decode(), changed))
-            if not {original, text} & EQUIVALENT.get(module, {}).keys():
+            if not {original, text} & {*EQUIVALENT.get(module, [])}:
                 found[changed] = Mutant(module, node.lineno, original, text, changed)
     return sorted(found.values(), key=lambda mutant: mutant.line)
 
@@ -237,6 +258,9 @@ def main() -> None:
     parser.add_argument("--sample", type=int, help="so many mutants in all, spread over the modules; default all")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))  # as in conftest.py
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"  # JAX reads both when it is imported
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
     for name in LIBRARIES:
         importlib.import_module(name)
     tests = {module: TESTS[module] for module in options.modules}

@@ -9,8 +9,8 @@ import numpy as np
 
 import envs
 from hgail_jax import Hyperparameters, schedule
-from hgail_jax.distributed.seeds import compile_train_step, evaluate_seeds, init_seeds
-from hgail_jax.distributed.sharding import make_mesh, shard
+from hgail_jax.distributed.seeds import compile_evaluation, compile_train_step, init_seeds
+from hgail_jax.distributed.sharding import check_replicas, make_mesh, shard
 from tests.support import TINY
 
 
@@ -21,16 +21,17 @@ def train(task, groups, devices):
     """
     env = envs.make(task, substeps=4) if task == "reach" else envs.make(task)
     phases, mesh = schedule(TINY), make_mesh(len(groups[0]), TINY.num_envs, jax.devices()[:devices])
-    step, results = None, []
+    step, evaluate, results = None, None, []
     for seeds in groups:
         states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
         step = step or compile_train_step(env, TINY, states, phases[0], mesh)
+        evaluate = evaluate or compile_evaluation(env, TINY, states, 8, mesh)
         states, measured = shard(states, mesh), []
         for row in phases:
             states, metrics = step(states, row)
             measured.append(metrics)
-        final = evaluate_seeds(env, TINY, states, 8, mesh)
-        numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, final)
+        check_replicas(states)
+        numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, evaluate(states))
         results.append([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
     return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]
 

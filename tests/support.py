@@ -4,7 +4,10 @@ import contextlib
 import resource
 from pathlib import Path
 
-from hgail_jax import Config
+from hgail_jax import PRESETS, Config, Hyperparameters, Preset
+from hgail_jax.distributed.seeds import compile_evaluation, compile_train_step
+from hgail_jax.presets import EVALUATION_EPISODES
+from hgail_jax.trainer import loop, trainer
 
 ROOT = Path(__file__).parent.parent
 """The project's folder."""
@@ -22,6 +25,49 @@ TINY = Config(
     pretrain_discriminator_minibatches=3,
 )
 """Sizes that compile and run in seconds."""
+
+
+def make_runs_tiny(monkeypatch=None):
+    """Gives runs that ask for no others these sizes; in a process of its own for good."""
+    for mapping, name, value in (
+        (PRESETS, "parallel", Preset(TINY, Hyperparameters())),
+        (EVALUATION_EPISODES, "cpu", 8),
+    ):
+        if monkeypatch is None:
+            mapping[name] = value
+        else:
+            monkeypatch.setitem(mapping, name, value)
+
+
+_compiled = {}
+
+
+def compile_once(monkeypatch):
+    """Has all runs of the same task and sizes share their programs, whose compilation is most of a tiny run's time."""
+
+    def once(compile_program):
+        def compile_or_find(env, config, states, *more):
+            hashable = [value for value in more if isinstance(value, int)]
+            physics = [getattr(env, name, None) for name in ("impl", "substeps", "success_threshold")]
+            key = (compile_program, type(env), *physics, config, states.rng.shape, *hashable)
+            if key not in _compiled:
+                _compiled[key] = compile_program(env, config, states, *more)
+            return _compiled[key]
+
+        return compile_or_find
+
+    monkeypatch.setattr(loop, "compile_train_step", once(compile_train_step))
+    monkeypatch.setattr(trainer, "compile_evaluation", once(compile_evaluation))
+
+
+TINY_RUN = """
+import sys
+from tests.support import make_runs_tiny
+from hgail_jax.cli.train import main
+make_runs_tiny()
+main(sys.argv[1:])
+"""
+"""A script that does what `hgail train` does, in these sizes."""
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ for ever; `envs._platform` turns that off before JAX starts.
 import math
 import os
 import threading
+import weakref
 from typing import Any, Self
 
 import jax
@@ -23,12 +24,15 @@ from envs.engines.base import Control, Engine, StateT
 
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
+_START = 1.0  # seconds on the clock at the start of an action, more than one lasts
+
 
 class CEngine(Engine):
     """C MuJoCo; see `Engine` for the arguments. It starts the constraint solver anew with every action.
 
     A simulation that MuJoCo warns of (a position that is not finite, an ill-conditioned inertia, a full arena) gives
-    positions that are not a number, so that its episode is left out.
+    positions that are not a number, so that its episode is left out. A warning in the last physics step of an action
+    alone goes unseen, but for one that resets the simulation.
     """
 
     name = "c"
@@ -76,8 +80,8 @@ class HostRollout:
         self._model, self._substeps, self._threads = model, substeps, threads
         self._lock = threading.Lock()  # several devices of a process call from threads of their own
         self._pool: rollout.Rollout | None = None
-        self._datas: list[mujoco.MjData] = []
-        self._process = -1
+        self._datas = [mujoco.MjData(model) for _ in range(threads)]
+        _HOSTS.add(self)
 
     def __call__(self, qpos: Any, qvel: Any, control: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
@@ -91,18 +95,17 @@ class HostRollout:
         qpos, qvel, control = (np.asarray(array) for array in (qpos, qvel, control))  # JAX hands over arrays of its own
         model, batch = self._model, qpos.shape[:-1]
         start = np.zeros((math.prod(batch), self._state_size()))
-        start[:, 1 : 1 + model.nq] = qpos.reshape(-1, model.nq)  # time comes first
+        start[:, 0] = _START  # time comes first
+        start[:, 1 : 1 + model.nq] = qpos.reshape(-1, model.nq)
         start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel.reshape(-1, model.nv)
         controls = control.reshape(len(start), 1, -1).astype(np.float64)
         with self._lock:
-            self._open()
-            assert self._pool is not None
-            states, sensors = self._pool.rollout(
+            states, sensors = self._open().rollout(
                 model, self._datas, start, np.repeat(controls, self._substeps, axis=1), control_spec=_CONTROL
             )
         end, sensordata = states[:, -1], sensors[:, -1].astype(np.float32)
         # MuJoCo resets a simulation that breaks down, and its clock with it; after any warning it stops early.
-        broken = ~(end[:, 0] > (self._substeps - 0.5) * model.opt.timestep)
+        broken = ~(end[:, 0] > _START + (self._substeps - 0.5) * model.opt.timestep)
         positions = np.where(broken[:, None], np.nan, end[:, 1 : 1 + model.nq]).astype(np.float32)
         velocities = end[:, 1 + model.nq : 1 + model.nq + model.nv].astype(np.float32)
         return positions.reshape(*batch, -1), velocities.reshape(*batch, -1), sensordata.reshape(*batch, -1)
@@ -110,13 +113,29 @@ class HostRollout:
     def _state_size(self) -> int:
         return mujoco.mj_stateSize(self._model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS))
 
-    def _open(self) -> None:
-        """Makes the pool at the first call, and again in a process that was forked, where no thread is left of it."""
-        if self._process != os.getpid():
+    def _open(self) -> rollout.Rollout:
+        if self._pool is None:
             mujoco.set_mju_user_warning(_ignore)
             self._pool = rollout.Rollout(nthread=self._threads)
-            self._datas = [mujoco.MjData(self._model) for _ in range(self._threads)]
-            self._process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """Ends the pool's threads; the next call starts others."""
+        with self._lock:
+            self._pool = None
+
+
+_HOSTS: weakref.WeakSet[HostRollout] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    """Ends all threads before a fork: the child would wait for ever for those that it does not have."""
+    for host in list(_HOSTS):
+        host.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_close_all)
 
 
 def usable_cores() -> int:

@@ -1,7 +1,10 @@
 import pytest
 
-from hgail_jax.cli import train as run
+import envs
+from hgail_jax import PRESETS, TrainOptions
 from hgail_jax.distributed.seeds import evaluation_episodes
+from hgail_jax.presets import task_preset
+from hgail_jax.trainer.options import plan
 
 
 @pytest.mark.parametrize(
@@ -14,7 +17,19 @@ from hgail_jax.distributed.seeds import evaluation_episodes
     ],
 )
 def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, substeps, episodes):
-    prepared = run.prepare(run.Options(task=task), platform)
-    assert (prepared.config.num_envs, prepared.config.rounds, prepared.env.substeps) == (num_envs, rounds, substeps)
-    assert evaluation_episodes(prepared.config, prepared.evaluation_episodes) == episodes
-    assert prepared.seeds == 8
+    run = plan(TrainOptions(task=task), platform)
+    assert (run.config.num_envs, run.config.rounds, run.env.substeps) == (num_envs, rounds, substeps)
+    assert evaluation_episodes(run.config, run.evaluation_episodes) == episodes
+    assert run.seeds == 8
+
+
+def test_a_task_changes_the_default_preset_and_no_other():
+    grasp = envs.find_class("grasp")
+    changed = task_preset(grasp, "cpu")
+    assert changed.config.likelihood_batch == 2048
+    assert changed.hyperparameters.action_std == (0.2, 0.2, 0.2, 0.5)
+    assert changed.config.discriminator_minibatches == PRESETS["parallel"].config.discriminator_minibatches
+    assert task_preset(grasp, "cpu", "paper") == PRESETS["paper"]
+    assert PRESETS["parallel"].config.likelihood_batch == 0  # and not in place
+    with pytest.raises(ValueError, match="preset is 'tiny'; choose from parallel, paper"):
+        task_preset(grasp, "cpu", "tiny")

@@ -241,6 +241,30 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
             np.testing.assert_allclose(measured.distance_l1[seed], expected, rtol=1e-4)
 
 
+class Fragile(Drawn):
+    """It breaks down in the episodes whose goal is beyond the middle."""
+
+    def outcome(self, end, probed):
+        broken = end.info["desired_goal"][0] > 0.5
+        return super().outcome(end, probed).replace(success=1.0, distance_l2=jnp.where(broken, jnp.nan, 1.0))
+
+
+def test_roll_outs_that_broke_down_are_failures_in_the_final_evaluation_and_have_no_distance():
+    env, config = Fragile(), dataclasses.replace(TINY, num_envs=1)
+    states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
+    measured = evaluate_seeds(env, config, states, 16)
+    np.testing.assert_array_equal(measured.distance_l2, 1.0)
+    for seed, key in enumerate(states.rng):
+        policy = make_policy(env, config, jax.tree.map(lambda leaf, i=seed: leaf[i], states), noise=0.0)
+        rngs = jax.random.split(split_key(key).final_evaluation, 16)
+        alone = list(map(jax.jit(lambda rng, policy=policy: rollout(env, policy, rng, 1)), rngs))
+        sound = [bool(episode.sound[0]) for episode in alone]
+        assert 0 < sum(sound) < 16
+        np.testing.assert_allclose(measured.success[seed], np.mean(sound))
+        starts = [float(episode.outcome.distance_l1[0]) for episode in alone if episode.sound[0]]
+        np.testing.assert_allclose(measured.distance_l1[seed], np.mean(starts), rtol=1e-5)
+
+
 def test_relabelled_samples_keep_state_and_action():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     trajectory = rollout(ENV, make_policy(ENV, TINY, state, noise=1.0), jax.random.key(1), 4)

@@ -24,7 +24,7 @@ GOOD = (
 CHOICES = {
     "--method": {"hgail", "hgail-no", "gail-demo", "gasil", "ppo", "gcsl"},
     "--preset": {"parallel", "paper"},
-    "--impl": {"auto", "jax", "warp"},
+    "--impl": {"auto", "c", "jax", "warp"},
     "--strategy": {"future", "final"},
     "--reward": {"r1", "r2", "r3", "r4"},
 }
@@ -77,12 +77,12 @@ def closed_folder(tmp_path, monkeypatch):
         raise AssertionError("bad input was taken")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run, "train", refuse)
+    monkeypatch.setattr(run.Trainer, "train", refuse)
     (tmp_path / "file").write_text("")
     return tmp_path
 
 
-@settings(max_examples=500, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
 @given(good=st.lists(st.sampled_from(GOOD), unique_by=lambda pair: pair[0]), broken=bad_arguments)
 def test_bad_arguments_are_one_line_and_write_nothing(closed_folder, good, broken):
     arguments = [word for pair in good if pair[0] != broken[0] for word in pair] + broken
@@ -91,7 +91,7 @@ def test_bad_arguments_are_one_line_and_write_nothing(closed_folder, good, broke
         run.main(arguments)
     assert exit_info.value.code == 2
     said = errors.getvalue()
-    assert said.startswith("run.py: ")
+    assert said.startswith("hgail train: ")
     assert len(said.splitlines()) == 1
-    assert len(said) > len("run.py: x")
+    assert len(said) > len("hgail train: x")
     assert os.listdir(closed_folder) == ["file"]

@@ -6,24 +6,22 @@ import os
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from hgail_jax.distributed.sharding import make_mesh, most_devices
+from tests.support import ROOT, TINY_RUN
 
-ROOT = Path(__file__).parent.parent.parent
-SCRIPT = ROOT / "tests" / "sharded_training.py"
-PATHS = os.pathsep.join(str(path) for path in (ROOT, ROOT / "experiments", ROOT / "tests"))
-ENVIRONMENT = os.environ | {"PYTHONPATH": PATHS}
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+FOUR_DEVICES = ENVIRONMENT | {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
 
 
 def train_on_four_devices(path, **trainings):
     """Returns what `sharded_training.train` returns for each of the keyword arguments."""
-    environment = ENVIRONMENT | {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
-    subprocess.run([sys.executable, SCRIPT, path, json.dumps(trainings)], env=environment, check=True, timeout=900)
+    command = [sys.executable, "-m", "tests.sharded_training", path, json.dumps(trainings)]
+    subprocess.run(command, env=FOUR_DEVICES, cwd=ROOT, check=True, timeout=600)
     with np.load(path) as content:
         return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}
 
@@ -57,11 +55,56 @@ def test_a_seed_over_two_devices_agrees_with_the_seed_alone(trained):
     assert_close(trained["both"], [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.slow
 def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
+    """Each device calls C MuJoCo from a thread of its own."""
     one = {"task": "reach", "groups": [[0]], "devices": 1}
     trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
     assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)
+
+
+REPLICAS = """
+import jax, jax.numpy as jnp, numpy as np
+from jax.sharding import NamedSharding
+from hgail_jax.distributed.sharding import ALONG_SEEDS, REPLICATED, ReplicaError, check_replicas, make_mesh
+
+mesh = make_mesh(2, 4, jax.devices())  # two seeds, each on two devices
+assert tuple(mesh.shape.values()) == (2, 2)
+
+def array(layout, parts, shape):
+    placed = [jax.device_put(part, device) for part, device in zip(parts, mesh.devices.ravel(), strict=True)]
+    return jax.make_array_from_single_device_arrays(shape, NamedSharding(mesh, layout), placed)
+
+def refused(tree):
+    try:
+        return check_replicas(tree)
+    except ReplicaError as error:
+        return str(error)
+
+def whole(*numbers):
+    return array(REPLICATED, [np.float32([1.0, number]) for number in numbers], (2,))
+
+def by_seed(*numbers):
+    return array(ALONG_SEEDS, [np.float32([[number]]) for number in numbers], (2, 1))
+
+assert refused({"weights": whole(2, 2, 2, 2)}) is None
+assert refused({"weights": whole(2, 2, 2, 2 + 1e-5)}) is None  # the order of a sum
+assert refused({"weights": whole(np.nan, np.nan, np.nan, np.nan)}) is None
+nested = {"a": whole(2, 2, 2, 2), "b": {"weights": whole(2, 2, 2, 3)}}
+assert refused(nested) == "the devices disagree: b.weights differs by 1"
+assert "weights differs by nan" in refused({"weights": whole(2, 2, np.nan, 2)})
+assert refused({"weights": by_seed(1, 1, 5, 5)}) is None  # seeds are not alike
+assert "weights differs by 4" in refused({"weights": by_seed(1, 1, 1, 5)})
+keys = [jax.random.key(number) for number in (0, 0, 0, 1)]
+assert refused({"rng": array(REPLICATED, keys, ())}).startswith("the devices disagree: rng")
+assert refused({"rng": array(REPLICATED, keys[:1] * 4, ())}) is None
+assert refused({"weights": jnp.ones(3), "key": jax.random.key(0)}) is None  # on one device
+print("done")
+"""
+
+
+def test_devices_that_should_hold_the_same_are_compared():
+    process = subprocess.run([sys.executable, "-c", REPLICAS], env=FOUR_DEVICES, capture_output=True, text=True)
+    assert process.stdout.strip() == "done", process.stderr
 
 
 def free_port():
@@ -71,7 +114,7 @@ def free_port():
 
 
 def start(folder, *arguments):
-    command = [sys.executable, ROOT / "experiments" / "run.py", "--task", "point", "--seeds", "1", "--num-envs", "4"]
+    command = [sys.executable, "-c", TINY_RUN, "--task", "point", "--seeds", "1", "--num-envs", "4"]
     arguments = ["--iterations", "1", "--out", folder, *arguments]
     return subprocess.Popen([*command, *arguments], env=ENVIRONMENT, cwd=folder.parent, stdout=subprocess.PIPE)
 

@@ -1,29 +1,183 @@
-"""Training from scratch, as a user runs it."""
+"""The training loop, with steps that return what they are told to."""
 
+import dataclasses
 import json
+import threading
 
-import gymnasium
-import gymnasium_robotics
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hgail_jax import load_policy
-from hgail_jax.cli import train as run
+import envs
+from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics
+from hgail_jax.train import EVALUATE, SKIP
+from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
+from hgail_jax.updates import UpdateMetrics
+from tests.support import TINY
+
+ENV = envs.make("point")
+NAN = float("nan")
 
 
-@pytest.mark.slow
-def test_two_seeds_learn_reach_and_run_in_the_reference(tmp_path):
-    run.main(["--seeds", "2", "--out", str(tmp_path / "run")])
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert min(summary["success_rate"]["per_seed"]) >= 0.98
-    gymnasium.register_envs(gymnasium_robotics)
-    env = gymnasium.make("FetchReach-v4")
-    for path in (tmp_path / "run" / "policies").iterdir():
-        policy, successes = load_policy(path), []
-        for episode in range(100):
-            seen, _ = env.reset(seed=episode)
-            for _ in range(50):
-                inputs = np.concatenate([seen["observation"][[0, 1, 2, 5, 6, 7]], seen["desired_goal"]])
-                seen, *_ = env.step(policy(inputs).astype(np.float32))
-            successes.append(np.linalg.norm(seen["achieved_goal"] - seen["desired_goal"]) <= 0.05)
-        assert np.mean(successes) >= 0.97
+def program(rounds=7, seeds=2, **changes):
+    return Program(ENV, dataclasses.replace(TINY, rounds=rounds), (Hyperparameters(),), seeds, **changes)
+
+
+def measured(success, distance, **changes):
+    """What a round of as many seeds as there are distances measured."""
+    zero = np.zeros(len(distance))
+    episodes = EpisodeMetrics(np.array(success), zero, zero, np.array(distance), np.array(distance))
+    update = UpdateMetrics(**{field.name: zero + 0.5 for field in dataclasses.fields(UpdateMetrics)})
+    return RoundMetrics(
+        **(
+            {"evaluation": episodes, "training": episodes, "update": update}
+            | changes
+            | {name: changes.get(name, zero) for name in ("dropped", "overflow", "diverged")}
+        )
+    )
+
+
+def told(*rounds):
+    """A step that returns these metrics, one after another, and states in which each round has left its mark."""
+    coming = iter(rounds)
+
+    def step(states, phases):
+        return states.replace(expert=states.expert + 1), next(coming)
+
+    return step
+
+
+def start(of):
+    progress = begin(of)
+    return dataclasses.replace(progress, states=progress.states.replace(expert=jnp.zeros(of.seeds)))
+
+
+def saved(folder):
+    return sorted(int(path.name) for path in folder.iterdir())
+
+
+def test_a_round_in_which_every_episode_broke_is_never_the_best(tmp_path):
+    """Its success is 0, as in the others; and its distance is not 0, which would be the best, but none at all."""
+    distances = [0.3, 0.2, NAN, 0.4, 0.5, 0.6, 0.7, 0.8]
+    rounds = [measured([0.0, 0.0], [distance, distance]) for distance in distances]
+    progress = start(program())
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        train(program(), told(*rounds), progress, checkpoints)
+    assert saved(tmp_path / "checkpoints") == [2, 6, 7, 8]
+    assert progress.history[2]["distance_l1"] == [None, None]
+    json.dumps(progress.history, allow_nan=False)
+
+
+def test_where_the_episodes_of_one_seed_broke_the_others_are_scored():
+    progress = start(program())
+    train(program(rounds=0), told(measured([0.0, 0.5], [NAN, 0.3])), progress)
+    assert progress.score() == (0.25, -0.3)
+    assert dataclasses.replace(progress, history=[{"success_rate": [0.0], "distance_l1": [None]}]).score() is None
+
+
+def test_success_comes_before_distance(tmp_path):
+    rounds = [measured([success] * 2, [distance] * 2) for success, distance in [(0.5, 0.1), (0.9, 0.6), (0.9, 0.5)]]
+    rounds += [measured([0.2] * 2, [0.01] * 2)] * 5
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        train(program(), told(*rounds), start(program()), checkpoints)
+    assert saved(tmp_path / "checkpoints") == [3, 6, 7, 8]
+
+
+def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
+    seen = []
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        rounds = [measured([0.0, 0.25 * index], [0.1, 0.2]) for index in range(3)]
+        progress = start(program(rounds=2))
+
+        def watch(progress):
+            seen.append((progress.rounds, progress.history[-1]["success_rate"], checkpoints.saved))
+
+        train(program(rounds=2), told(*rounds), progress, checkpoints, after_round=watch)
+    assert seen == [(1, [0.0, 0.0], None), (2, [0.0, 0.25], 1), (3, [0.0, 0.5], 2)]
+    np.testing.assert_array_equal(progress.states.expert, 3.0)
+    assert [record["env_steps"] for record in progress.history] == [200, 800, 1400]
+    assert [record["round"] for record in progress.history] == [0, 1, 2]
+    assert 0 <= progress.history[0]["seconds"] <= progress.history[2]["seconds"] <= progress.seconds + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("saving", "kept"),
+    [(SavingPolicy(rounds=3), [3, 6, 8]), (SavingPolicy(rounds=100), [8]), (SavingPolicy(seconds=3600.0), [8])],
+)
+def test_checkpoints_are_saved_when_they_are_due_and_at_the_end(tmp_path, saving, kept):
+    rounds = [measured([0.0] * 2, [1.0] * 2)] * 8
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        train(program(), told(*rounds), start(program()), checkpoints, saving)
+    assert saved(tmp_path / "checkpoints") == kept
+
+
+def test_a_round_that_is_refused_is_neither_recorded_nor_saved(tmp_path):
+    sound, full = measured([0.0] * 2, [1.0] * 2), measured([0.0] * 2, [1.0] * 2, overflow=np.array([0.0, 0.1]))
+    progress = start(program())
+    refused = pytest.raises(OverflowError, match="the simulation ran out of room for contacts in round 2")
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints, refused:
+        train(program(), told(sound, sound, full), progress, checkpoints)
+    assert progress.rounds == 2
+    assert saved(tmp_path / "checkpoints") == [1, 2]
+
+
+def test_a_training_that_is_stopped_ends_with_its_round_and_a_checkpoint(tmp_path):
+    stop, progress = threading.Event(), start(program())
+    rounds = [measured([0.0] * 2, [1.0] * 2)] * 8
+
+    def stop_after_two(progress):
+        if progress.rounds == 2:
+            stop.set()
+
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        train(program(), told(*rounds), progress, checkpoints, SavingPolicy(10), stop, stop_after_two)
+    assert progress.rounds == 2
+    assert saved(tmp_path / "checkpoints") == [2]
+    train(program(), told(), progress, stop=stop)  # it stays stopped
+    train(program(), told(*rounds[2:]), progress)
+    assert progress.rounds == 8
+
+
+def test_a_round_is_saved_once(tmp_path):
+    progress = start(program(rounds=0))
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        save(checkpoints, progress)  # nothing is done yet
+        assert checkpoints.saved is None
+        train(program(rounds=0), told(measured([0.0] * 2, [1.0] * 2)), progress, checkpoints)
+        save(checkpoints, progress)
+    assert saved(tmp_path / "checkpoints") == [1]
+    save(None, progress)
+
+
+@pytest.mark.parametrize(("every", "evaluated"), [(1, [0, 1, 2, 3, 4, 5, 6, 7]), (3, [0, 3, 6, 7]), (100, [0, 7])])
+def test_evaluations_are_left_out_between_and_never_at_the_end(every, evaluated):
+    last = program(evaluate_every=every).phases()[:, -1]
+    assert np.flatnonzero(last == EVALUATE).tolist() == evaluated
+    assert set(last[np.delete(np.arange(8), evaluated)]) <= {SKIP}
+
+
+def test_seeds_are_named_by_their_number_and_by_their_setting_where_there_are_several():
+    assert [program(seeds=2, first_seed=5).label(index) for index in range(2)] == ["seed 5", "seed 6"]
+    several = dataclasses.replace(program(seeds=2, first_seed=5), settings=(Hyperparameters(),) * 2)
+    assert several.label(3) == "seed 6 of setting 1"
+
+
+def test_what_was_not_measured_is_none():
+    record = round_record(measured([0.5, NAN], [NAN, np.inf], diverged=np.array([NAN, 1.0])), 4, 100, 1.23456)
+    assert record["success_rate"] == [0.5, None]
+    assert record["distance_l1"] == [None, None]
+    assert record["diverged_rate"] == [None, 1.0]
+    assert (record["round"], record["env_steps"], record["seconds"]) == (4, 100, 1.235)
+
+
+def test_a_training_begins_with_its_seeds_own_states():
+    progress = begin(program(seeds=2, first_seed=5))
+    for index in range(2):
+        alone = begin(program(seeds=1, first_seed=5 + index)).states
+        jax.tree.map(
+            lambda ours, theirs, i=index: np.testing.assert_array_equal(ours[i], theirs[0]),
+            progress.states.replace(rng=None),
+            alone.replace(rng=None),
+        )
+    assert (progress.rounds, progress.seconds) == (0, 0.0)

@@ -15,32 +15,21 @@ import jax
 import numpy as np
 import pytest
 
-from hgail_jax import METHODS, Hyperparameters, Preset
+from hgail_jax import METHODS
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
-from hgail_jax.distributed.seeds import compile_train_step
-from hgail_jax.trainer import loop as training
+from hgail_jax.trainer import loop
 from hgail_jax.trainer.run_folder import sole_user
-from tests.support import TINY, small_files_only
+from tests.support import ROOT, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
-ROOT = Path(__file__).parent.parent.parent
 ROUNDS = 4  # and the pre-training
-compiled = {}
 
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch, tmp_path):
-    """Makes every run tiny, in a folder of its own, and compiles each size once."""
-
-    def compile_once(env, config, states, phases, mesh):
-        key = (type(env), config, states.rng.shape)
-        if key not in compiled:
-            compiled[key] = compile_train_step(env, config, states, phases, mesh)
-        return compiled[key]
-
-    monkeypatch.setitem(run.PRESETS, "parallel", Preset(TINY, Hyperparameters()))
-    monkeypatch.setitem(run.EVALUATION_EPISODES, "cpu", 8)
-    monkeypatch.setattr(training, "compile_train_step", compile_once)
+    """Makes every run tiny, in a folder of its own."""
+    make_runs_tiny(monkeypatch)
+    compile_once(monkeypatch)
     monkeypatch.chdir(tmp_path)
 
 
@@ -58,7 +47,7 @@ def start(*arguments, method="hgail"):
 
 def fail_in_round(monkeypatch, index, failure):
     """Lets a round's step call `failure`, once the round is computed, instead of returning."""
-    compile_step = training.compile_train_step
+    compile_step = loop.compile_train_step
 
     def compile_failing(*arguments):
         step, calls = compile_step(*arguments), iter(range(1000))
@@ -69,7 +58,7 @@ def fail_in_round(monkeypatch, index, failure):
 
         return failing
 
-    monkeypatch.setattr(training, "compile_train_step", compile_failing)
+    monkeypatch.setattr(loop, "compile_train_step", compile_failing)
 
 
 def crash(result):
@@ -176,7 +165,7 @@ with stop_on_signal() as stop:
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_second_signal_exits_at_once(name):
     command = [sys.executable, "-c", TWICE, name]
-    process = subprocess.run(command, cwd=ROOT / "experiments", capture_output=True, text=True)
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert process.returncode == 128 + getattr(signal, name)
     assert process.stdout == "once\n"
     assert process.stderr.strip() == "SIGINT: stopping after this round; once more stops at once"
@@ -223,13 +212,13 @@ def test_a_folder_is_trained_in_by_one_process_at_a_time(tmp_path, capsys):
     with sole_user(tmp_path / "run"), pytest.raises(SystemExit) as exit_info:
         start("--resume", "run")
     assert exit_info.value.code == 2
-    assert capsys.readouterr().err.splitlines()[-1] == "run.py: run is in use by another process"
+    assert capsys.readouterr().err.splitlines()[-1] == "hgail train: run is in use by another process"
     start("--resume", "run")
 
 
 def test_auto_begins_a_run_where_there_is_none(tmp_path):
-    start("--resume", "auto", method="ppo")
-    assert [path.name for path in Path("runs").iterdir()] == ["point-ppo-1"]
+    start("--resume", "auto")
+    assert [path.name for path in Path("runs").iterdir()] == ["point-hgail-1"]
 
 
 @pytest.mark.parametrize(
@@ -274,24 +263,39 @@ def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, capsys, content):
     assert [path.name for path in Path("run").iterdir()] == ["config.json"]
 
 
-def test_divergence_stops_the_run_at_the_last_good_checkpoint(tmp_path, monkeypatch, capsys, whole):
-    def diverge(result):
-        states, metrics = result
-        losses = np.array([0.5, np.inf], np.float32)
-        return states, metrics.replace(update=metrics.update.replace(discriminator_loss=losses))
+def diverge(*shares):
+    """Has a round measure these shares of updates that were not finite, by seed."""
 
+    def change(result):
+        states, metrics = result
+        return states, metrics.replace(diverged=np.array(shares, np.float32))
+
+    return change
+
+
+def test_divergence_of_all_seeds_stops_the_run_at_the_last_good_checkpoint(tmp_path, monkeypatch, capsys, whole):
     with monkeypatch.context() as patch, pytest.raises(SystemExit) as exit_info:
-        fail_in_round(patch, 3, diverge)
+        fail_in_round(patch, 3, diverge(0.5, 1.0))
         start("--out", "run")
     assert exit_info.value.code == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == (
-        "run.py: the training stops: discriminator_loss of seed 1 is not finite in round 3;"
+        "hgail train: the training stops: no seed's update is finite in round 3;"
         f" the last good checkpoint: {tmp_path}/run/checkpoints/3"
     )
     assert len(read_metrics(tmp_path / "run")) == 3 * 2
     start("--resume", "run")
     assert outcome(tmp_path / "run") == whole("hgail")
+
+
+def test_divergence_of_one_seed_is_counted_and_told(tmp_path, monkeypatch, capsys):
+    with monkeypatch.context() as patch:
+        fail_in_round(patch, 3, diverge(0.0, 0.5))
+        start("--out", "run")
+    assert capsys.readouterr().err.splitlines()[-1] == "updates that were not finite were undone: seed 1"
+    rows = read_metrics(tmp_path / "run")
+    assert [float(row["diverged_rate"]) for row in rows if row["round"] == "3"] == [0.0, 0.5]
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["diverged_seeds"] == ["seed 1"]
 
 
 def test_an_overflow_of_contacts_stops_the_run(monkeypatch, capsys):
@@ -328,7 +332,7 @@ def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, 
         finally:
             full.__exit__(None, None, None)
     assert exit_info.value.code == 1
-    assert "run.py: the run stops: " in capsys.readouterr().err
+    assert "hgail train: the run stops: " in capsys.readouterr().err
     left = {str(path.relative_to("run")) for path in Path("run").rglob("*") if path.is_file()}
     assert {name for name in left if not name.startswith("checkpoints/")} == {"config.json", "metrics.csv"}
     assert latest_checkpoint(Path("run")) in (2, 3)  # the third may be on its way when the disk is full
@@ -347,7 +351,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path):
     """Each kill comes at a random moment after the start, most of them while rounds run and checkpoints are written."""
     rounds, moments = 250, random.Random(0)
     size = ["--task", "point", "--seeds", "2", "--num-envs", "2", "--iterations", str(rounds)]
-    command = [sys.executable, str(ROOT / "experiments" / "run.py"), *size]
+    command = [sys.executable, "-c", TINY_RUN, *size]
 
     def launch(*arguments):
         with (tmp_path / "output").open("w") as output:

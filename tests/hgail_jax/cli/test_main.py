@@ -1,0 +1,102 @@
+"""The console command, and what all its commands share."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hgail_jax import cli
+from hgail_jax.cli import COMMANDS, main
+from tests.support import ROOT
+
+
+@pytest.fixture
+def prepared(monkeypatch):
+    """Leaves this process as it is, and counts how often it would have been prepared."""
+    calls = []
+    monkeypatch.setattr("hgail_jax.cli.command_line.prepare_process", lambda: calls.append(1))
+    return calls
+
+
+@pytest.mark.parametrize("command", ["train", "play", "demos"])
+def test_a_command_is_given_its_options(command, monkeypatch, prepared):
+    given = []
+    module = importlib.import_module(f"hgail_jax.cli.{command}")
+    monkeypatch.setattr(module, "main", given.append)
+    main([command, "--task", "point", "--help"])
+    assert given == [["--task", "point", "--help"]]
+    assert len(prepared) == 1
+
+
+def test_the_process_s_own_arguments_are_taken(monkeypatch, prepared):
+    given = []
+    monkeypatch.setattr("hgail_jax.cli.demos.main", given.append)
+    monkeypatch.setattr(sys, "argv", ["hgail", "demos", "--episodes", "3"])
+    main()
+    assert given == [["--episodes", "3"]]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_commands_are_listed(arguments, capsys, prepared):
+    main(arguments)
+    shown = capsys.readouterr().out
+    assert shown.startswith("usage: hgail COMMAND")
+    lines = [line.split() for line in shown.splitlines()]
+    assert [words[0] for words in lines if words and words[0] in COMMANDS] == ["train", "play", "demos"]
+    assert not prepared  # which would make folders
+
+
+@pytest.mark.parametrize("name", ["fly", "Train", "", "--task", "command_line"])
+def test_an_unknown_command_is_refused_in_one_line(name, capsys, prepared):
+    with pytest.raises(SystemExit) as exit_info:
+        main([name])
+    assert exit_info.value.code == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err == f"hgail: there is no command {name!r}; choose from train, play, demos\n"
+
+
+def test_the_package_has_the_console_command():
+    (entry,) = importlib.metadata.entry_points(group="console_scripts", name="hgail")
+    assert entry.load() is cli.main
+
+
+def test_a_command_has_help_of_its_own(capsys, prepared):
+    for command in COMMANDS:
+        with pytest.raises(SystemExit) as exit_info:
+            main([command, "--help"])
+        assert exit_info.value.code == 0
+        assert f"usage: hgail {command}" in capsys.readouterr().out
+
+
+TASK_OF_ONE_S_OWN = """
+from envs.point import Point
+
+class Near(Point):
+    success_threshold = 9.0
+"""
+
+
+def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache(tmp_path):
+    (tmp_path / "my_tasks.py").write_text(TASK_OF_ONE_S_OWN)
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"} | {
+        "PYTHONPATH": str(ROOT),
+        "PYTHONSAFEPATH": "1",  # as of a console command, whose own folder Python looks in, not the user's
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
+    options = ["--task", "my_tasks:Near", "--episodes", "3", "--out", "near.npz"]
+    done = subprocess.run(
+        [sys.executable, "-c", command, "demos", *options],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("3 episodes of my_tasks:Near: return 0.0")  # wherever it is, it is near enough
+    assert (tmp_path / "near.npz").exists()
+    assert list((tmp_path / "cache" / "hgail_jax").iterdir())

@@ -1,0 +1,47 @@
+import os
+
+import pytest
+
+from hgail_jax.trainer.run_folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
+
+
+def test_next_folder_counts_on(tmp_path):
+    assert newest_folder(tmp_path, "reach-hgail") is None
+    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-1"
+    for name in ("reach-hgail-2", "reach-hgail-10", "reach-hgail-no-30", "reach-hgail-x"):
+        (tmp_path / name).mkdir()
+    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-11"
+    assert newest_folder(tmp_path, "reach-hgail").name == "reach-hgail-10"
+
+
+def test_a_folder_is_made_once(tmp_path):
+    create_folder(tmp_path / "runs" / "one")
+    with pytest.raises(ValueError, match="one exists already"):
+        create_folder(tmp_path / "runs" / "one")
+
+
+def test_an_empty_folder_may_be_gone_on_with_and_one_of_something_else_not(tmp_path):
+    reopen_folder(tmp_path, {"task": "reach"})
+    (tmp_path / ".hidden").touch()
+    reopen_folder(tmp_path, {"task": "reach"})
+    (tmp_path / "photograph.png").touch()
+    with pytest.raises(ValueError, match="is not the folder of a run that can be resumed"):
+        reopen_folder(tmp_path, {"task": "reach"})
+    (tmp_path / "config.json").write_text('{"task": "grasp", "more": 1}')
+    with pytest.raises(ValueError, match="task is grasp there and reach here"):
+        reopen_folder(tmp_path, {"task": "reach"})
+    reopen_folder(tmp_path, {"task": "grasp"})
+    with pytest.raises(ValueError, match="there is no folder"):
+        reopen_folder(tmp_path / "missing", {})
+
+
+def test_a_folder_has_one_user_at_a_time(tmp_path):
+    before = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else None
+    for _ in range(3):
+        with sole_user(tmp_path):
+            with pytest.raises(ValueError, match="is in use by another process"), sole_user(tmp_path):
+                pass
+            with pytest.raises(ValueError, match="in use"), sole_user(tmp_path):
+                pass
+    assert before is None or len(os.listdir("/proc/self/fd")) == before
+    assert not list(tmp_path.iterdir())
