@@ -9,7 +9,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import pytest  # noqa: E402
 
 import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
-from envs.scenes import load_scene  # noqa: E402
+from envs.scenes import assets_directory, load_scene  # noqa: E402
 from envs.vision.rgbd import open_renderer  # noqa: E402
 
 _QUICKLY = "--xla_backend_optimization_level=0"
@@ -24,14 +24,14 @@ def pytest_configure(config):
 
 @pytest.fixture(scope="session")
 def shipped_policy():
-    """A policy that `python experiments/run.py --seeds 8` trained."""
-    return ROOT / "experiments" / "results" / "runs" / "reach-hgail" / "policies" / "seed-0.npz"
+    """The policy for reach that comes with the package."""
+    return assets_directory() / "policies" / "reach.npz"
 
 
 @pytest.fixture(scope="session")
 def grasp_policy():
-    """A policy that `python experiments/run.py --task grasp --seeds 8` trained."""
-    return ROOT / "experiments" / "results" / "runs" / "grasp-hgail" / "policies" / "seed-0.npz"
+    """The policy for grasp that comes with the package."""
+    return assets_directory() / "policies" / "grasp.npz"
 
 
 @pytest.fixture(scope="session")

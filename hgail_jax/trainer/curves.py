@@ -2,12 +2,8 @@
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure  # not pyplot, whose backend is the user's
 
 from hgail_jax.io.files import replace_file
 
@@ -25,7 +21,8 @@ def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarr
       distance: `[rounds, seeds]`, L1 distance at the end of the episode, metres.
 
     """
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), constrained_layout=True)
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = figure.subplots(1, 2)
     panels = ((success, "success rate", (-0.02, 1.02)), (distance, "L1 distance at the end (m)", (0.0, None)))
     for axis, (values, label, limits) in zip(axes, panels, strict=True):
         mean, std = values.mean(axis=1), values.std(axis=1)
@@ -38,4 +35,3 @@ def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarr
     figure.suptitle(title, fontsize=11)
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
-    plt.close(figure)

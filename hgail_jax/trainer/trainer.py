@@ -59,6 +59,7 @@ class Trainer:
         self._checkpoints: Checkpoints | None = None
         self._restored: Checkpoint | None = None
         self._unwanted: Path | None = None
+        self._done = False
 
     def __enter__(self) -> Self:
         return self
@@ -133,11 +134,14 @@ class Trainer:
           FloatingPointError: no seed's update was finite in a round; the last checkpoint is from before that.
           OverflowError: the simulation ran out of room for contacts; likewise.
           OSError: something cannot be written.
-          ValueError: see `open`.
+          ValueError: see `open`; or this trainer has trained already.
 
         """
+        if self._done:
+            raise ValueError(f"this trainer has trained; a new one goes on with resume={str(self.folder)!r}")
         if self._folder is None:
             self.open()
+        self._done = True
         with self:
             made_by = provenance()
             self._write_config(made_by)
@@ -169,7 +173,7 @@ class Trainer:
         resumed = newest_folder(_RUNS, stem) if options.resume == "auto" else options.resume
         if resumed is not None:
             return Path(resumed), True
-        return options.out or next_folder(_RUNS, stem), False
+        return Path(options.out) if options.out else next_folder(_RUNS, stem), False
 
     def _write_config(self, made_by: dict[str, Any]) -> None:
         remove_partial_files(self.folder)

@@ -90,13 +90,13 @@ def test_a_million_random_steps_stay_finite(task):
 
 
 def test_an_overflow_of_the_contact_buffers_is_an_error():
-    """Buffers for a single world, and 64 cubes on the table; the task refuses it, unless it does not say its limit."""
+    """Buffers for a single world, and 64 cubes on the table; it is refused before, unless the limit is hidden."""
     config = Config(num_envs=64, rounds=1, ppo_minibatches=2)
     env = envs.make("grasp", substeps=8, worlds=1)
-    with pytest.raises(ValueError, match="num_envs, in a task made for so many worlds, is 64; it must be at most 1"):
-        init_seeds(env, config, Hyperparameters(), seed_keys(0, 1))
-    env.max_worlds = None
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1))
+    with pytest.raises(ValueError, match="the number of environments on a device is 64; it must be at most 1"):
+        evaluate_seeds(env, config, states, 64)
+    env.max_worlds = None
     with pytest.raises(OverflowError, match="ran out of room for contacts"):
         evaluate_seeds(env, config, states, 64)
 
