@@ -103,7 +103,7 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": _training(num_envs=128, rounds=50),
+        "cpu": _training(num_envs=1024, rounds=16),
         "gpu": _training(num_envs=1024, rounds=40),
     }
 

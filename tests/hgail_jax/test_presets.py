@@ -12,7 +12,7 @@ from hgail_jax.trainer.options import plan
     [
         ("reach", "cpu", 64, 6, 4, 128),
         ("reach", "gpu", 256, 4, 4, 512),
-        ("grasp", "cpu", 128, 50, 8, 128),
+        ("grasp", "cpu", 1024, 16, 8, 1024),
         ("grasp", "gpu", 1024, 40, 8, 1024),
     ],
 )
