@@ -79,6 +79,8 @@ class GoalEnv(Env):
     """Largest absolute observation of a sound simulation; beyond it, or not a number, the episode is left out."""
     max_worlds: int | None = None
     """Environments that its physics can step at once; None is any number."""
+    control_period: float = 0.04
+    """Seconds between two actions, at which an episode is shown."""
     scene: str | None = None
     """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show."""
     controllers: ClassVar[Mapping[str, Controller]] = {}

@@ -41,7 +41,7 @@ class GoalVectorEnv(VectorEnv):
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
 
-    def __init__(self, env: GoalEnv, num_envs: int):
+    def __init__(self, env: GoalEnv, num_envs: int) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
         if env.max_worlds is not None and num_envs > env.max_worlds:

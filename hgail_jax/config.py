@@ -59,7 +59,7 @@ class Config:
     discriminator_minibatches: int = 50
     """Gradient steps in one discriminator update."""
     discriminator_batch: int = 512
-    """Positive, and as many negative, samples in a gradient step of the discriminator."""
+    """Expert samples, and as many of the policy's, in a gradient step of the discriminator."""
     pretrain_policy_minibatches: int = 300
     """Gradient steps of maximum likelihood in the pre-training."""
     pretrain_policy_batch: int = 512

@@ -19,5 +19,9 @@ def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
 
 
 def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) -> EpisodeMetrics:
-    """Runs `policy` for `num_episodes` fresh episodes, with the task's probe, and returns their means; jit it."""
+    """Runs `policy` for `num_episodes` fresh episodes, with the task's probe, and returns their means; jit it.
+
+    It does not say whether the simulation ran out of room for contacts; `hgail_jax.distributed.seeds.evaluate_seeds`
+    raises an error then.
+    """
     return mean_outcome(rollout(env, policy, rng, num_episodes, probe=True))

@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from envs import GoalEnv, State
-from envs.fetch.arm import CONTROL_PERIOD
 from envs.scenes import load_scene
 from envs.vision.rgbd import open_renderer
 from hgail_jax.io.policy import MeanPolicy
@@ -33,7 +32,7 @@ class Playback:
 
     """
 
-    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int):
+    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int) -> None:
         if env.scene is None:
             raise ValueError("the task has no scene to show")
         self.model = load_scene(env.scene, visual=True)
@@ -79,7 +78,7 @@ def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: 
     mujoco.mjv_defaultFreeCamera(playback.model, camera)
     camera.distance = 1.6
     temporary = path.with_name(f".{path.name}")
-    with renderer, imageio.get_writer(temporary, format="FFMPEG", fps=round(1 / CONTROL_PERIOD)) as writer:
+    with renderer, imageio.get_writer(temporary, format="FFMPEG", fps=round(1 / env.control_period)) as writer:
         for _ in playback.play(episodes):
             renderer.update_scene(playback.data, camera)
             writer.append_data(renderer.render())  # type: ignore[attr-defined]
@@ -98,5 +97,5 @@ def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[boo
             if not viewer.is_running():
                 break
             viewer.sync()
-            time.sleep(max(0.0, CONTROL_PERIOD - (time.perf_counter() - started)))
+            time.sleep(max(0.0, env.control_period - (time.perf_counter() - started)))
     return playback.outcomes

@@ -3,7 +3,6 @@
 Below, `T` is the steps of an episode and `N` the episodes of a roll-out.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -87,9 +86,7 @@ def rollout(
 
     end, (seen, done) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
     seen = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, _seen(end))
-    probed = end
-    if env.probe_length and probe is not False:
-        probed = jax.lax.cond(probe, functools.partial(_probe, env, move), lambda end, _: end, end, done["action"][-1])
+    probed = _probe(env, move, end, done["action"][-1], probe)
     outcome = jax.vmap(env.outcome)(end, probed)
     sound = _is_bounded(seen, env.observation_limit) & _is_finite(
         (done["action"].swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome), len(reset_rngs)
@@ -106,15 +103,28 @@ def _seen(state: State) -> dict[str, jax.Array]:
     return {"features": info["observation"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
 
 
-def _probe(env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array) -> State:
-    """Returns the states that the task's probe leads to, from the last states and actions of episodes, `[N, ...]`."""
+def _probe(env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array, probe: jax.Array | bool) -> State:
+    """Returns the states that the task's probe leads to where `probe`, else `end`.
+
+    Args:
+      env: the task.
+      move: takes a step in all environments.
+      end: the last states of episodes, `[N, ...]`.
+      action: their last actions, `[N, action_size]`.
+      probe: see `rollout`.
+
+    """
 
     def step(_: jax.Array, carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
         state, action = carry
         action = jax.vmap(env.probe_action)(action)
         return move(state, action), action
 
-    return jax.lax.fori_loop(0, env.probe_length, step, (end, action))[0]
+    if not env.probe_length or probe is False:  # so that nothing is compiled for it
+        return end
+    return jax.lax.cond(
+        probe, lambda *start: jax.lax.fori_loop(0, env.probe_length, step, start)[0], lambda end, _: end, end, action
+    )
 
 
 def _is_bounded(seen: dict[str, jax.Array], limit: float) -> jax.Array:

@@ -165,8 +165,8 @@ def check_metrics(metrics: RoundMetrics) -> None:
 
     Raises:
       OverflowError: the simulation ran out of room for contacts.
-      FloatingPointError: an update of every seed was not finite. One that some seeds were spared is counted in
-        `metrics.diverged`.
+      FloatingPointError: each seed had an update in the round that was not finite. Where some seeds had none, the
+        others' are counted in `metrics.diverged`, and were undone.
 
     """
     if np.any(np.asarray(metrics.overflow) > 0):

@@ -9,6 +9,9 @@ import numpy as np
 MOST = 1_000_000
 """The largest count that is taken for one: more of anything fits no machine."""
 
+MOST_SEED = 2**31 - 1
+"""The largest seed."""
+
 _SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
 
 

@@ -54,7 +54,7 @@ class Engine(abc.ABC):
     max_worlds: int | None = None
     """Environments that it can step at once; None is any number."""
 
-    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int):
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         del worlds
         self.period, self.substeps = period, substeps
         self.model = copy.copy(model)

@@ -37,7 +37,7 @@ class CEngine(Engine):
 
     name = "c"
 
-    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int):
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self._host = HostRollout(self.model, substeps, usable_cores())
 
@@ -76,7 +76,7 @@ class HostRollout:
 
     """
 
-    def __init__(self, model: mujoco.MjModel, substeps: int, threads: int):
+    def __init__(self, model: mujoco.MjModel, substeps: int, threads: int) -> None:
         self._model, self._substeps, self._threads = model, substeps, threads
         self._lock = threading.Lock()  # several devices of a process call from threads of their own
         self._pool: rollout.Rollout | None = None

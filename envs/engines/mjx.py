@@ -25,7 +25,7 @@ class MjxEngine(Engine):
 
     name = "jax"
 
-    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int):
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self.mjx_model = mjx.put_model(self.model, impl=self.name)
         self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
@@ -77,7 +77,7 @@ class WarpEngine(MjxEngine):
 
     name = "warp"
 
-    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int):
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
 

@@ -72,14 +72,15 @@ class FetchEnv(GoalEnv):
     scene: str
     episode_length = 50
     action_size = 4
+    control_period = CONTROL_PERIOD
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
 
-    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096):
-        if not FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS:
+    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
+        if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS):
             raise ValueError(f"substeps is {substeps}; it must be from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}")
-        if worlds < 1:
-            raise ValueError(f"worlds is {worlds}; it must be at least 1")
+        if not (isinstance(worlds, int) and worlds >= 1):
+            raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         self.model = load_scene(self.scene)
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
         settled = settle(self.model)

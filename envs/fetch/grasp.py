@@ -107,7 +107,7 @@ class Grasp(FetchEnv):
         "gpu": _training(num_envs=1024, rounds=40),
     }
 
-    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096):
+    def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
         self._cube_qpos = int(self.model.jnt_qposadr[self.model.joint("cube").id])
 
@@ -124,8 +124,7 @@ class Grasp(FetchEnv):
         return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
-        cube_rng, _ = jax.random.split(rng)
-        offsets = jax.random.uniform(cube_rng, (_CANDIDATES, 2), minval=-CUBE_RANGE, maxval=CUBE_RANGE)
+        offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-CUBE_RANGE, maxval=CUBE_RANGE)
         far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
         cube = jnp.append(self.initial_gripper_position[:2] + offsets[jnp.argmax(far)], _CUBE_HEIGHT)
         qpos = self._initial_physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube)
@@ -145,9 +144,9 @@ class Grasp(FetchEnv):
         return jnp.append(self.cube_position(physics), 1.0)
 
     def sample_exploration_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
-        kind_rng, position_rng = jax.random.split(rng)
+        kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
         elsewhere = jnp.append(self._random_position(position_rng), 0.0)
-        return jnp.where(jax.random.bernoulli(kind_rng), elsewhere, self.sample_goal(rng, physics))
+        return jnp.where(jax.random.bernoulli(kind_rng), elsewhere, self.sample_goal(goal_rng, physics))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return (goal[..., 3] > 0.5).astype(jnp.int32)

@@ -44,7 +44,7 @@ class Chain:
 
     """
 
-    def __init__(self, model: mujoco.MjModel, site: str):
+    def __init__(self, model: mujoco.MjModel, site: str) -> None:
         self._model = model
         self._site = model.site(site).id
         body = int(model.site_bodyid[self._site])

@@ -60,7 +60,7 @@ class Photographer(contextlib.AbstractContextManager):
 
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         model = copy.copy(model)
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)

@@ -42,7 +42,7 @@ class WarpLoop:
 
     """
 
-    def __init__(self, model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control):
+    def __init__(self, model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control) -> None:
         import warp as wp  # not a dependency of the project
         from mujoco.mjx.third_party import mujoco_warp
 

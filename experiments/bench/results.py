@@ -34,7 +34,7 @@ class Results:
 
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._rows: list[dict[str, Any]] = []
         self.added: list[dict[str, Any]] = []

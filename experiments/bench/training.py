@@ -29,7 +29,7 @@ class Training:
 
     """
 
-    def __init__(self, workload: Workload, seeds: int = 1, mesh: Mesh | None = None):
+    def __init__(self, workload: Workload, seeds: int = 1, mesh: Mesh | None = None) -> None:
         preset = workload.preset()
         self.config = preset.config
         self._row = schedule(self.config)[0]

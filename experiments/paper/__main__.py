@@ -5,7 +5,8 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
-from experiments.paper.studies import LONGER, STUDIES
+import envs
+from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.trials import Scale
 from experiments.paper.work import Work, carry_out, redraw, time_one_program, unfinished
 from hgail_jax.cli.command_line import fail, parse, prepare_process
@@ -38,8 +39,8 @@ class Options:
     """Time 18 settings as one program against the same one after another."""
     plots_only: bool = False
     """Draw every figure again from the data in the folder; nothing is trained."""
-    task: Literal["reach", "grasp", "point"] | None = None
-    """The task; by default reach, or point with --quick."""
+    task: str | None = None
+    """The task's name; by default reach, or point with --quick."""
     seeds: int | None = None
     """Number of seeds: 8, or 2 with --quick."""
     quick: bool = False
@@ -58,15 +59,15 @@ def plan(options: Options, platform: str) -> Work:
     task = options.task or ("point" if options.quick else "reach")
     seeds = (_QUICK_SEEDS if options.quick else 8) if options.seeds is None else options.seeds
     check_seeds(0, seeds)
+    envs.find_class(task)
     for name in options.study:
         check_name("study", name, [study.name for study in STUDIES])
-    everything = [study for study in STUDIES if task != "grasp" or study.table == 1]
     wanted = tuple(
         study
         for study in STUDIES
         if (options.longer or study.name != LONGER)
         and (
-            (options.all and study in everything)
+            (options.all and study in studies_of(task))
             or study.table in options.table
             or study.figure in options.figure
             or study.name in options.study
@@ -98,7 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
                 print("stopped; the same command goes on")
             elif work.sweep:
                 time_one_program(work)
-        except OSError as error:
+        except (OSError, FloatingPointError, OverflowError) as error:
             fail(_PROGRAM, f"stopped: {error}; the same command goes on", 1)
 
 

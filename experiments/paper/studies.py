@@ -201,6 +201,14 @@ _STANDARDIZATION = Study(
 )
 STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
 """Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
+_TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
+
+
+def studies_of(task: str) -> tuple[Study, ...]:
+    """Returns the studies that the paper has on a task, or would have."""
+    return tuple(study for study in STUDIES if task not in _TABLE_1_ALONE or study.table == 1)
+
+
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}
 """Titles by the paper's number."""
 

@@ -6,10 +6,9 @@ from pathlib import Path
 from hgail_jax.cli.command_line import fail, parse, prepare_process
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.recording import make_for_demonstrations, record
-from hgail_jax.validation import check_count
+from hgail_jax.validation import MOST_SEED, check_count
 
 PROGRAM = "hgail demos"
-_MOST_SEED = 2**31 - 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,7 +16,7 @@ class Options:
     """Records demonstrations of a task by a scripted controller."""
 
     task: str = "reach"
-    """A task that has a controller: reach, grasp or point."""
+    """A task that has a scripted controller, e.g. reach or grasp."""
     episodes: int = 100
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0
@@ -32,7 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.out or Path("demonstrations") / f"{options.task}.npz"
     try:
         check_count("episodes", options.episodes)
-        check_count("seed", options.seed, least=0, most=_MOST_SEED)
+        check_count("seed", options.seed, least=0, most=MOST_SEED)
         if path.exists():
             raise ValueError(f"{path} exists already; name another file")
         env = make_for_demonstrations(options.task, options.episodes)

@@ -9,7 +9,7 @@ from envs.scenes import assets_directory
 from hgail_jax.cli.command_line import fail, parse, prepare_process
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
-from hgail_jax.validation import check_count
+from hgail_jax.validation import MOST_SEED, check_count
 
 PROGRAM = "hgail play"
 
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parse(Options, PROGRAM, __doc__, arguments)
     try:
         check_count("episodes", options.episodes)
-        check_count("seed", options.seed, least=0)
+        check_count("seed", options.seed, least=0, most=MOST_SEED)
         env, policy = _load(options)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)

@@ -42,17 +42,15 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         config = trainer.run.config
         print(f"{command.method} on {command.task}, {command.seeds} seeds × {config.num_envs} envs -> {trainer.folder}")
-        writes = trainer.writes
         summary = _train(trainer)
-        if summary is None:
-            print(
-                f"stopped after {trainer.checkpoints.saved} of {config.rounds + 1} rounds;"
-                f" go on with --resume {trainer.folder}"
-            )
+        if not trainer.writes:
             return
-        if writes:
-            _report(summary, trainer)
-        if command.video and writes:
+        if summary is None:
+            done = trainer.checkpoints.saved or 0
+            print(f"stopped after {done} of {config.rounds + 1} rounds; go on with --resume {trainer.folder}")
+            return
+        _report(summary, trainer)
+        if command.video:
             _film(trainer)
 
 

@@ -123,13 +123,17 @@ def compile_train_step(
       ValueError: a device would step more environments than the task's physics can.
 
     """
+    _check_worlds(env, config, states, mesh)
+    return compile_program(_jit_train_step(env, config, mesh), states, phases)
+
+
+def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh | None) -> None:
     on_a_device = len(states.rng) * config.num_envs // (1 if mesh is None else mesh.size)
     if env.max_worlds is not None and on_a_device > env.max_worlds:
         raise ValueError(
             f"{len(states.rng)} seeds of {config.num_envs} environments are {on_a_device} on a device; the task was"
             f" made for {env.max_worlds}: make it with worlds={on_a_device}"
         )
-    return compile_program(_jit_train_step(env, config, mesh), states, phases)
 
 
 def compile_program(jitted: Any, *arguments: Any) -> Any:
@@ -204,9 +208,10 @@ def compile_evaluation(
       OverflowError if the simulation runs out of room for contacts.
 
     Raises:
-      ValueError: `num_episodes` is no count from 1.
+      ValueError: `num_episodes` is no count from 1; or see `compile_train_step`.
 
     """
+    _check_worlds(env, config, states, mesh)
     accurate, rollouts = env.accurate(), evaluation_episodes(config, num_episodes) // config.num_envs
 
     def measure(axis: str | None, states: TrainState) -> tuple[EpisodeMetrics, jax.Array]:

@@ -10,6 +10,7 @@ Physics engines that XLA calls as a black box cannot be split by its partitioner
 """
 
 import functools
+import json
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -138,6 +139,15 @@ def from_first_process(tree: Any) -> Any:
     if jax.process_count() == 1:
         return tree
     return _on_numbers(multihost_utils.broadcast_one_to_all, tree)
+
+
+def json_from_first_process(content: Any) -> Any:
+    """Returns what the first process has, anything that JSON can hold, to every process; all of them must call it."""
+    if jax.process_count() == 1:
+        return content
+    text = np.frombuffer(json.dumps(content).encode(), np.uint8)
+    size = int(from_first_process(np.array(len(text))))
+    return json.loads(bytes(from_first_process(text if is_first_process() else np.zeros(size, np.uint8))))
 
 
 def _on_numbers(function: Callable[[Any], Any], tree: Any) -> Any:

@@ -56,7 +56,7 @@ class Checkpoints:
 
     """
 
-    def __init__(self, folder: Path | str, run: dict):
+    def __init__(self, folder: Path | str, run: dict) -> None:
         self.folder = Path(folder).resolve()
         self.saved: int | None = None
         """Rounds done in the checkpoint saved last or restored."""
@@ -229,7 +229,7 @@ def _alone() -> ocp.options.MultiprocessingOptions:
 class _LastAndBest:
     """What orbax asks which checkpoints to keep."""
 
-    def __init__(self, checkpoints: Checkpoints):
+    def __init__(self, checkpoints: Checkpoints) -> None:
         self._checkpoints = checkpoints
 
     def should_preserve(self, checkpoints, *, context) -> list[bool]:

@@ -14,7 +14,14 @@ from tqdm import tqdm
 import envs
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.distributed.seeds import SeedsStep, compile_train_step, init_sweep, seed_keys
-from hgail_jax.distributed.sharding import any_process, check_replicas, from_first_process, replicate, shard
+from hgail_jax.distributed.sharding import (
+    any_process,
+    check_replicas,
+    from_first_process,
+    json_from_first_process,
+    replicate,
+    shard,
+)
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState
 from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, schedule
@@ -75,6 +82,8 @@ class Progress:
     """A record of each round done, see `round_record`."""
     seconds: float = 0.0
     """Time spent in them."""
+    saved: int = 0
+    """Rounds done in the checkpoint saved last or restored; in every process the same."""
 
     @property
     def rounds(self) -> int:
@@ -150,10 +159,8 @@ def begin(program: Program, restored: Checkpoint | None = None) -> Progress:
     progress = Progress(program.init())
     if restored is not None:
         progress = Progress(restored.state, restored.record["history"], restored.record["seconds"])
-    rounds = int(from_first_process(np.array(progress.rounds)))
-    # Only the first process writes what the rounds measured; in the others their number is all that matters.
-    progress.history = progress.history or [{} for _ in range(rounds)]
-    progress.seconds = float(from_first_process(np.array(progress.seconds)))
+    progress.history, progress.seconds = json_from_first_process([progress.history, progress.seconds])
+    progress.saved = progress.rounds
     states = from_first_process(progress.states)
     progress.states = states if program.mesh is None else shard(states, program.mesh)
     return progress
@@ -161,11 +168,12 @@ def begin(program: Program, restored: Checkpoint | None = None) -> Progress:
 
 def save(checkpoints: Checkpoints | None, progress: Progress) -> None:
     """Saves a checkpoint, unless the one saved last is of the same round."""
-    if checkpoints is None or checkpoints.saved == progress.rounds or not progress.rounds:
+    if checkpoints is None or progress.saved == progress.rounds:
         return
     check_replicas(progress.states)
     record = {"history": progress.history, "seconds": progress.seconds}
     checkpoints.save(progress.rounds, replicate(progress.states), record, score=progress.score())
+    progress.saved = progress.rounds
 
 
 def is_stopped(stop: threading.Event) -> bool:
@@ -196,7 +204,7 @@ def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) 
 
 def diverged_seeds(program: Program, progress: Progress) -> list[str]:
     """Returns the names of the seeds of which some update was not finite."""
-    rates = np.array([row["diverged_rate"] for row in progress.history if row], float)
+    rates = np.array([row["diverged_rate"] for row in progress.history], float)
     return [program.label(int(index)) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
 
 

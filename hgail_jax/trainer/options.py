@@ -131,7 +131,7 @@ def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
         "likelihood_weight": options.likelihood,
         "action_std": options.action_std,
     }
-    if options.action_std is not None and len(options.action_std) == 1:
+    if isinstance(options.action_std, tuple) and len(options.action_std) == 1:
         given["action_std"] = options.action_std[0]
     hyperparameters = preset.hyperparameters.replace(
         strategy=STRATEGIES[options.strategy],

@@ -15,7 +15,7 @@ import jax
 
 from hgail_jax.distributed.processes import silent_but_first
 from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, compile_evaluation
-from hgail_jax.distributed.sharding import any_process, replicate
+from hgail_jax.distributed.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.presets import platform_name
@@ -50,7 +50,7 @@ class Trainer:
 
     """
 
-    def __init__(self, options: TrainOptions | None = None, **changes: Any):
+    def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:
         self.options = dataclasses.replace(options or TrainOptions(), **changes)
         self._started = time.perf_counter()
         self.run: Run = plan(self.options, platform_name())
@@ -85,8 +85,8 @@ class Trainer:
 
     @property
     def writes(self) -> bool:
-        """Whether this process writes the folder; see `silent_but_first`."""
-        return self._unwanted is None
+        """Whether this process, of several, is the one that writes the folder."""
+        return is_first_process()
 
     def policy(self, seed: int) -> MeanPolicy:
         """Returns the trained policy of a seed.
@@ -107,6 +107,8 @@ class Trainer:
           OSError: likewise.
 
         """
+        if self._folder is not None:
+            raise ValueError(f"{self._folder} is open already")
         self._unwanted = self._held.enter_context(silent_but_first())
         refusal: Exception | None = None
         try:
@@ -188,16 +190,21 @@ class Trainer:
             print("compiling ...", flush=True)
             step = program.compile()
         progress = begin(program, self._restored)
-        with ThreadPoolExecutor(1) as background:  # the final evaluation is compiled while the training runs
+        background = ThreadPoolExecutor(1)  # which compiles the final evaluation while the training runs
+        try:
             compiling = background.submit(self._compile_evaluation)
             self._train_rounds(step, progress, stop)
+        finally:
+            background.shutdown(wait=False)
         if is_stopped(stop):
             return None
         timing["train"] = progress.seconds
         with _timed(timing, "evaluation"):
             print("running the final evaluation ...", flush=True)
             final = compiling.result()(progress.states)
-        write_results(run, self.folder, replicate(progress.states), progress.history)
+        states = replicate(progress.states)  # which all processes take part in
+        if self.writes:
+            write_results(run, self.folder, states, progress.history)
         return summarize(run, progress, final, timing)
 
     def _compile_evaluation(self) -> SeedsEvaluation:
