@@ -210,7 +210,7 @@ def test_defaults_of_training_are_what_the_readme_says(name, tasks):
             "gpu": ({"num_envs": 256, "rounds": 4}, options),
         }
         return
-    for platform, sizes in (("cpu", (128, 50)), ("gpu", (1024, 40))):
+    for platform, sizes in (("cpu", (1024, 16)), ("gpu", (1024, 40))):
         config, options = chosen[platform]
         assert (config.pop("num_envs"), config.pop("rounds")) == sizes
         assert config == {
