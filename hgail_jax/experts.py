@@ -6,7 +6,7 @@ fitted to, are
 - `"relabelled"`: the roll-out at hand, relabelled in hindsight (HGAIL);
 - `"frozen"`: the first roll-out of all, relabelled once (the paper's "no curriculum", Table 2);
 - `"demonstrations"`: what somebody else did (GAIL, Ho & Ermon 2016);
-- `"best"`: the policy's own best episodes so far (generative adversarial self-imitation, Guo et al. 2018).
+- `"best"`: the policy's own best episodes so far (GASIL, generative adversarial self-imitation, Guo et al. 2018).
 
 All but the first are kept in the training state, as its `expert`.
 """
@@ -27,7 +27,7 @@ _LEAST_RETURN = float(np.finfo(np.float32).min)  # of a place in the buffer that
 
 
 class BestEpisodes(struct.PyTreeNode):
-    """The `K` best episodes so far, best first; the places that are still empty have no weight."""
+    """GASIL's buffer: the `K` best episodes so far, best first; the places that are still empty have no weight."""
 
     samples: Samples
     """Leaves `[T, K, ...]`, under the goals pursued."""

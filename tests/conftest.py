@@ -12,7 +12,7 @@ import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
 from envs.scenes import assets_directory, load_scene  # noqa: E402
 from envs.vision.rgbd import open_renderer  # noqa: E402
 
-_QUICKLY = "--xla_backend_optimization_level=0"
+_QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 
 
 def pytest_configure(config):

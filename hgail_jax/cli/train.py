@@ -69,9 +69,11 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
 
 def _film(trainer: Trainer) -> None:
     """Writes rollout.mp4, or says in one line why it cannot."""
+    print("filming ...", flush=True)
     try:
         env, policy = trainer.run.env.accurate(), trainer.policy(trainer.options.first_seed)
         film(trainer.folder / "rollout.mp4", env, policy)
+        print(trainer.folder / "rollout.mp4")
     except Exception as error:  # whatever rendering or encoding raises, the results are written
         print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
 

@@ -16,8 +16,8 @@ def test_learns_the_log_ratio_of_two_gaussians():
 
     def step(carry, rng):
         params, state = carry
-        expert = 1.0 + jax.random.normal(jax.random.fold_in(rng, 0), (512, 1))
-        policy = -1.0 + jax.random.normal(jax.random.fold_in(rng, 1), (512, 1))
+        expert = 1.0 + jax.random.normal(jax.random.fold_in(rng, 0), (256, 1))
+        policy = -1.0 + jax.random.normal(jax.random.fold_in(rng, 1), (256, 1))
 
         def loss(params):
             return discriminator_loss(apply(network, params, expert)[:, 0], apply(network, params, policy)[:, 0])
@@ -26,7 +26,7 @@ def test_learns_the_log_ratio_of_two_gaussians():
         update, state = optimizer.update(gradient, state)
         return (optax.apply_updates(params, update), state), value
 
-    rngs = jax.random.split(jax.random.key(1), 1500)
+    rngs = jax.random.split(jax.random.key(1), 800)
     (params, _), losses = jax.jit(lambda carry: jax.lax.scan(step, carry, rngs))((params, optimizer.init(params)))
     x = np.linspace(-2, 2, 41)[:, None]
     np.testing.assert_allclose(apply(network, params, x)[:, 0], 2 * x[:, 0], atol=0.45)

@@ -112,9 +112,9 @@ def test_policies_can_be_loaded(reach_run):
 
 def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
     run.main(["--task", "point", "--first-seed", "5", *TINY])
-    run.main(["--task", "point", "--method", "ppo", *TINY])
+    run.main(["--task", "point", "--method", "hgail-no", *TINY])
     run.main(["--task", "point", *TINY])
-    assert {path.name for path in Path("runs").iterdir()} == {"point-hgail-1", "point-ppo-1", "point-hgail-2"}
+    assert {path.name for path in Path("runs").iterdir()} == {"point-hgail-1", "point-hgail-no-1", "point-hgail-2"}
     assert {path.name for path in Path("runs/point-hgail-1/policies").iterdir()} == {"seed-5.npz", "seed-6.npz"}
 
 

@@ -10,11 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import envs
-from hgail_jax import Checkpoints, Hyperparameters, schedule
-from hgail_jax.distributed.seeds import compile_train_step, init_seeds, seed_keys
+from hgail_jax import Checkpoints
 from hgail_jax.trainer.checkpoint import KEPT, SCHEMA
-from tests.support import TINY, small_files_only
+from tests.support import small_files_only
 
 RUN = {"task": "point", "config": {"num_envs": 4, "hidden": (8, 8)}}
 
@@ -264,27 +262,6 @@ def test_a_state_is_restored_onto_more_devices_and_onto_fewer(tmp_path):
     read = Checkpoints(tmp_path, {}).restore({"values": values})
     np.testing.assert_array_equal(read.state["values"], values + 1)
     assert len(read.state["values"].sharding.device_set) == 1
-
-
-def test_eight_seeds_train_on_from_a_checkpoint_as_if_nothing_had_happened(tmp_path):
-    env, schedule_rows = envs.make("point"), schedule(TINY)
-
-    def init():
-        return init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 8))
-
-    step = compile_train_step(env, TINY, jax.eval_shape(init), schedule_rows[0])
-    states = init()
-    with Checkpoints(tmp_path, RUN) as checkpoints:
-        for rounds, phases in enumerate(schedule_rows, start=1):
-            states, _ = step(states, phases)
-            if rounds == 1:
-                checkpoints.save(rounds, states, {}, (0.0,))
-    read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(init))
-    assert (read.rounds, len(schedule_rows)) == (1, 3)
-    resumed = read.state
-    for phases in schedule_rows[read.rounds :]:
-        resumed, _ = step(resumed, phases)
-    assert_same(states, resumed)
 
 
 def test_a_checkpoint_says_what_it_is(tmp_path):

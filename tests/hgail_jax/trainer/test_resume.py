@@ -84,18 +84,30 @@ def outcome(folder):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Returns the outcome of a method's run that nothing interrupted."""
-    outcomes = {}
+def folders(tmp_path_factory):
+    """Returns the folder of a method's run that nothing interrupted."""
+    folders = {}
 
     def of(method, *arguments):
-        if method not in outcomes:
+        if method not in folders:
             folder = tmp_path_factory.mktemp("whole") / "run"
             start("--out", str(folder), *arguments, method=method)
-            outcomes[method] = outcome(folder)
-        return outcomes[method]
+            folders[method] = folder
+        return folders[method]
 
     return of
+
+
+@pytest.fixture
+def whole(folders):
+    """Returns the outcome of such a run."""
+    return lambda *arguments: outcome(folders(*arguments))
+
+
+@pytest.fixture
+def complete(folders, tmp_path):
+    """A complete run in the folder `run`."""
+    return shutil.copytree(folders("hgail"), tmp_path / "run")
 
 
 @pytest.mark.parametrize(
@@ -171,8 +183,7 @@ def test_a_second_signal_exits_at_once(name):
     assert process.stderr.strip() == "SIGINT: stopping after this round; once more stops at once"
 
 
-def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole):
-    start("--out", "run")
+def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole, complete):
     for name in ("summary.json", "metrics.csv", "curves.png", "policies/seed-1.npz"):
         (tmp_path / "run" / name).unlink()
     config = (tmp_path / "run" / "config.json").read_bytes()
@@ -195,8 +206,7 @@ def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
-def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whole):
-    start("--out", "run")
+def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whole, complete):
     shutil.rmtree("run/checkpoints")
     Path("run/.metrics.csv.17.partial").touch()
     start("--resume", "run")
@@ -207,9 +217,8 @@ def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whol
     assert outcome(tmp_path / "runs" / "point-hgail-1") == whole("hgail")
 
 
-def test_a_folder_is_trained_in_by_one_process_at_a_time(tmp_path, capsys):
-    start("--out", "run")
-    with sole_user(tmp_path / "run"), pytest.raises(SystemExit) as exit_info:
+def test_a_folder_is_trained_in_by_one_process_at_a_time(capsys, complete):
+    with sole_user(complete), pytest.raises(SystemExit) as exit_info:
         start("--resume", "run")
     assert exit_info.value.code == 2
     assert capsys.readouterr().err.splitlines()[-1] == "hgail train: run is in use by another process"
@@ -234,8 +243,7 @@ def test_auto_begins_a_run_where_there_is_none(tmp_path):
         (["--no-pretrain"], "config.pretrain is True there and False here"),
     ],
 )
-def test_another_run_is_refused_in_one_line(tmp_path, capsys, arguments, message):
-    start("--out", "run")
+def test_another_run_is_refused_in_one_line(tmp_path, capsys, complete, arguments, message):
     for checkpoints in ("there", "missing"):
         if checkpoints == "missing":
             shutil.rmtree("run/checkpoints")

@@ -12,7 +12,7 @@ from hgail_jax import Trainer, TrainOptions
 from hgail_jax.trainer import curves, results
 from tests.support import compile_once, make_runs_tiny
 
-SMALL = TrainOptions(task="point", seeds=2, num_envs=4, iterations=3)
+SMALL = TrainOptions(task="point", seeds=2, num_envs=4, iterations=4)  # as `test_resume` has it
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +43,7 @@ def table(folder):
 
 def bits(folder):
     """All that a run of `SMALL` computed."""
-    record = json.loads((folder / "checkpoints" / "4" / "record" / "metadata").read_text())
+    record = json.loads((folder / "checkpoints" / "5" / "record" / "metadata").read_text())
     return table(folder), record["body"]["arrays"]
 
 
@@ -55,7 +55,7 @@ def test_a_run_in_a_notebook():
     written = json.loads((trainer.folder / "summary.json").read_text())
     assert {name: written[name] for name in summary} == summary
     assert written["commit"] is None or len(written["commit"]) >= 7
-    assert trainer.checkpoints.saved == 4
+    assert trainer.checkpoints.saved == 5
     policy = trainer.policy(seed=1)
     assert policy.task == "point"
     assert policy(np.zeros((5, 6))).shape == (5, 3)
@@ -70,7 +70,7 @@ def test_a_training_that_an_event_stops_goes_on_in_another_trainer_to_the_same_b
     stopped = Trainer(SMALL, out=Path("stopped"))
     assert stopped.train(After(3)) is None
     done = stopped.checkpoints.saved
-    assert 0 < done < 4
+    assert 0 < done < 5
     assert len(table(stopped.folder)) == 2 * done
     assert not (stopped.folder / "summary.json").exists()
     resumed = Trainer(SMALL, resume=str(stopped.folder))
@@ -145,9 +145,9 @@ def test_curves_are_those_of_the_table(monkeypatch):
     assert path == Path("run/curves.png")
     assert "hgail on point: 2 seeds, 4 environments each" in title
     rows = table(Path("run"))
-    np.testing.assert_array_equal(steps, [200, 800, 1400, 2000])
+    np.testing.assert_array_equal(steps, [200, 800, 1400, 2000, 2600])
     for column, values in (("success_rate", success), ("distance_l1", distance)):
-        expected = [[float(row[column]) for row in rows if row["round"] == str(index)] for index in range(4)]
+        expected = [[float(row[column]) for row in rows if row["round"] == str(index)] for index in range(5)]
         np.testing.assert_allclose(values, expected)
 
 
