@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?= --seeds 8
 
-.PHONY: train test slow lock clean
+.PHONY: train test slow mutants lock clean
 
 train: $(VENV)/.installed
 	$(BIN)/python experiments/run.py $(ARGS)
@@ -17,6 +17,10 @@ test: $(VENV)/.installed
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow
+
+# Breaks the learning core in small ways and tells which breaks no test notices; an hour on two cores.
+mutants: $(VENV)/.installed
+	$(BIN)/python -m tests.mutants --sample 220
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -83,6 +83,8 @@ class GoalEnv(Env):
     """Seconds between two actions, at which an episode is shown."""
     scene: str | None = None
     """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show."""
+    reference: str | None = None
+    """Name of the Gymnasium environment that the task is held to."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
     """Scripted controllers by name; the first demonstrates the task."""
     training: ClassVar[Mapping[str, TrainingDefaults]] = {

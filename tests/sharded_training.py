@@ -14,8 +14,8 @@ from hgail_jax.distributed.sharding import check_replicas, make_mesh, shard
 from tests.support import TINY
 
 
-def train(task, groups, devices):
-    """Returns every number of the final states, of all metrics and of the final evaluation, `[seeds, ...]` each.
+def train(task, groups, devices, final=True):
+    """Returns every number of the final states, of all metrics and of a final evaluation, `[seeds, ...]` each.
 
     `groups` lists equally many seeds each; those of a group train side by side, and one program trains all groups.
     """
@@ -25,13 +25,14 @@ def train(task, groups, devices):
     for seeds in groups:
         states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
         step = step or compile_train_step(env, TINY, states, phases[0], mesh)
-        evaluate = evaluate or compile_evaluation(env, TINY, states, 8, mesh)
+        if final:
+            evaluate = evaluate or compile_evaluation(env, TINY, states, 8, mesh)
         states, measured = shard(states, mesh), []
         for row in phases:
             states, metrics = step(states, row)
             measured.append(metrics)
         check_replicas(states)
-        numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, evaluate(states))
+        numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, evaluate(states) if final else ())
         results.append([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
     return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]
 

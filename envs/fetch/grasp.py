@@ -97,6 +97,7 @@ class Grasp(FetchEnv):
     probe_length = 12
 
     scene = "fetch/grasp"
+    reference = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {
         "from-above": controllers.grasp,
         "straight": controllers.straight,

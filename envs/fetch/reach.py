@@ -31,6 +31,7 @@ class Reach(FetchEnv):
     goal_size = 3
 
     scene = "fetch/reach"
+    reference = "FetchReach-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}, options={"substeps": FAST_SUBSTEPS}),

@@ -10,7 +10,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+import envs
 from envs.engines import ENGINES
+from envs.fetch.arm import FetchEnv
 from experiments.bench import speed
 from experiments.bench.peers import peer_rows
 from experiments.bench.results import Results, table
@@ -41,7 +43,7 @@ class Options:
         ...,
     ] = ("physics", "rollout", "train", "shares")
     """What to measure. The first four are columns of one row for each size."""
-    task: Literal["reach", "grasp"] = "reach"
+    task: str = "reach"
     """The task."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
     num_envs: tuple[int, ...] | None = None
@@ -82,6 +84,7 @@ def _check(options: Options) -> None:
     for name in ("section", "impl", "seeds"):
         if not getattr(options, name):
             raise ValueError(f"--{name} names nothing")
+    check_name("task", options.task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
     for name in ("seeds", "num_envs", "substeps"):

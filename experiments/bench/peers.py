@@ -23,9 +23,6 @@ from envs.scenes import load_scene
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import default_substeps
 
-ENVIRONMENTS = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
-"""Gymnasium-Robotics' and EnvPool's names of the environments, by task."""
-
 _SECONDS, _QUICK_SECONDS = 10.0, 0.2
 _SUCCESS = 0.98  # rate at which stable-baselines3 is stopped
 _MOST_STEPS = 60_000
@@ -92,6 +89,14 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
     return batch * actions / seconds
 
 
+def _reference(task: str) -> str:
+    """Returns the name of the Gymnasium environment that a task is held to."""
+    name = envs.find_class(task).reference
+    if name is None:
+        raise ValueError(f"{task} has no counterpart in Gymnasium")
+    return name
+
+
 def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times Gymnasium-Robotics' environment as its users step it, with random actions."""
     import gymnasium
@@ -99,7 +104,7 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
 
     gymnasium.register_envs(gymnasium_robotics)
     cores = usable_cores()
-    make = functools.partial(gymnasium.make, ENVIRONMENTS[task])
+    make = functools.partial(gymnasium.make, _reference(task))
     sync, parallel = gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv
     for kind, count in ((sync, 1), (parallel, cores), (parallel, 8 * cores)):
         with contextlib.closing(kind([make] * count)) as vector:
@@ -109,7 +114,7 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
             while (seconds := time.perf_counter() - started) < (_QUICK_SECONDS if quick else _SECONDS):
                 vector.step(vector.action_space.sample())
                 taken += count
-        what = f"{ENVIRONMENTS[task]}, {kind.__name__} of {count}"
+        what = f"{_reference(task)}, {kind.__name__} of {count}"
         yield {"what": what, "substeps": ACCURATE_SUBSTEPS, "env_steps_per_second": taken / seconds}
 
 
@@ -118,13 +123,13 @@ def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     if importlib.util.find_spec("envpool") is None:
         raise ImportError("No module named 'envpool'")
     threads, seconds = usable_cores(), _QUICK_SECONDS if quick else _SECONDS
-    asked = json.dumps([ENVIRONMENTS[task], _POOLED, threads, seconds])
+    asked = json.dumps([_reference(task), _POOLED, threads, seconds])
     # In a process of its own: it is linked with a MuJoCo of its own, of another version than the one loaded here.
     command = [sys.executable, "-c", _TIME_ENVPOOL, asked]
     said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     measured = json.loads(said.splitlines()[-1])
     yield {
-        "what": f"EnvPool {measured['version']} {ENVIRONMENTS[task]}, {threads} threads",
+        "what": f"EnvPool {measured['version']} {_reference(task)}, {threads} threads",
         "num_envs": _POOLED,
         "substeps": ACCURATE_SUBSTEPS,
         "env_steps_per_second": measured["env_steps_per_second"],
@@ -140,7 +145,7 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     import stable_baselines3 as sb3
 
     gymnasium.register_envs(gymnasium_robotics)
-    env, test = gymnasium.make(ENVIRONMENTS[task]), gymnasium.make(ENVIRONMENTS[task])
+    env, test = gymnasium.make(_reference(task)), gymnasium.make(_reference(task))
     learner = sb3.SAC(
         "MultiInputPolicy",
         env,

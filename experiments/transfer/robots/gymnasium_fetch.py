@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 
+import envs
 from envs.fetch.grasp import is_held
 from experiments.transfer.robots.base import Robot
-
-ENVIRONMENTS = {"reach": "FetchReach-v4", "grasp": "FetchPickAndPlace-v4"}
-"""Gymnasium-Robotics' names of the environments, by task."""
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # see `Robot.step`
@@ -51,7 +49,8 @@ class GymnasiumFetch(Robot):
 
         gymnasium.register_envs(gymnasium_robotics)
         self.task = task
-        env: Any = gymnasium.make(ENVIRONMENTS[task], disable_env_checker=True).unwrapped
+        name: Any = envs.find_class(task).reference
+        env: Any = gymnasium.make(name, disable_env_checker=True).unwrapped
         env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
         self.model, self.data = env.model, env.data
         self._env = env

@@ -57,7 +57,7 @@ def test_a_seed_over_two_devices_agrees_with_the_seed_alone(trained):
 
 def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
     """Each device calls C MuJoCo from a thread of its own."""
-    one = {"task": "reach", "groups": [[0]], "devices": 1}
+    one = {"task": "reach", "groups": [[0]], "devices": 1, "final": False}
     trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
     assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)
 

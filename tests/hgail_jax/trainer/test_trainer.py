@@ -112,7 +112,7 @@ def test_options_are_changed_by_name():
 
 
 def test_folders_may_be_given_as_text():
-    trainer = Trainer(SMALL, iterations=0, out="run")
+    trainer = Trainer(SMALL, out="run")
     trainer.train()
     assert Path("run/summary.json").exists()
 
