@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import envs
-from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics
+from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, schedule
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
 from hgail_jax.updates import UpdateMetrics
@@ -38,11 +38,16 @@ def measured(success, distance, **changes):
     )
 
 
-def told(*rounds):
-    """A step that returns these metrics, one after another, and states in which each round has left its mark."""
+def told(*rounds, given=None):
+    """A step that returns these metrics, one after another, and states in which each round has left its mark.
+
+    It adds the phases of each round to the list `given`.
+    """
     coming = iter(rounds)
 
     def step(states, phases):
+        if given is not None:
+            given.append(phases.tolist())
         return states.replace(expert=states.expert + 1), next(coming)
 
     return step
@@ -85,7 +90,7 @@ def test_success_comes_before_distance(tmp_path):
 
 
 def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
-    seen = []
+    seen, given = [], []
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
         rounds = [measured([0.0, 0.25 * index], [0.1, 0.2]) for index in range(3)]
         progress = start(program(rounds=2))
@@ -93,7 +98,8 @@ def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
         def watch(progress):
             seen.append((progress.rounds, progress.history[-1]["success_rate"], checkpoints.saved))
 
-        train(program(rounds=2), told(*rounds), progress, checkpoints, after_round=watch)
+        train(program(rounds=2), told(*rounds, given=given), progress, checkpoints, after_round=watch)
+    assert given == schedule(dataclasses.replace(TINY, rounds=2)).tolist()
     assert seen == [(1, [0.0, 0.0], None), (2, [0.0, 0.25], 1), (3, [0.0, 0.5], 2)]
     np.testing.assert_array_equal(progress.states.expert, 3.0)
     assert [record["env_steps"] for record in progress.history] == [200, 800, 1400]
