@@ -375,9 +375,10 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path):
         process = launch("--resume", "auto")
         before = latest_checkpoint(folder)
         if kill % 5:  # the others come while the program starts
-            while latest_checkpoint(folder) == before and process.poll() is None:
-                time.sleep(0.01)
-        time.sleep(moments.uniform(0.0, 1.5))
+            wanted = before + moments.randint(1, 12)
+            while latest_checkpoint(folder) < wanted and process.poll() is None:
+                time.sleep(0.002)
+        time.sleep(moments.uniform(0.0, 0.2 if kill % 5 else 3.0))
         process.kill()
         assert process.wait() == -signal.SIGKILL, (tmp_path / "output").read_text()
         done.append(latest_checkpoint(folder))
