@@ -1,6 +1,10 @@
-"""Trains tiny seeds over several devices and writes what came of it: the file to write, and trainings as JSON."""
+"""Trains tiny seeds over several devices, in a process that has them.
+
+As a script it takes the file to write, and the trainings as JSON.
+"""
 
 import json
+import subprocess
 import sys
 
 import jax
@@ -11,7 +15,7 @@ import envs
 from hgail_jax import Hyperparameters, schedule
 from hgail_jax.distributed.seeds import compile_evaluation, compile_train_step, init_seeds
 from hgail_jax.distributed.sharding import check_replicas, make_mesh, shard
-from tests.support import TINY
+from tests.support import ROOT, TINY, four_devices
 
 
 def train(task, groups, devices, final=True):
@@ -35,6 +39,19 @@ def train(task, groups, devices, final=True):
         numbers = (states.replace(rng=jax.random.key_data(states.rng)), measured, evaluate(states) if final else ())
         results.append([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
     return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]
+
+
+def train_on_four_devices(path, **trainings):
+    """Returns what `train` returns for each of the keyword arguments."""
+    command = [sys.executable, "-m", "tests.sharded_training", path, json.dumps(trainings)]
+    subprocess.run(command, env=four_devices(), cwd=ROOT, check=True, timeout=600)
+    with np.load(path) as content:
+        return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}
+
+
+def assert_close(ours, expected, **tolerance):
+    for one, other in zip(ours, expected, strict=True):
+        np.testing.assert_allclose(one, other, **tolerance)
 
 
 if __name__ == "__main__":

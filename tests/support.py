@@ -1,6 +1,7 @@
 """What several test modules share."""
 
 import contextlib
+import os
 import resource
 from pathlib import Path
 
@@ -68,6 +69,12 @@ make_runs_tiny()
 main(sys.argv[1:])
 """
 """A script that does what `hgail train` does, in these sizes."""
+
+
+def four_devices():
+    """Returns the environment of a process in which XLA makes four devices of one processor."""
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"
+    return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from envs import EpisodeMetrics
 from envs.point import Point
 from hgail_jax import Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.distributed.seeds import evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
+from hgail_jax.distributed.seeds import compile_evaluation, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
 from hgail_jax.evaluate import evaluate
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.state import split_key
@@ -88,10 +88,11 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
     env, config = Drawn(), dataclasses.replace(TINY, num_envs=1)
     step = jax.jit(functools.partial(train_step, env, config))
     states, drawn = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1)), []
+    evaluate_last = compile_evaluation(env, config, states, 1)
     state = jax.tree.map(lambda leaf: leaf[0], states)
     for phase in (PRETRAIN, POLICY, DISCRIMINATOR, POLICY):
         _, evaluated = step(state, np.array([EVALUATE]))
-        final = evaluate_seeds(env, config, jax.tree.map(lambda leaf: leaf[None], state), 1)
+        final = evaluate_last(jax.tree.map(lambda leaf: leaf[None], state))
         state, learnt = step(state, np.array([phase]))
         for episode in (evaluated.evaluation, learnt.training, final):
             drawn += [float(np.squeeze(episode.distance_l1)), float(np.squeeze(episode.distance_l2))]
@@ -230,8 +231,8 @@ class Refined(Point):
 def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physics():
     env = Refined()
     states = init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 2))
-    for episodes, rollouts in ((1, 1), (4, 1), (5, 2)):
-        assert evaluation_episodes(TINY, episodes) == 4 * rollouts
+    assert [evaluation_episodes(TINY, episodes) for episodes in (1, 4, 5)] == [4, 4, 8]
+    for episodes, rollouts in ((1, 1), (5, 2)):
         measured = evaluate_seeds(env, TINY, states, episodes)
         for seed in range(2):
             state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)

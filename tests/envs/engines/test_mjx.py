@@ -27,9 +27,8 @@ def test_buffers_hold_what_mjx_jax_allots():
     for task in ("reach", "grasp"):
         env = envs.make(task, impl="jax")
         sizes = buffer_sizes(load_scene(f"fetch/{task}"), worlds=3)
-        blank = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 1)).pipeline_state
-        first = jax.tree.map(lambda leaf: leaf[0], blank)
-        data = env.engine.data(first, env.control(first, np.zeros(3)))
+        physics = jax.eval_shape(env.reset, jax.random.key(0)).pipeline_state
+        data = jax.eval_shape(lambda one, env=env: env.engine.data(one, env.control(one, np.zeros(3))), physics)
         assert sizes["njmax"] >= data._impl.efc_J.shape[0]
         assert sizes["naconmax"] % 3 == 0
 

@@ -1,9 +1,5 @@
-"""Training over several devices: four that XLA makes of one processor, and two processes."""
+"""Training over several devices: four that XLA makes of one processor."""
 
-import csv
-import json
-import os
-import socket
 import subprocess
 import sys
 
@@ -12,18 +8,8 @@ import numpy as np
 import pytest
 
 from hgail_jax.distributed.sharding import make_mesh, most_devices
-from tests.support import ROOT, TINY_RUN
-
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
-FOUR_DEVICES = ENVIRONMENT | {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"}
-
-
-def train_on_four_devices(path, **trainings):
-    """Returns what `sharded_training.train` returns for each of the keyword arguments."""
-    command = [sys.executable, "-m", "tests.sharded_training", path, json.dumps(trainings)]
-    subprocess.run(command, env=FOUR_DEVICES, cwd=ROOT, check=True, timeout=600)
-    with np.load(path) as content:
-        return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}
+from tests.sharded_training import assert_close, train_on_four_devices
+from tests.support import four_devices
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +20,6 @@ def trained(tmp_path_factory):
         seeds={"task": "point", "groups": [[0, 1, 2, 3], [3, 2, 1, 0]], "devices": 4},
         both={"task": "point", "groups": [[0, 1]], "devices": 4},
     )
-
-
-def assert_close(ours, expected, **tolerance):
-    for one, other in zip(ours, expected, strict=True):
-        np.testing.assert_allclose(one, other, **tolerance)
 
 
 def test_a_seed_has_the_same_bits_on_whichever_device_and_beside_whichever_others(trained):
@@ -53,13 +34,6 @@ def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
 def test_a_seed_over_two_devices_agrees_with_the_seed_alone(trained):
     """Two seeds over four devices, so the environments of each over two."""
     assert_close(trained["both"], [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
-
-
-def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
-    """Each device calls C MuJoCo from a thread of its own."""
-    one = {"task": "reach", "groups": [[0]], "devices": 1, "final": False}
-    trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
-    assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)
 
 
 REPLICAS = """
@@ -103,40 +77,8 @@ print("done")
 
 
 def test_devices_that_should_hold_the_same_are_compared():
-    process = subprocess.run([sys.executable, "-c", REPLICAS], env=FOUR_DEVICES, capture_output=True, text=True)
+    process = subprocess.run([sys.executable, "-c", REPLICAS], env=four_devices(), capture_output=True, text=True)
     assert process.stdout.strip() == "done", process.stderr
-
-
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("localhost", 0))
-        return listener.getsockname()[1]
-
-
-def start(folder, *arguments):
-    command = [sys.executable, "-c", TINY_RUN, "--task", "point", "--seeds", "1", "--num-envs", "4"]
-    arguments = ["--iterations", "1", "--out", folder, *arguments]
-    return subprocess.Popen([*command, *arguments], env=ENVIRONMENT, cwd=folder.parent, stdout=subprocess.PIPE)
-
-
-def rows(folder):
-    with (folder / "metrics.csv").open() as file:
-        return [[float(cell or 0) for name, cell in row.items() if name != "seconds"] for row in csv.DictReader(file)]
-
-
-def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path):
-    """The environments of one seed are split between them, so they exchange every trajectory."""
-    coordinator = ["--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
-    pair = [start(tmp_path / "pair", *coordinator, "--process-id", str(process)) for process in range(2)]
-    output = [process.communicate(timeout=300)[0] for process in pair]
-    assert [process.returncode for process in pair] == [0, 0]
-    assert b"success" in output[0] and b"success" not in output[1]
-    assert start(tmp_path / "single").wait(timeout=300) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
-    np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
-    pair, single = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("pair", "single"))
-    np.testing.assert_allclose(pair["distance_l1"]["mean"], single["distance_l1"]["mean"], rtol=1e-3)
-    assert sorted(path.name for path in (tmp_path / "pair" / "checkpoints").iterdir()) == ["1", "2"]
 
 
 def test_a_mesh_takes_seeds_first_and_then_environments():

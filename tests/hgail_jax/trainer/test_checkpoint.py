@@ -3,7 +3,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ import pytest
 
 from hgail_jax import Checkpoints
 from hgail_jax.trainer.checkpoint import KEPT, SCHEMA
-from tests.support import small_files_only
+from tests.support import four_devices, small_files_only
 
 RUN = {"task": "point", "config": {"num_envs": 4, "hidden": (8, 8)}}
 
@@ -248,12 +247,7 @@ def test_a_state_is_restored_onto_more_devices_and_onto_fewer(tmp_path):
         checkpoints.save(1, {"values": values}, {}, (0.0,))
     process = subprocess.run(
         [sys.executable, "-c", ON_FOUR_DEVICES, tmp_path],
-        env=os.environ
-        | {
-            "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4",
-            "JAX_PLATFORMS": "cpu",
-            "PYTHONPATH": str(Path(__file__).parent.parent.parent),
-        },
+        env=four_devices(),
         check=True,
         capture_output=True,
         text=True,
