@@ -1,10 +1,10 @@
-# Two commands: `make train` and `make test`. Both set everything up in .venv first.
+# Two commands: `make train` and `make test`. Both set everything up in .venv first, and so do the others.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?= --seeds 8
 
-.PHONY: train test slow mutants lock clean
+.PHONY: train test docs slow mutants lock clean
 
 train: $(VENV)/.installed
 	$(BIN)/python experiments/run.py $(ARGS)
@@ -13,7 +13,12 @@ test: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(MAKE) docs
 	$(BIN)/pytest -n 2 --dist loadfile
+
+# Builds the pages into .cache/site; a broken link, an unknown name or any other warning is an error.
+docs: $(VENV)/.installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow
@@ -32,7 +37,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Pins every dependency with its hashes for Python 3.11 and 3.12; needs uv.
 lock:
-	uv pip compile pyproject.toml --extra compare --extra ur5e --extra dev --universal --python-version 3.11 \
+	uv pip compile pyproject.toml --extra compare --extra ur5e --extra docs --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --no-header --quiet \
 		--output-file requirements.lock
 
