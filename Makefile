@@ -13,12 +13,12 @@ test: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(MAKE) docs
 	$(BIN)/pytest -n 2 --dist loadfile
 
-# Builds the pages into .cache/site; a broken link, an unknown name or any other warning is an error.
+# Fills today's figures into the pages and builds them into .cache/site; any warning is an error.
 docs: $(VENV)/.installed
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/python -m docs._generate.pages
+	$(BIN)/mkdocs build --strict --quiet
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow

@@ -1,4 +1,4 @@
-"""Draws Algorithms 1 and 2 of the paper, and the site's icon: `python -m docs._generate.diagrams` writes `docs/images`."""
+"""Draws the paper's Algorithms 1 and 2, and the site's icon: `python -m docs._generate.diagrams` writes them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,7 +67,13 @@ def training() -> str:
         *_box(300, 20, 220, ["Roll-out", "T steps in N environments", "goal and start per episode"], _TEAL),
         *_box(560, 20, 220, ["Relabel (Algorithm 1)", "the expert samples", "of this policy"], _ORANGE),
         *_box(300, 180, 220, ["g steps: PPO", "reward from the discriminator,", "none from the environment"], _TEAL),
-        *_box(560, 180, 220, ["d steps: discriminator", "expert samples towards 1,", "the policy's own towards 0"], _ORANGE),
+        *_box(
+            560,
+            180,
+            220,
+            ["d steps: discriminator", "expert samples towards 1,", "the policy's own towards 0"],
+            _ORANGE,
+        ),
         *_box(20, 180, 230, ["Evaluation, each round", "mean action", "on the task's own goals"], _GREY),
         _arrow("M250 55 L294 55"),
         _arrow("M520 55 L554 55"),

@@ -44,6 +44,7 @@ def pick(rows: Iterable[Row], **wanted: Any) -> Row:
 
     >>> pick([{"a": 1, "b": 2}, {"a": 3, "b": 4}], a=3)
     {'a': 3, 'b': 4}
+
     """
     found = [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
     if len(found) != 1:
@@ -66,8 +67,35 @@ def curve(figure: str, steps: int, setting: str, panel: str = "") -> list[float]
     return [row["success"] for row in rows]
 
 
+def halfway(figure: str, setting: str) -> str:
+    """Says the mean success after 307,200 steps without pre-training, a third of the way."""
+    return fixed(mean(curve(figure, 307_200, setting, "without pre-training")), 2)
+
+
+def reached(table: str, setting: str, panel: str | None = None) -> str:
+    """Says the success rate of a setting."""
+    return fixed(trial(table, setting, panel)["success_rate"], 3)
+
+
+def off(table: str, setting: str, panel: str | None = None) -> str:
+    """Says the L1 distance of a setting, in centimetres."""
+    return f"{fixed(100.0 * trial(table, setting, panel)['distance_l1'], 1)} cm"
+
+
+def hidden(target: str, cameras: int) -> str:
+    """Says in how many plain scenes no camera sees the target."""
+    rows = read_csv("localisation/evaluation/errors")
+    return percent(pick(rows, target=target, scenes="plain", cameras=cameras, detector="network")["hidden_rate"])
+
+
+def noisy(kind: str, value: float) -> str:
+    """Says the median error of the cube's position under noise."""
+    rows = read_csv("localisation/evaluation/noise")
+    return f"{fixed(pick(rows, target='cube', detector='network', noise=kind, value=value)['median_mm'], 0)} mm"
+
+
 def bench(**wanted: Any) -> Row:
-    """Returns the row of the benchmarks that has these values; `platform` is `"gpu"` or `"cpu"`, `commit` what made it."""
+    """Returns the row of the benchmarks that has these values; `platform`, `"gpu"` or `"cpu"`, and `commit` made it."""
     made = [(row, row["made_by"]) for row in read_json("bench/bench")["rows"]]
     rows = [row | {"platform": by["device"]["platform"], "commit": by.get("commit")} for row, by in made]
     return pick(rows, **wanted)
@@ -83,6 +111,15 @@ def disturbed(robot: str, task: str, quantity: str, value: float) -> Row:
     """Returns a point of the curves of success against disturbances."""
     rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
     return pick(rows, task=task, quantity=quantity, value=value)
+
+
+def mean(values: list[float]) -> float:
+    """Returns the mean.
+
+    >>> mean([1.0, 2.0])
+    1.5
+    """
+    return sum(values) / len(values)
 
 
 def with_leading_zeros(text: str) -> str:
@@ -152,13 +189,17 @@ def percent(share: float, digits: int = 0) -> str:
 
 
 def printed(run: str) -> str:
-    """Returns what `hgail train` printed at the end of a run of `runs/`."""
+    """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
     summary = read_json(f"runs/{run}/summary")
-    rates, spent = summary["success_rate"], summary["wall_seconds"]
-    return (
-        f"success {fixed(rates['mean'], 3)} ± {fixed(rates['std'], 3)} (worst seed {fixed(min(rates['per_seed']), 3)}), "
-        f"L1 distance {fixed(summary['distance_l1']['mean'], 3)} m, {count(summary['env_steps_per_seed'])} env steps per"
-        f" seed\ncompile {fixed(spent['compile'], 1)} s, train {fixed(spent['train'], 1)} s at"
-        f" {count(summary['env_steps_per_second'])} env steps/s, evaluate {fixed(spent['evaluation'], 1)} s,"
-        f" total {fixed(spent['total'], 1)} s -> runs/{summary['task']}-{summary['method']}-1"
+    rates, spent = summary["success_rate"], {what: fixed(time, 1) for what, time in summary["wall_seconds"].items()}
+    success_line = (
+        f"success {fixed(rates['mean'], 3)} ± {fixed(rates['std'], 3)} (worst seed {fixed(min(rates['per_seed']), 3)}),"
+        f" L1 distance {fixed(summary['distance_l1']['mean'], 3)} m,"
+        f" {count(summary['env_steps_per_seed'])} env steps per seed"
     )
+    seconds_line = (
+        f"compile {spent['compile']} s, train {spent['train']} s at"
+        f" {count(summary['env_steps_per_second'])} env steps/s, evaluate {spent['evaluation']} s,"
+        f" total {spent['total']} s -> runs/{summary['task']}-{summary['method']}-1"
+    )
+    return f"\n\n```\n{success_line}\n{seconds_line}\n```\n\n"

@@ -19,16 +19,16 @@ from docs._generate.results import (
 
 
 def markdown(header: list[str], rows: list[list[str]]) -> str:
-    """Returns a Markdown table; numbers are set by the reader's eye, so all columns are left-aligned.
+    """Returns a Markdown table, with blank lines around it: it must not stand on a comment's line.
 
-    >>> print(markdown(["a", "b"], [["1", "2"]]))
+    >>> print(markdown(["a", "b"], [["1", "2"]]).strip())
     | a | b |
     |---|---|
     | 1 | 2 |
     """
     lines = [header, *rows]
     text = ["| " + " | ".join(line) + " |" for line in lines]
-    return "\n".join([text[0], "|" + "---|" * len(header), *text[1:]])
+    return "\n\n" + "\n".join([text[0], "|" + "---|" * len(header), *text[1:]]) + "\n\n"
 
 
 def methods(task: str, *more: tuple[str, str, str]) -> str:
@@ -171,7 +171,9 @@ def _on_gpus(row: Row, rows: list[Row]) -> list[str]:
 
 def on_a_cpu() -> str:
     """Env steps per second on two CPU cores: C MuJoCo in the program, its bare loop, and MJX-JAX."""
-    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "speed" and row["impl"] in ("c", "jax")]
+    rows = [
+        row for row in read_json("bench/bench")["rows"] if row["section"] == "speed" and row["impl"] in ("c", "jax")
+    ]
     rows = [row for row in rows if row["made_by"]["device"]["platform"] == "cpu"]
     return markdown(
         ["task", "engine", "environments", "physics steps", "raw", "its bare loop", "ratio", "training"],
