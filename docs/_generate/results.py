@@ -94,6 +94,12 @@ def noisy(kind: str, value: float) -> str:
     return f"{fixed(pick(rows, target='cube', detector='network', noise=kind, value=value)['median_mm'], 0)} mm"
 
 
+def peak(figure: str, setting: str, panel: str = "") -> str:
+    """Says the highest mean success that a setting had in any round."""
+    rows = [row for row in read_csv(f"paper/{figure}") if (row["setting"], row["panel"]) == (setting, panel)]
+    return fixed(max(mean(curve(figure, steps, setting, panel)) for steps in {row["env_steps"] for row in rows}), 2)
+
+
 def bench(**wanted: Any) -> Row:
     """Returns the row of the benchmarks that has these values; `platform`, `"gpu"` or `"cpu"`, and `commit` made it."""
     made = [(row, row["made_by"]) for row in read_json("bench/bench")["rows"]]

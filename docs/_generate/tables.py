@@ -17,6 +17,8 @@ from docs._generate.results import (
     trial,
 )
 
+_UNBROKEN = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+
 
 def markdown(header: list[str], rows: list[list[str]]) -> str:
     """Returns a Markdown table, with blank lines around it: it must not stand on a comment's line.
@@ -27,7 +29,7 @@ def markdown(header: list[str], rows: list[list[str]]) -> str:
     | 1 | 2 |
     """
     lines = [header, *rows]
-    text = ["| " + " | ".join(line) + " |" for line in lines]
+    text = ["| " + " | ".join(line).replace(" ± ", _UNBROKEN) + " |" for line in lines]
     return "\n\n" + "\n".join([text[0], "|" + "---|" * len(header), *text[1:]]) + "\n\n"
 
 
@@ -44,8 +46,9 @@ def study(table: str) -> str:
 
 
 def studied(rows: list[Row]) -> str:
-    """Returns rows of `paper/` beside the paper's figures."""
-    header = ["setting", "success: paper", "here", "worst seed", "L1 distance: paper", "here", "env steps per seed"]
+    """Returns rows of `paper/` beside the paper's figures, HGAIL's first."""
+    rows = sorted(rows, key=lambda row: not row["setting"].startswith("HGAIL"))
+    header = ["setting", "success: paper", "here", "worst seed", "L1 (m): paper", "here", "env steps per seed"]
     return markdown(
         header,
         [
@@ -54,8 +57,8 @@ def studied(rows: list[Row]) -> str:
                 row["paper_success"],
                 success(row),
                 fixed(row["worst_seed"], 3),
-                f"{row['paper_distance_l1']} m" if row["paper_distance_l1"] else "",
-                f"{fixed(row['distance_l1'], 3)} m",
+                row["paper_distance_l1"],
+                fixed(row["distance_l1"], 3),
                 count(row["env_steps_per_seed"]),
             ]
             for row in rows

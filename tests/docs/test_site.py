@@ -62,24 +62,36 @@ def test_diagrams_are_as_drawn():
         assert (diagrams.IMAGES / name).read_text() == draw(), "run `python -m docs._generate.diagrams`"
 
 
-@pytest.mark.parametrize("page", ["README", "index", "getting-started", "concepts", "add-a-task", "add-a-method"])
+QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder"]
+TRAINING = ["README", "index", "getting-started", "sweeps"]
+
+
+def blocks(page):
+    """Returns the Python blocks of a page, parsed."""
+    path = ROOT / ("README.md" if page == "README" else f"docs/{page}.md")
+    return [ast.parse(block, str(path)) for block in _PYTHON.findall(path.read_text())]
+
+
+def test_all_examples_are_among_those_that_run():
+    have = {path.stem for path in pages.pages() if _PYTHON.search(path.read_text())}
+    assert have == {*QUICK, *TRAINING}
+
+
+@pytest.mark.parametrize("page", [*QUICK, *(pytest.param(page, marks=pytest.mark.slow) for page in TRAINING)])
 def test_examples_run(page, tmp_path, monkeypatch):
-    run_examples(ROOT / ("README.md" if page == "README" else f"docs/{page}.md"), tmp_path, monkeypatch)
-
-
-@pytest.mark.parametrize("page", ["run-folder", "sweeps"])
-def test_more_examples_run(page, tmp_path, monkeypatch):
-    run_examples(ROOT / f"docs/{page}.md", tmp_path, monkeypatch)
-
-
-def run_examples(path, tmp_path, monkeypatch):
-    """Runs the blocks of a page one after another, in a folder where they may write."""
+    """The blocks of a page run one after another, in a folder where they may write."""
     monkeypatch.chdir(tmp_path)
     for name in ("experiments", "assets"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.setitem(hgail_jax.METHODS, "mine", None)  # whatever the page sets is undone
     names = {"__name__": "example"}
-    blocks = _PYTHON.findall(path.read_text())
-    assert blocks
-    for block in blocks:
-        exec(compile(ast.parse(block), str(path), "exec"), names)
+    for block in blocks(page):
+        exec(compile(block, page, "exec"), names)
+
+
+@pytest.mark.parametrize("page", TRAINING)
+def test_examples_import_what_there_is(page):
+    for block in blocks(page):
+        imports = [node for node in block.body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert imports
+        exec(compile(ast.Module(imports, []), page, "exec"), {})
