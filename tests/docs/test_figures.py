@@ -10,12 +10,9 @@ from docs._generate import pages, results, tables
 from tests.support import ROOT
 
 # A decimal, a power of ten, or a count with the unit of a measurement; versions and Python's are none.
-_FIGURE = re.compile(
-    r"(?<![\w.,-])\d*\.\d+(?![\w.])|\b\d+e-\d+\b|(?<![\w.,])\d[\d,.]* (?:k|M|s|seconds|minutes|%|(?:env )?steps/s)(?!\w)"
-)
-_NO_FIGURE = re.compile(
-    r"\]\([^)]*\)|https?://\S+|Python 3\.\d+( (or|and) 3\.\d+)?|\b3\.1[12](?=\.\s)|\d+\.\d+\.\d+(\.\d+)?"
-)
+_UNIT = r"(?:k|M|s|seconds|minutes|%|(?:env )?steps/s)"
+_FIGURE = re.compile(rf"(?<![\w.,-])\d*\.\d+(?![\w.])|\b\d+e-\d+\b|(?<![\w.,])\d[\d,.]* {_UNIT}(?!\w)")
+_NO_FIGURE = re.compile(r"\]\([^)]*\)|https?://\S+|Python 3\.\d+( (or|and) 3\.\d+)?|\d+\.\d+\.\d+(\.\d+)?")
 SOURCES = tomllib.loads((ROOT / "docs" / "_generate" / "typed.toml").read_text())
 
 
