@@ -18,7 +18,7 @@ test: $(VENV)/.installed
 # Fills today's figures into the pages and builds them into .cache/site; any warning is an error.
 docs: $(VENV)/.installed
 	$(BIN)/python -m docs._generate.pages
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # with --quiet it would count no warnings
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow

@@ -17,7 +17,7 @@ _LINK = re.compile(r"(?:\]\(|src=\")([^)\"#{]+)")
 
 
 def build(folder, source=ROOT):
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
     return subprocess.run(command, cwd=source, capture_output=True, text=True)
 
 
