@@ -16,8 +16,9 @@ STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
 REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
 """Reward forms by name."""
-RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
+EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Where expert samples come from, see `hgail_jax.experts`."""
+RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
 _MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
