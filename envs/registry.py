@@ -10,6 +10,8 @@ TASKS = {
     "point": "envs.point:Point",
     "reach": "envs.fetch.reach:Reach",
     "grasp": "envs.fetch.grasp:Grasp",
+    "push": "envs.fetch.push:Push",
+    "pick-and-place": "envs.fetch.pick_and_place:PickAndPlace",
     "grasp-position": "envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "envs.fetch.grasp:GraspAperture",
 }

@@ -114,6 +114,8 @@ class Hyperparameters(struct.PyTreeNode):
     """Where a replaced goal comes from: a value of `STRATEGIES`."""
     include_current: jax.Array | bool = False
     """Whether "future" may also pick the position achieved before the step's own action."""
+    trivial_weight: jax.Array | float = 1.0
+    """Weight of relabelled samples under whose goal nothing is left to do, see `GoalEnv.is_trivial`."""
     ties_by_distance: jax.Array | bool = False
     """Whether, of equally good episodes, those that end nearer to their goal are kept; see `keep_best`."""
     reward: jax.Array | int = R1
@@ -154,7 +156,7 @@ class Hyperparameters(struct.PyTreeNode):
             check_share(name, getattr(self, name))
         for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "likelihood_weight"):
+        for name in ("ppo_weight", "likelihood_weight", "trivial_weight"):
             check_not_negative(name, getattr(self, name))
         std = self.action_std
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
