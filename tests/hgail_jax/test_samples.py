@@ -50,8 +50,8 @@ class Line(GoalEnv):
     def sample_goal(self, rng, physics):
         return jnp.array([1.0, 0.0])
 
-    def sample_exploration_goal(self, rng, physics):
-        return jnp.array([-1.0, 1.0])
+    def plan_goals(self, rng, physics, exploring):
+        return jnp.where(exploring, jnp.array([-1.0, 1.0]), self.sample_goal(rng, physics))
 
     def goal_kind(self, goal):
         return goal[..., 1].astype(jnp.int32)
