@@ -38,7 +38,7 @@ class Slide(Push):
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-behind": controllers.slide}
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         platform: training_defaults(num_envs=1024, rounds=150, trivial_weight=0.3) for platform in ("cpu", "gpu")
     }

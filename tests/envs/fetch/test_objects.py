@@ -1,5 +1,7 @@
 """Push, pick and place and slide: goals, observations and outcomes, against plain NumPy."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 from scipy.stats import kstest, uniform
 
 import envs
+from hgail_jax import Config, Hyperparameters, init_state, schedule, train_step
+from hgail_jax.presets import FEW_UPDATES
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -229,3 +233,37 @@ def test_slide_refuses_the_engine_that_cannot_collide_its_puck():
 def test_an_unknown_observation_is_refused():
     with pytest.raises(ValueError, match="observation is 'whole'; choose from compact, official"):
         envs.make("push", observation="whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["push", "pick-and-place"])
+def test_mjx_jax_moves_as_c_mujoco(name):
+    """After an action from equal states, time and again."""
+    env, other = (envs.make(name, impl=impl) for impl in ("c", "jax"))
+    step, step_on_jax, place = (jax.jit(jax.vmap(each)) for each in (env.step, other.step, env.place))
+    state, rng, errors = jax.vmap(env.reset)(KEYS[:16]), np.random.default_rng(0), []
+    controller = next(iter(env.controllers.values()))
+    for _ in range(30):
+        action = np.clip(controller(state.obs) + rng.uniform(-0.3, 0.3, (16, 4)), -1, 1).astype(np.float32)
+        put = state.replace(pipeline_state=place(state.pipeline_state.qpos, state.pipeline_state.qvel))
+        state = step(state, action)
+        difference = step_on_jax(put, action).obs - state.obs
+        errors.append([np.linalg.norm(difference[:, columns], axis=1) for columns in (slice(0, 3), slice(9, 12))])
+    gripper, thing = 1000 * np.moveaxis(errors, 1, 0)
+    print(f"{name}: gripper {np.median(gripper):.3f} mm, object 90th percentile {np.percentile(thing, 90):.3f} mm")
+    assert np.median(gripper) <= 0.5
+    assert np.percentile(thing, 90) <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASKS)
+def test_a_round_of_training_runs(name, tasks):
+    env = tasks[name]
+    config = Config(num_envs=16, rounds=1, policy_phases=1, discriminator_phases=1, **FEW_UPDATES)
+    hyperparameters = Hyperparameters(**env.training["cpu"].hyperparameters)
+    state = init_state(env, config, hyperparameters, jax.random.key(0))
+    step = jax.jit(functools.partial(train_step, env, config))
+    for phases in schedule(config):
+        state, metrics = step(state, phases)
+        assert 0.0 <= metrics.evaluation.success <= 1.0
+        assert metrics.dropped == metrics.diverged == 0.0
