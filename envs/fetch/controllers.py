@@ -81,8 +81,8 @@ def push(observation: jax.Array) -> jax.Array:
 def slide(observation: jax.Array) -> jax.Array:
     """Presses on the puck from above, drags it, and lets go once it is fast enough to slide to the target.
 
-    What is dragged leaves the hand at 0.6 m/s at most, and slides 0.2 m then: the farther half of the targets are out of
-    its reach.
+    What is dragged leaves the hand at 0.6 m/s at most, and slides 0.2 m then: the farther half of the targets are out
+    of its reach.
     """
     height, apart = observation[..., 2:3], observation[..., 6:8]
     distance, _ = _way(observation)
