@@ -118,8 +118,8 @@ class GoalEnv(Env):
     def plan_goals(self, rng: jax.Array, physics: Any, exploring: jax.Array | bool) -> Any:
         """Draws what decides the goals of an episode that starts in `physics`; by default one goal of `sample_goal`.
 
-        All that is random about the goals is drawn here. `exploring`, which may be traced, is whether the episode is one
-        to learn from; the plan is any pytree, of the same structure and shapes in either case.
+        All that is random about the goals is drawn here. `exploring`, which may be traced, is whether the episode is
+        one to learn from; the plan is any pytree, of the same structure and shapes in either case.
         """
         del exploring
         return self.sample_goal(rng, physics)

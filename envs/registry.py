@@ -12,6 +12,7 @@ TASKS = {
     "grasp": "envs.fetch.grasp:Grasp",
     "push": "envs.fetch.push:Push",
     "pick-and-place": "envs.fetch.pick_and_place:PickAndPlace",
+    "slide": "envs.fetch.slide:Slide",
     "grasp-position": "envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "envs.fetch.grasp:GraspAperture",
 }

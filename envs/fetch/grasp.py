@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from envs.base import Controller, EpisodeMetrics, State, TrainingDefaults
 from envs.fetch import controllers
 from envs.fetch.arm import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
+from envs.fetch.training import training_defaults
 
 CUBE_WIDTH = 0.05
 """Metres along each edge."""
@@ -33,30 +34,6 @@ def is_held(touching: Any, gap: Any) -> Any:
 
     """
     return touching & (abs(gap - CUBE_WIDTH) <= _GAP_TOLERANCE)
-
-
-def _training(num_envs: int, rounds: int) -> TrainingDefaults:
-    # A grasp is found by chance, so it takes wide roll-outs and many rounds; the likelihood of expert samples beside
-    # PPO teaches the hand, and a wide deviation of its command alone finds the order of opening and closing.
-    return TrainingDefaults(
-        config={
-            "num_envs": num_envs,
-            "rounds": rounds,
-            "policy_phases": 4,
-            "discriminator_phases": 1,
-            "ppo_minibatches": 16,
-            "likelihood_batch": 2048,
-            "discriminator_batch": 1024,
-            "pretrain_policy_batch": 1024,
-        },
-        hyperparameters={
-            "action_std": (0.2, 0.2, 0.2, 0.5),
-            "likelihood_weight": 0.3,
-            "policy_learning_rate": 1e-3,
-            "discriminator_learning_rate": 2e-4,
-        },
-        options={"substeps": 8},
-    )
 
 
 class Grasp(FetchEnv):
@@ -99,8 +76,8 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": _training(num_envs=1024, rounds=16),
-        "gpu": _training(num_envs=1024, rounds=40),
+        "cpu": training_defaults(num_envs=1024, rounds=16),
+        "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:

@@ -1,13 +1,10 @@
 """What push, pick and place and slide share: an object to be brought to a place, and whose place a goal is."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from brax import math
 
-from envs.base import EpisodeMetrics, State, TrainingDefaults
+from envs.base import EpisodeMetrics, State
 from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, FetchPhysics
 
 OBSERVATIONS = ("compact", "official")
@@ -19,7 +16,7 @@ _GRIPPER, _OBJECT = 0.0, 1.0  # whose position a goal is
 _MOVED = 0.01  # metres from where it started, beyond which the object's position is what is achieved
 _AT_GOAL = 0.03  # metres between object and goal, within which nothing is left to do
 _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
-ON_THE_FLOOR = 0.35
+_BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
 
 class ObjectPhysics(FetchPhysics):
@@ -133,14 +130,16 @@ class ObjectEnv(FetchEnv):
         joint = self.model.joint(self.object_name)
         quaternion = physics.qpos[int(joint.qposadr[0]) + 3 :][:4]
         velocity = physics.qvel[self._object_qvel] * CONTROL_PERIOD
-        turning = math.rotate(physics.qvel[int(joint.dofadr[0]) + 3 :][:3], quaternion) * CONTROL_PERIOD
+        spin = physics.qvel[int(joint.dofadr[0]) + 3 :][:3]  # in the object's frame
+        with jax.default_matmul_precision("highest"):  # by default GPUs round to ten bits
+            turning, angles = math.rotate(spin, quaternion) * CONTROL_PERIOD, _euler_angles(quaternion)
         return jnp.concatenate(
             [
                 gripper,
                 thing,
                 thing - gripper,
                 physics.qpos[self._finger_qpos],
-                _euler_angles(quaternion),
+                angles,
                 velocity - physics.gripper_velocity,
                 turning,
                 physics.gripper_velocity,
@@ -160,7 +159,7 @@ class ObjectEnv(FetchEnv):
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         height = goal[..., 2]
-        elsewhere = (height > _IN_THE_AIR) | (height < ON_THE_FLOOR)
+        elsewhere = (height > _IN_THE_AIR) | (height < _BELOW_THE_TABLE)
         return jnp.where(_is_object(goal), 1 + elsewhere.astype(jnp.int32), 0)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
@@ -205,31 +204,4 @@ def _euler_angles(quaternion: jax.Array) -> jax.Array:
             jnp.arctan2(matrix[0, 2], jnp.hypot(matrix[2, 2], matrix[1, 2])),
             -jnp.arctan2(matrix[0, 1], matrix[0, 0]),
         ]
-    )
-
-
-def training(
-    num_envs: int, rounds: int, action_std: tuple[float, ...], trivial_weight: float, **config: Any
-) -> TrainingDefaults:
-    """Returns what a task with an object is trained with: grasp's settings, and these."""
-    changes: Mapping[str, Any] = {
-        "num_envs": num_envs,
-        "rounds": rounds,
-        "policy_phases": 4,
-        "discriminator_phases": 1,
-        "ppo_minibatches": 16,
-        "likelihood_batch": 2048,
-        "discriminator_batch": 1024,
-        "pretrain_policy_batch": 1024,
-    }
-    return TrainingDefaults(
-        config={**changes, **config},
-        hyperparameters={
-            "action_std": action_std,
-            "likelihood_weight": 0.3,
-            "policy_learning_rate": 1e-3,
-            "discriminator_learning_rate": 2e-4,
-            "trivial_weight": trivial_weight,
-        },
-        options={"substeps": 8},
     )

@@ -10,7 +10,8 @@ from flax import struct
 from envs.base import Controller, TrainingDefaults
 from envs.fetch import controllers
 from envs.fetch.grasp import is_held
-from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal, training
+from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
+from envs.fetch.training import training_defaults
 
 _HIGHEST = 0.45  # metres above the table's goals
 _RELAYS, _ELSEWHERE = 0.5, 0.125  # shares of the episodes to learn from
@@ -42,9 +43,9 @@ class PickAndPlace(ObjectEnv):
     | 20 | whose position that is to be: the gripper's 0, the cube's 1 | 0 or 1 |
 
     An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of the
-    gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the table
-    and in half uniform from there up. It is a success if after the last step the cube's centre is within 5 cm of the
-    target. See `ObjectEnv` for what a goal is.
+    gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the
+    table and in half uniform from there up. It is a success if after the last step the cube's centre is within 5 cm of
+    the target. See `ObjectEnv` for what a goal is.
 
     Half the episodes to learn from are relays: while the gripper is more than 4 cm from the cube its goal is the cube's
     place, and then the cube's goal is the target. In an eighth the gripper's goal is a random place. The others are as
@@ -62,8 +63,7 @@ class PickAndPlace(ObjectEnv):
     reference = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training(num_envs=1024, rounds=rounds, action_std=(0.2, 0.2, 0.2, 0.5), trivial_weight=1.0)
-        for platform, rounds in (("cpu", 34), ("gpu", 40))
+        platform: training_defaults(num_envs=1024, rounds=rounds) for platform, rounds in (("cpu", 34), ("gpu", 40))
     }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:

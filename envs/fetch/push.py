@@ -9,7 +9,8 @@ from flax import struct
 
 from envs.base import Controller, TrainingDefaults
 from envs.fetch import controllers
-from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal, training
+from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
+from envs.fetch.training import training_defaults
 
 _SHARE = 0.5  # of the episodes to learn from that roam
 _EVERY = 12  # steps from one waypoint to the next
@@ -42,13 +43,13 @@ class Push(ObjectEnv):
 
     An episode starts as the reference's FetchPush-v4 does: fingers blocked closed, the gripper at the table, the cube
     uniform within ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the
-    table. It is a success if after the last step the cube's centre is within 5 cm of the target. See `ObjectEnv` for what
-    a goal is.
+    table. It is a success if after the last step the cube's centre is within 5 cm of the target. See `ObjectEnv` for
+    what a goal is. Unlike the reference's, the table has no edge from which the cube could fall.
 
     In half the episodes to learn from the gripper is sent around instead: its goal is a waypoint near the cube, another
-    one every 12 steps, uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. A cube goes
-    away from the side it is pushed from, and hindsight alone shows only pushes that began on the right side; so the
-    hand is seen to go round the cube.
+    one every 12 steps, uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. A cube
+    goes away from the side it is pushed from, and hindsight alone shows only pushes that began on the right side; so
+    the hand is seen to go round the cube.
 
     See `ObjectEnv` for the arguments.
     """
@@ -62,8 +63,7 @@ class Push(ObjectEnv):
     reference = "FetchPush-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-behind": controllers.push}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training(num_envs=1024, rounds=150, action_std=(0.2,) * 4, trivial_weight=0.3)
-        for platform in ("cpu", "gpu")
+        platform: training_defaults(num_envs=1024, rounds=150, trivial_weight=0.3) for platform in ("cpu", "gpu")
     }
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, exploring: jax.Array | bool) -> PushPlan:

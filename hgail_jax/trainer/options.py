@@ -50,7 +50,7 @@ class TrainOptions:
     substeps: int | None = None
     """Physics steps per action in training, 4 to 20; by default the task's. The final evaluation has 20."""
     task_options: tuple[str, ...] = ()
-    """Further options of the task, as name=value."""
+    """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: float | None = None
     """Probability that hindsight replaces a step's goal, 0 to 1; by default the method's."""
     strategy: Annotated[str, _choices("Where hindsight takes goals from", STRATEGIES)] = "future"
@@ -69,6 +69,8 @@ class TrainOptions:
     """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
+    evaluate_every: int = 1
+    """Rounds from one evaluation to the next; the last round always has one. What is learnt does not depend on it."""
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -99,6 +101,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hyperparameters=preset.hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
+        evaluate_every=options.evaluate_every,
         mesh=mesh,
         demonstrations=demonstrations,
     )
@@ -107,6 +110,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
     check_count("checkpoint_every", options.checkpoint_every)
+    check_count("evaluate_every", options.evaluate_every)
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
@@ -175,10 +179,11 @@ def _parse_task_option(option: str) -> tuple[str, Any]:
     name, _, value = option.partition("=")
     try:
         parsed = json.loads(value)
-        if name not in _PHYSICS and isinstance(parsed, bool | int | float):
-            return name, parsed
     except json.JSONDecodeError:
-        pass
-    raise ValueError(
-        f"task option {option!r} is not name=value with a number, true or false, or has an option of its own here"
-    )
+        parsed = value if value.isidentifier() else None
+    if name in _PHYSICS or not isinstance(parsed, bool | int | float | str):
+        raise ValueError(
+            f"task option {option!r} is not name=value with a number, true, false or a word, or has an option of its"
+            " own here"
+        )
+    return name, parsed

@@ -42,7 +42,8 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
     success, distance = (
         np.array([record[name] for record in history], float) for name in ("success_rate", "distance_l1")
     )
-    draw_curves(folder / "curves.png", title, steps, success, distance)
+    evaluated = np.isfinite(success).any(axis=1)
+    draw_curves(folder / "curves.png", title, steps[evaluated], success[evaluated], distance[evaluated])
 
 
 def summarize(run: Run, progress: Progress, final: EpisodeMetrics, timing: dict[str, float]) -> dict[str, Any]:

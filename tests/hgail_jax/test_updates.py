@@ -68,8 +68,8 @@ class Track(GoalEnv):
     def sample_goal(self, rng, physics):
         return jnp.array([-9.0, 0.0])
 
-    def sample_exploration_goal(self, rng, physics):
-        return jnp.array([9.0, 0.0])
+    def plan_goals(self, rng, physics, exploring):
+        return jnp.where(exploring, jnp.array([9.0, 0.0]), self.sample_goal(rng, physics))
 
     def overflow(self, physics):
         return physics[1] > 2.0
