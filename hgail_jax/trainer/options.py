@@ -85,6 +85,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     task_options = dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size
     env = _make(options, task_class.training[platform].options, worlds, task_options)
+    if options.task not in envs.TASKS:  # those have tests
+        envs.check_task(env)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
