@@ -14,7 +14,7 @@ from experiments.transfer.results import write_pictures, write_sweep, write_tabl
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import GOAL_SOURCES
 from experiments.transfer.tasks import TASKS
-from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.validation import check_count, check_not_negative
 
 if TYPE_CHECKING:
@@ -137,4 +137,5 @@ def _run(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_line_errors(_PROGRAM):
+        main()

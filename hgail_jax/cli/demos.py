@@ -3,7 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.recording import make_for_demonstrations, record
 from hgail_jax.validation import MOST_SEED, check_count
@@ -47,5 +47,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

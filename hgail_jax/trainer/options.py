@@ -15,6 +15,8 @@ from hgail_jax.distributed.seeds import check_seeds
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
 from hgail_jax.presets import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.trainer.loggers import LOGGERS, check_loggers
+from hgail_jax.trainer.memory import check_memory
 from hgail_jax.trainer.run import Run
 from hgail_jax.validation import check_count, check_name
 
@@ -69,6 +71,7 @@ class TrainOptions:
     """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
+    logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -90,7 +93,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
-    return Run(
+    run = Run(
         task=options.task,
         method=options.method,
         seeds=options.seeds,
@@ -103,7 +106,10 @@ def plan(options: TrainOptions, platform: str) -> Run:
         checkpoint_every=options.checkpoint_every,
         mesh=mesh,
         demonstrations=demonstrations,
+        loggers=check_loggers(options.logger),
     )
+    check_memory(run)
+    return run
 
 
 def _check(options: TrainOptions) -> None:

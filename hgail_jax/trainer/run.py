@@ -32,6 +32,8 @@ class Run:
     """The devices to train on; what is computed does not depend on them."""
     demonstrations: Demonstrations | None = None
     """Where the method learns from any."""
+    loggers: tuple[str, ...] = ("csv",)
+    """Where measurements go: names of `hgail_jax.trainer.loggers.LOGGERS`."""
 
     def identity(self) -> dict[str, Any]:
         """Returns what a run that resumes another must share with it."""

@@ -60,7 +60,10 @@ def on_host(physics, action):
 
 
 MISTAKES = [
-    (Wrong(feature_size=4), r"Wrong.features gives float32 \[3\]; it must give float32 \[4\], that is \[feature_size\]"),
+    (
+        Wrong(feature_size=4),
+        r"Wrong.features gives float32 \[3\]; it must give float32 \[4\], that is \[feature_size\]",
+    ),
     (Wrong(goal_size=2), r"Wrong.achieved_goal gives float32 \[3\]; it must give float32 \[2\], that is"),
     (Wrong(action_size=2), r"Wrong.step_physics fails: TypeError: .*\(3,\), \(2,\)"),
     (Wrong(episode_length=2.5), "Wrong.episode_length is 2.5; it must be an integer from 1"),
