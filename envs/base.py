@@ -183,7 +183,14 @@ class GoalEnv(Env):
         return self._observe(physics, desired, jnp.asarray(exploring, bool), metrics={})
 
     def step(self, state: State, action: jax.Array) -> State:
-        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
+        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
+
+        Raises:
+          ValueError: the action has another shape.
+
+        """
+        if jnp.shape(action) != (self.action_size,):
+            raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
         exploring = state.info["exploring"]
         desired = self.track_goal(state.info["desired_goal"], physics, exploring)

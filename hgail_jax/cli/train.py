@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 
@@ -12,6 +12,7 @@ from hgail_jax.distributed.processes import join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
 from hgail_jax.trainer import Trainer, TrainOptions
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.signals import stop_on_signal
 
 PROGRAM = "hgail train"
@@ -21,7 +22,7 @@ PROGRAM = "hgail train"
 class Command(TrainOptions):
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
 
-    coordinator: str | None = None
+    coordinator: Annotated[str | None, unless_given("none", "HOST:PORT")] = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
     """Number of these processes."""

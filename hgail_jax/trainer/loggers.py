@@ -44,8 +44,8 @@ class Logger(abc.ABC):
         del settings, history
         self.folder, self.run = folder, run
 
-    @classmethod
-    def check(cls) -> None:  # noqa: B027  (not all have something to do, here and below)
+    @classmethod  # noqa: B027  (not all have something to do, here and below)
+    def check(cls) -> None:
         """Raises a ValueError if it cannot be used here, apart from what it needs as a library."""
 
     @abc.abstractmethod
