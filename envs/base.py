@@ -202,7 +202,14 @@ class GoalEnv(Env):
         return self._observe(physics, self.plan_goals(goal_rng, physics, exploring), jnp.zeros((), jnp.int32), {})
 
     def step(self, state: State, action: jax.Array) -> State:
-        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
+        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
+
+        Raises:
+          ValueError: the action has another shape.
+
+        """
+        if jnp.shape(action) != (self.action_size,):
+            raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
         following = self._observe(physics, state.info["plan"], state.info["step"] + 1, state.metrics)
         return following.replace(info=state.info | following.info)

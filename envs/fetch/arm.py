@@ -86,7 +86,9 @@ class FetchEnv(GoalEnv):
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
         if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS):
-            raise ValueError(f"substeps is {substeps}; it must be from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}")
+            raise ValueError(
+                f"substeps is {substeps!r}; it must be an integer from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}"
+            )
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         self.model = load_scene(self.scene)

@@ -9,7 +9,7 @@ import envs
 from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.trials import Scale
 from experiments.paper.work import Work, carry_out, redraw, time_one_program, unfinished
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.distributed.seeds import check_seeds
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.run_folder import sole_user
@@ -104,5 +104,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(_PROGRAM):
+        prepare_process()
+        main()

@@ -16,6 +16,7 @@ from hgail_jax.samples import Samples
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.loop import Program, Progress, SavingPolicy, begin, train
+from hgail_jax.trainer.status import StatusLine
 
 _CHECKPOINT_SECONDS = 60.0
 
@@ -64,7 +65,8 @@ def train_program(
     """
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()
-    step = program.compile()
+    with StatusLine("compiling the training program"):
+        step = program.compile()
     seconds = {"compile": time.perf_counter() - started}
     with Checkpoints(folder, {"trials": [trial.identity() for trial in trials]}) as checkpoints:
         progress = begin(program, checkpoints.restore(jax.eval_shape(program.init)))
@@ -72,7 +74,8 @@ def train_program(
     if stop.is_set():
         return None
     started = time.perf_counter()
-    final = evaluate_seeds(env, program.config, progress.states, trials[0].evaluation_episodes)
+    with StatusLine("evaluating the policies in the most accurate physics"):
+        final = evaluate_seeds(env, program.config, progress.states, trials[0].evaluation_episodes)
     seconds |= {"train": progress.seconds, "evaluation": time.perf_counter() - started}
     return _results(trials, program, progress, vars(final), seconds)
 

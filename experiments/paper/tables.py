@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from experiments.paper.figures import draw_figure
-from experiments.paper.statistics import confidence_interval
 from experiments.paper.studies import LONGER, Study
 from hgail_jax.io.files import replace_file, write_csv
+from hgail_jax.statistics import confidence_interval
 
 
 def table_rows(task: str, study: Study, results: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from experiments.transfer.paths import OUT
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import GOAL_SOURCES
-from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.validation import check_count, check_not_negative
 
 if TYPE_CHECKING:
@@ -136,4 +136,5 @@ def _run(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_line_errors(_PROGRAM):
+        main()

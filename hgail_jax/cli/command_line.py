@@ -1,14 +1,18 @@
 """What the command lines share: options by tyro, mistakes in one line, compiled programs in a cache."""
 
+import contextlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
 
 import jax
 import tyro
 from tyro import _errors as tyro_errors
+
+from hgail_jax.interrupts import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
@@ -61,8 +65,30 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
     return f"it cannot be read ({type(event).__name__})"
 
 
+@contextlib.contextmanager
+def one_line_errors(program: str) -> Iterator[None]:
+    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.interrupts`."""
+    with stop_in_one_line(program):
+        try:
+            yield
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if not is_out_of_memory(error):
+                raise
+            fail(program, OUT_OF_MEMORY, 1)
+
+
+OUT_OF_MEMORY = "out of memory; take fewer or smaller of what runs at once"
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Returns whether the host or a device has no more memory."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+
+
 def fail(program: str, message: object, code: int) -> NoReturn:
     """Ends the process with one line."""
+    if isinstance(message, OSError) and message.strerror:
+        message = ": ".join(map(str, filter(None, (message.filename, message.strerror))))
     print(f"{program}: {' '.join(str(message).split())}", file=sys.stderr)
     raise SystemExit(code)
 

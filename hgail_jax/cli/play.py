@@ -6,7 +6,7 @@ from pathlib import Path
 
 import envs
 from envs.scenes import assets_directory
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
 from hgail_jax.validation import MOST_SEED, check_count
@@ -71,5 +71,6 @@ def _load(options: Options) -> tuple[envs.GoalEnv, MeanPolicy]:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

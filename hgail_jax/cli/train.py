@@ -3,13 +3,16 @@
 import contextlib
 import dataclasses
 import sys
-from typing import Any
+from typing import Annotated, Any
 
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+import jax
+
+from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
 from hgail_jax.distributed.processes import join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
 from hgail_jax.trainer import Trainer, TrainOptions
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.signals import stop_on_signal
 
 PROGRAM = "hgail train"
@@ -19,7 +22,7 @@ PROGRAM = "hgail train"
 class Command(TrainOptions):
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
 
-    coordinator: str | None = None
+    coordinator: Annotated[str | None, unless_given("none", "HOST:PORT")] = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
     """Number of these processes."""
@@ -56,9 +59,19 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _train(trainer: Trainer) -> dict[str, Any] | None:
     """Trains; ends the process with one line if the training diverges or something cannot be written."""
+
+    def nothing_to_save() -> str | None:
+        if trainer.in_rounds or jax.process_count() > 1:  # the others would wait for this one
+            return None
+        return f"\n{PROGRAM}: stopped between rounds; go on with --resume {trainer.folder}"
+
     try:
-        with stop_on_signal() as stop:
+        with stop_on_signal(nothing_to_save) as stop:
             return trainer.train(stop)
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
     except (FloatingPointError, OverflowError, ReplicaError) as error:
         checkpoints = trainer.checkpoints
         last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
@@ -74,6 +87,7 @@ def _film(trainer: Trainer) -> None:
         env, policy = trainer.run.env.accurate(), trainer.policy(trainer.options.first_seed)
         film(trainer.folder / "rollout.mp4", env, policy)
         print(trainer.folder / "rollout.mp4")
+        trainer.log_film(trainer.folder / "rollout.mp4")
     except Exception as error:  # whatever rendering or encoding raises, the results are written
         print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
 
@@ -93,5 +107,6 @@ def _report(summary: dict[str, Any], trainer: Trainer) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

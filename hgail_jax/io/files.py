@@ -11,6 +11,8 @@ from typing import IO, Any
 import jax
 import numpy as np
 
+from hgail_jax.interrupts import unfinished
+
 _PARTIAL = ".partial"
 
 
@@ -20,9 +22,10 @@ def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
     try:
-        with temporary.open(mode) as file:
-            yield file
-        temporary.replace(path)
+        with unfinished(temporary):
+            with temporary.open(mode) as file:
+                yield file
+            temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

@@ -34,6 +34,8 @@ class Run:
     """Where the method learns from any."""
     evaluate_every: int = 1
     """Rounds from one evaluation to the next."""
+    loggers: tuple[str, ...] = ("csv",)
+    """Where measurements go: names of `hgail_jax.trainer.loggers.LOGGERS`."""
 
     def identity(self) -> dict[str, Any]:
         """Returns what a run that resumes another must share with it."""

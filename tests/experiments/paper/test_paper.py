@@ -10,11 +10,11 @@ import envs
 from experiments.paper import __main__ as paper
 from experiments.paper import work
 from experiments.paper.programs import group_by_program, make_program, train_program
-from experiments.paper.statistics import confidence_interval
 from experiments.paper.studies import STUDIES, SWEEP, Study
 from experiments.paper.tables import table_rows
 from experiments.paper.trials import Scale, hash_json, work_out
 from hgail_jax import PRESETS, env_steps, schedule
+from hgail_jax.statistics import confidence_interval
 from hgail_jax.train import EVALUATE
 
 QUICK = ["--quick", "--seeds", "3"]
