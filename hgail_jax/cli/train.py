@@ -3,10 +3,12 @@
 import contextlib
 import dataclasses
 import sys
-from typing import Any
+from typing import Any, Literal
+
+import jax
 
 from hgail_jax.cli.command_line import fail, parse, prepare_process
-from hgail_jax.distributed.processes import join
+from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
 from hgail_jax.trainer import Trainer, TrainOptions
@@ -19,12 +21,16 @@ PROGRAM = "hgail train"
 class Command(TrainOptions):
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
 
+    distributed: Literal["auto"] | None = None
+    """With auto, train with the processes that Slurm, Open MPI or Kubernetes started beside this one."""
     coordinator: str | None = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
     """Number of these processes."""
     process_id: int = 0
     """Which of them this one is, from 0; the first writes the files."""
+    heartbeat_timeout: int = HEARTBEAT_TIMEOUT
+    """Seconds after which the others end if one of several processes is silent."""
     video: bool = False
     """Film the policy of the first seed after training (Fetch tasks)."""
 
@@ -34,7 +40,9 @@ def main(arguments: list[str] | None = None) -> None:
     command = parse(Command, PROGRAM, __doc__, arguments)
     with contextlib.ExitStack() as held:
         try:
-            join(command.coordinator, command.num_processes, command.process_id)
+            auto = command.distributed == "auto"
+            numbers = (command.coordinator, command.num_processes, command.process_id)
+            join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
             options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
             trainer = held.enter_context(Trainer(**options))
             trainer.open()
@@ -65,6 +73,10 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
         fail(PROGRAM, f"the run stops: {error}; go on with --resume {trainer.folder}", 1)
+    except (jax.errors.JaxRuntimeError, ValueError) as error:  # what an exchange with a process that died raises
+        if jax.process_count() == 1:
+            raise
+        end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
 
 
 def _film(trainer: Trainer) -> None:
