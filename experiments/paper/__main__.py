@@ -103,6 +103,8 @@ def main(arguments: list[str] | None = None) -> None:
     with contextlib.ExitStack() as held:
         try:
             works = plan(options, platform_name())
+            if works[0].scale.platform == "cpu" and options.processes is None:
+                gpus = gpus[:1]
             folder = works[0].folder
             if options.plots_only:
                 return redraw(folder)
@@ -125,10 +127,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _places(options: Options) -> list[str]:
-    """Returns the GPUs to train on, one for each program at a time; their names mean nothing where there are none."""
-    gpus = visible_gpus() or ["0"]
+    """Returns the GPUs to train on, one for each program at a time; empty names where there are none."""
+    gpus = visible_gpus() or [""]
     count = len(gpus) if options.processes is None else max(options.processes, 1)
-    if count > 1:  # this process must leave their memory to those that train
+    if count > 1:  # JAX in this process must leave their memory to those that train
         os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
     return [gpus[index % len(gpus)] for index in range(count)]
 

@@ -76,11 +76,7 @@ def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
     try:
         jax.distributed.initialize(**numbers, heartbeat_timeout_seconds=heartbeat_timeout)
     except (RuntimeError, ValueError) as error:
-        where = (
-            f"at {numbers['coordinator_address']}"
-            if numbers
-            else "that Slurm, Open MPI or Kubernetes started, if any did"
-        )
+        where = f"at {numbers['coordinator_address']}" if numbers else _OF_A_CLUSTER
         raise ValueError(f"cannot join the processes {where}: {str(error).splitlines()[0]}") from None
 
 
