@@ -26,7 +26,8 @@ def free_port():
 def start(folder, *arguments, task="point", rounds=1, variables=None):
     command = [sys.executable, "-c", TINY_RUN, "--task", task, "--seeds", "1", "--num-envs", "4"]
     command += ["--iterations", str(rounds), *(() if "--resume" in arguments else ("--out", str(folder))), *arguments]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)} | (variables or {})
+    quickly = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": quickly} | (variables or {})
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, env=environment, cwd=folder.parent, **pipes)
 
