@@ -125,6 +125,12 @@ class Hyperparameters(struct.PyTreeNode):
     standardize_reward: jax.Array | bool = True
     """Whether PPO's reward is shifted and scaled to mean 0 and standard deviation 1 over a roll-out. That removes what
     tells r1 to r4 apart in scale, and makes a rare success large: one among 51,200 steps is worth +226."""
+    reward_scale: jax.Array | float = 1.0
+    """Factor on PPO's reward, which is first divided by the steps of an episode."""
+    standardize_advantage: jax.Array | bool = True
+    """Whether PPO's advantages are shifted and scaled to mean 0 and standard deviation 1 over a roll-out."""
+    standardize_observation: jax.Array | bool = True
+    """Whether observations are shifted and scaled by their statistics so far. They are clipped to ±5 either way."""
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
     likelihood_weight: jax.Array | float = 1.0
@@ -152,9 +158,11 @@ class Hyperparameters(struct.PyTreeNode):
         """
         for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
             check_share(name, getattr(self, name))
-        for name in ("include_current", "ties_by_distance", "standardize_reward"):
+        for name in ("include_current", "ties_by_distance"):
             check_share(name, getattr(self, name))
-        for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
+        for name in ("standardize_reward", "standardize_advantage", "standardize_observation"):
+            check_share(name, getattr(self, name))
+        for name in ("action_std", "clip_ratio", "reward_scale", "policy_learning_rate", "discriminator_learning_rate"):
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "likelihood_weight", "trivial_weight"):
             check_not_negative(name, getattr(self, name))

@@ -34,7 +34,7 @@ class Reach(FetchEnv):
     reference = "FetchReach-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        # Two cores take longer over the discriminator's products than over the physics; batches of a quarter do as well.
+        # On two cores the learner's products cost as much as the physics; batches of a quarter learn as well.
         "cpu": TrainingDefaults(
             {"num_envs": 64, "rounds": 6, "discriminator_batch": 128, "pretrain_policy_batch": 128},
             options={"substeps": FAST_SUBSTEPS},

@@ -25,7 +25,8 @@ def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
     """Returns the trials in groups that one compiled program trains, in the order in which each group first comes."""
     groups: dict[Any, list[Trial]] = {}
     for trial in trials:
-        groups.setdefault((trial.config, trial.setting.steps, trial.demonstrations_sha256), []).append(trial)
+        shared = (trial.config, trial.setting.steps, trial.seeds, trial.demonstrations_sha256)
+        groups.setdefault(shared, []).append(trial)
     return list(groups.values())
 
 
@@ -35,7 +36,8 @@ def make_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples
         env=env,
         config=trials[0].config,
         settings=tuple(trial.hyperparameters for trial in trials),
-        seeds=trials[0].seeds,
+        seeds=len(trials[0].seeds),
+        first_seed=trials[0].seeds.start,
         demonstrations=demonstrations,
         evaluate_every=trials[0].evaluate_every,
     )
@@ -130,7 +132,7 @@ def time_sweep(env: envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
     in_turn = measure([[trial] for trial in trials])
     return {
         "settings": [trial.setting.name for trial in trials],
-        "seeds": trials[0].seeds,
+        "seeds": list(trials[0].seeds),
         "one_program_seconds": together,
         "one_after_another_seconds": in_turn,
         "ratio": in_turn["train"] / together["train"],

@@ -3,12 +3,12 @@
 import contextlib
 import dataclasses
 import sys
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import jax
 
 from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
-from hgail_jax.distributed.processes import join
+from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
 from hgail_jax.trainer import Trainer, TrainOptions
@@ -22,12 +22,16 @@ PROGRAM = "hgail train"
 class Command(TrainOptions):
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
 
+    distributed: Annotated[Literal["auto"] | None, unless_given("none", "auto")] = None
+    """With auto, train with the processes that Slurm, Open MPI or Kubernetes started beside this one."""
     coordinator: Annotated[str | None, unless_given("none", "HOST:PORT")] = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
     """Number of these processes."""
     process_id: int = 0
     """Which of them this one is, from 0; the first writes the files."""
+    heartbeat_timeout: int = HEARTBEAT_TIMEOUT
+    """Seconds after which the others end if one of several processes is silent."""
     video: bool = False
     """Film the policy of the first seed after training (Fetch tasks)."""
 
@@ -37,7 +41,9 @@ def main(arguments: list[str] | None = None) -> None:
     command = parse(Command, PROGRAM, __doc__, arguments)
     with contextlib.ExitStack() as held:
         try:
-            join(command.coordinator, command.num_processes, command.process_id)
+            auto = command.distributed == "auto"
+            numbers = (command.coordinator, command.num_processes, command.process_id)
+            join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
             options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
             trainer = held.enter_context(Trainer(**options))
             trainer.open()
@@ -68,16 +74,19 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
     try:
         with stop_on_signal(nothing_to_save) as stop:
             return trainer.train(stop)
-    except (MemoryError, jax.errors.JaxRuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
     except (FloatingPointError, OverflowError, ReplicaError) as error:
         checkpoints = trainer.checkpoints
         last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
         fail(PROGRAM, f"the run stops: {error}; go on with --resume {trainer.folder}", 1)
+    except (MemoryError, jax.errors.JaxRuntimeError, ValueError) as error:
+        if is_out_of_memory(error):
+            fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
+        if jax.process_count() == 1:
+            raise
+        # What an exchange with a process that died raises
+        end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
 
 
 def _film(trainer: Trainer) -> None:
