@@ -82,7 +82,10 @@ class GoalEnv(Env):
     control_period: float = 0.04
     """Seconds between two actions, at which an episode is shown."""
     scene: str | None = None
-    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show."""
+    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show. The physics of
+    a task with a scene have `qpos`, and its goals begin with the position of the target, metres, world frame."""
+    target_body: str | None = None
+    """Name of the scene's body that is the target itself; None where a mark is to show the target."""
     reference: str | None = None
     """Name of the Gymnasium environment that the task is held to."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
@@ -142,6 +145,20 @@ class GoalEnv(Env):
         del physics, exploring
         return desired
 
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Returns a state with the target at `position`, `[3]`, metres: somebody drags it while the policy acts.
+
+        By default the position takes the place of the desired goal's first three numbers. A task in which the target is
+        a body of the scene moves that body too.
+        """
+        desired = state.info["desired_goal"].at[:3].set(position)
+        return self._retarget(state, state.pipeline_state, desired)
+
+    def _retarget(self, state: State, physics: Any, desired: jax.Array) -> State:
+        """Returns `state` with other physics and another desired goal."""
+        seen = self._observe(physics, desired, state.info["exploring"], state.metrics)
+        return seen.replace(info=state.info | seen.info)
+
     def probe_action(self, action: jax.Array) -> jax.Array:
         """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
         return action
@@ -185,10 +202,8 @@ class GoalEnv(Env):
     def step(self, state: State, action: jax.Array) -> State:
         """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
-        exploring = state.info["exploring"]
-        desired = self.track_goal(state.info["desired_goal"], physics, exploring)
-        following = self._observe(physics, desired, exploring, state.metrics)
-        return following.replace(info=state.info | following.info)
+        desired = self.track_goal(state.info["desired_goal"], physics, state.info["exploring"])
+        return self._retarget(state, physics, desired)
 
     def _observe(self, physics: Any, desired: jax.Array, exploring: jax.Array, metrics: dict[str, jax.Array]) -> State:
         features, achieved = self.features(physics), self.achieved_goal(physics)
