@@ -1,10 +1,12 @@
 """Shows a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
 
+import os
+import sys
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-import imageio
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -12,11 +14,13 @@ import numpy as np
 
 from envs import GoalEnv, State
 from envs.scenes import load_scene
-from envs.vision.rgbd import open_renderer
+from envs.vision.rgbd import RenderingError, open_renderer
+from hgail_jax.io.film import open_film
 from hgail_jax.io.policy import MeanPolicy
 
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
+_CAMERA_DISTANCE = 2.05  # metres; the arm stays in the picture wherever it goes
 
 
 class Playback:
@@ -36,6 +40,8 @@ class Playback:
         if env.scene is None:
             raise ValueError("the task has no scene to show")
         self.model = load_scene(env.scene, visual=True)
+        if env.target_body is not None:  # shows the target itself
+            self.model.site("target").rgba[3] = 0.0
         self.data = mujoco.MjData(self.model)
         self.outcomes: list[bool] = []
         """Whether each episode so far was a success."""
@@ -65,29 +71,46 @@ class Playback:
         yield
 
 
-def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
-    """Writes an mp4 of a few episodes with the target as a red ball, in real time; returns which were successes.
+def frames(playback: Playback, episodes: int, height: int, width: int) -> Iterator[np.ndarray]:
+    """Renders a playback: a picture, `[height, width, 3]` and uint8, each `control_period` seconds.
 
     Raises:
-      RuntimeError: MuJoCo cannot render here.
+      RenderingError: MuJoCo cannot render here.
+
+    """
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(playback.model, camera)
+    camera.distance = _CAMERA_DISTANCE
+    with open_renderer(playback.model, height, width) as renderer:
+        for _ in playback.play(episodes):
+            renderer.update_scene(playback.data, camera)
+            yield renderer.render()
+
+
+def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
+    """Writes a film of a few episodes in real time, in one of `io.film.FORMATS`; returns which were successes.
+
+    The target is a red ball, or the body that the task names.
+
+    Raises:
+      RenderingError: MuJoCo cannot render here.
 
     """
     playback = Playback(env, policy, seed)
-    renderer = open_renderer(playback.model, *_SIZE)
-    camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(playback.model, camera)
-    camera.distance = 1.6
-    temporary = path.with_name(f".{path.name}")
-    with renderer, imageio.get_writer(temporary, format="FFMPEG", fps=round(1 / env.control_period)) as writer:
-        for _ in playback.play(episodes):
-            renderer.update_scene(playback.data, camera)
-            writer.append_data(renderer.render())  # type: ignore[attr-defined]
-    temporary.rename(path)
+    with open_film(path, env.control_period) as append:
+        for frame in frames(playback, episodes, *_SIZE):
+            append(frame)
     return playback.outcomes
 
 
 def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
-    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed."""
+    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed.
+
+    Raises:
+      RenderingError: there is no display that answers.
+
+    """
+    _check_display()
     import mujoco.viewer  # needs a display
 
     playback = Playback(env, policy, seed)
@@ -99,3 +122,15 @@ def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[boo
             viewer.sync()
             time.sleep(max(0.0, env.control_period - (time.perf_counter() - started)))
     return playback.outcomes
+
+
+def _check_display() -> None:
+    """Refuses a display that does not answer, for which MuJoCo's viewer would end the process."""
+    import glfw  # comes with MuJoCo
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if sys.platform == "linux" and not glfw.init():
+            raise RenderingError(
+                f"no window can be opened on DISPLAY={os.environ.get('DISPLAY', '')}; --out writes a film, --web serves a page"
+            )

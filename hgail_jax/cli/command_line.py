@@ -1,14 +1,18 @@
 """What the command lines share: options by tyro, mistakes in one line, compiled programs in a cache."""
 
+import contextlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
 
 import jax
 import tyro
 from tyro import _errors as tyro_errors
+
+_INTERRUPTED = 130  # what a shell reports of a process that SIGINT ends
 
 OptionsT = TypeVar("OptionsT")
 
@@ -65,6 +69,19 @@ def fail(program: str, message: object, code: int) -> NoReturn:
     """Ends the process with one line."""
     print(f"{program}: {' '.join(str(message).split())}", file=sys.stderr)
     raise SystemExit(code)
+
+
+@contextlib.contextmanager
+def interruptible(program: str) -> Iterator[None]:
+    """Ends the process with one line and exit code 130 on Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        fail(program, "interrupted", _INTERRUPTED)
+    except jax.errors.JaxRuntimeError as error:  # as which JAX hands on what interrupts a callback
+        if "KeyboardInterrupt" not in str(error):
+            raise
+        fail(program, "interrupted", _INTERRUPTED)
 
 
 def prepare_process() -> None:

@@ -1,7 +1,10 @@
 """Shows a session in a browser, with a handle on the target and a panel of controls."""
 
+import contextlib
 import dataclasses
+import io
 import queue
+import socket
 import time
 from collections.abc import Callable, Iterable
 
@@ -20,12 +23,31 @@ _SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
 
 _BRAND = (22, 107, 184)
 _RED = (226, 45, 45)
-_CAMERA_POSITION, _CAMERA_TARGET = (2.25, 1.62, 1.12), (1.16, 0.72, 0.52)  # metres
+_CAMERA_POSITION, _CAMERA_TARGET = (2.75, -0.55, 1.3), (0.95, 0.72, 0.55)  # metres
 _FIELD_OF_VIEW = np.radians(38.0)
 _HANDLE_SIZE = 0.16  # metres
 _MARK_RADIUS = 0.022  # metres
 
+_MOST_TRIED = 100  # ports
 _COLOURS = {"blue": "#166bb8", "green": "#1e8e4e", "red": "#c0392b", "grey": "#6b7280"}
+
+
+def free_port(host: str, port: int | None, first: int) -> int:
+    """Returns `port` if it is free, or without one the first free port from `first` on.
+
+    Raises:
+      ValueError: it is taken, none is free, or the host has no such address.
+
+    """
+    tried = range(first, first + _MOST_TRIED) if port is None else (port,)
+    reason: OSError | None = None
+    for candidate in tried:
+        try:
+            with socket.create_server((host, candidate)):
+                return candidate
+        except OSError as error:
+            reason = error
+    raise ValueError(f"cannot serve on {host}:{tried[0]}: {reason and reason.strerror}; name another --port")
 
 
 @dataclasses.dataclass
@@ -47,7 +69,7 @@ class Page:
       tasks: the names of the tasks to choose from; the first is shown.
       seed: of the starts.
       host: the network address to serve on.
-      port: the port, or the first of those to try.
+      port: the port.
 
     """
 
@@ -59,7 +81,8 @@ class Page:
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._paused, self._speed, self._dragged, self._due = False, 1.0, False, 0.0
         self.session = open_session(self._task, seed)
-        self.server = viser.ViserServer(host=host, port=port, label="hgail_jax", verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # its banner
+            self.server = viser.ViserServer(host=host, port=port, label="hgail_jax", verbose=False)
         self._configure()
         self._controls = self._add_controls()
         self._show_scene()
@@ -175,9 +198,7 @@ class Page:
         what = session.env.target_body or "red ball"
         self._instruction.content = f"**Drag the {what}** by its arrows: the policy follows."
         self._handle.on_update(
-            lambda event: self._requests.put(
-                lambda: self._drag(event.phase, np.array(event.target.position))
-            )
+            lambda event: self._requests.put(lambda: self._drag(event.phase, np.array(event.target.position)))
         )
         self._due = 0.0
         self.advance(0.0)
@@ -187,10 +208,22 @@ class Page:
         """Lights the scene, with nothing that a browser would have to fetch from elsewhere."""
         scene = self.server.scene
         scene.configure_environment_map(hdri=None)
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(196, 200, 208), intensity=2.0)
+        scene.add_light_directional("/light/sun", intensity=1.6, cast_shadow=True, position=(1.9, 0.2, 3.0))
         scene.add_grid(
-            "/floor", width=8.0, height=8.0, cell_size=0.25, section_size=1.0, position=(1.0, 0.75, 0.0),
-            cell_color=(214, 219, 226), section_color=(190, 198, 208), plane_color=(238, 241, 245), plane_opacity=1.0,
-            fade_distance=9.0, shadow_opacity=0.25,
+            "/floor",
+            width=8.0,
+            height=8.0,
+            cell_size=0.25,
+            section_size=1.0,
+            position=(1.0, 0.75, 0.0),
+            cell_color=(214, 219, 226),
+            section_color=(190, 198, 208),
+            plane_color=(238, 241, 245),
+            plane_opacity=1.0,
+            fade_distance=9.0,
+            shadow_opacity=0.25,
         )
 
     def _show_status(self) -> None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from envs import GoalEnv, State
+from envs import GoalEnv
 from envs.scenes import load_scene
 from hgail_jax.io.policy import MeanPolicy
 
