@@ -20,6 +20,7 @@ from hgail_jax.io.policy import MeanPolicy
 
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
+_FADE = 8  # frames from an episode's end to the start of the next
 _CAMERA_DISTANCE = 2.05  # metres; the arm stays in the picture wherever it goes
 
 
@@ -47,32 +48,36 @@ class Playback:
         """Whether each episode so far was a success."""
         self._env, self._policy, self._seed = env, policy, seed
 
-    def play(self, episodes: int) -> Iterator[None]:
-        """Poses `data` for each frame of some episodes, probe included, with the target's site at the goal."""
+    def play(self, episodes: int) -> Iterator[bool]:
+        """Poses `data` for each frame of some episodes, probe included, with the target's site at the goal.
+
+        Yields whether the frame is the first of an episode.
+        """
         reset, step, outcome = jax.jit(self._env.reset), jax.jit(self._env.step), jax.jit(self._env.outcome)
         for key in jax.random.split(jax.random.key(self._seed), episodes):
             state = end = reset(key)
             action: np.ndarray | jax.Array = np.zeros(self._env.action_size, np.float32)
             for frame in range(self._env.episode_length + self._env.probe_length):
-                yield from self._pose(state)
+                self._pose(state)
+                yield frame == 0
                 acts = frame < self._env.episode_length
                 action = self._policy(np.asarray(state.obs)) if acts else self._env.probe_action(jnp.asarray(action))
                 state = step(state, action)
                 end = state if acts else end
             self.outcomes.append(bool(outcome(end, state).success))
+            self._pose(state)
             for _ in range(_HOLD):
-                yield from self._pose(state)
+                yield False
 
-    def _pose(self, state: State) -> Iterator[None]:
+    def _pose(self, state: State) -> None:
         self.model.site("target").pos = np.asarray(state.info["desired_goal"])[:3]
         self.data.qpos[:] = np.asarray(state.pipeline_state.qpos)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        yield
 
 
 def frames(playback: Playback, episodes: int, height: int, width: int) -> Iterator[np.ndarray]:
-    """Renders a playback: a picture, `[height, width, 3]` and uint8, each `control_period` seconds.
+    """Renders a playback: a picture, `[height, width, 3]` and uint8, for each frame; one episode fades into the next.
 
     Raises:
       RenderingError: MuJoCo cannot render here.
@@ -82,9 +87,14 @@ def frames(playback: Playback, episodes: int, height: int, width: int) -> Iterat
     mujoco.mjv_defaultFreeCamera(playback.model, camera)
     camera.distance = _CAMERA_DISTANCE
     with open_renderer(playback.model, height, width) as renderer:
-        for _ in playback.play(episodes):
+        picture: np.ndarray | None = None
+        for first in playback.play(episodes):
             renderer.update_scene(playback.data, camera)
-            yield renderer.render()
+            before, picture = picture, renderer.render()
+            if first and before is not None:
+                for share in np.linspace(0.0, 1.0, _FADE + 2)[1:-1]:
+                    yield ((1.0 - share) * before + share * picture).astype(np.uint8)
+            yield picture
 
 
 def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
@@ -131,6 +141,5 @@ def _check_display() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if sys.platform == "linux" and not glfw.init():
-            raise RenderingError(
-                f"no window can be opened on DISPLAY={os.environ.get('DISPLAY', '')}; --out writes a film, --web serves a page"
-            )
+            display = os.environ.get("DISPLAY", "")
+            raise RenderingError(f"no window opens on DISPLAY={display}; --out writes a film, --web serves a page")

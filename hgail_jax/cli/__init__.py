@@ -5,7 +5,7 @@ import sys
 
 COMMANDS = {
     "train": "trains seeds of a method on a task and writes what came of it to a folder",
-    "play": "rolls out a trained policy, in a viewer or as a film",
+    "play": "rolls out a trained policy, in the browser, in a viewer or as a film",
     "demos": "records demonstrations by a scripted controller",
 }
 """What each command does; its module has its name."""
@@ -13,7 +13,7 @@ COMMANDS = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs `hgail <command> <options>`, with the process's own arguments unless others are given."""
-    from hgail_jax.cli.command_line import fail, prepare_process
+    from hgail_jax.cli.command_line import fail, interruptible, prepare_process
 
     name, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("-h", "--help"):
@@ -24,5 +24,6 @@ def main(arguments: list[str] | None = None) -> None:
         return
     if name not in COMMANDS:
         fail("hgail", f"there is no command {name!r}; choose from {', '.join(COMMANDS)}", 2)
-    prepare_process()
-    importlib.import_module(f"hgail_jax.cli.{name}").main(options)
+    with interruptible(f"hgail {name}"):
+        prepare_process()
+        importlib.import_module(f"hgail_jax.cli.{name}").main(options)

@@ -9,7 +9,7 @@ import jax
 import envs
 from envs.scenes import assets_directory
 from envs.vision.rgbd import RenderingError
-from hgail_jax.cli.command_line import fail, interruptible, parse, prepare_process
+from hgail_jax.cli.command_line import fail, parse, prepare_process
 from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
@@ -48,27 +48,26 @@ def main(arguments: list[str] | None = None) -> None:
     options = parse(Options, PROGRAM, __doc__, arguments)
     path = options.out or Path(f"{options.task.replace(':', '.')}.mp4")
     shows = options.out is None and bool(os.environ.get("DISPLAY"))
-    with interruptible(PROGRAM):
-        try:
-            _check(options)
-            if options.web:
-                _serve(options)
-                return
-            if not shows:
-                check_film(path)
-            env, policy = _load(options.task, options.policy)
-        except (ValueError, OSError) as error:
-            fail(PROGRAM, error, 2)
-        try:
-            if shows:
-                outcomes = show(env, policy, options.episodes, options.seed)
-            else:
-                print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
-                outcomes = film(path, env, policy, options.episodes, options.seed)
-                print(path)
-        except (RenderingError, OSError, ValueError) as error:
-            fail(PROGRAM, error, 1)
-        print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
+    try:
+        _check(options)
+        if options.web:
+            _serve(options)
+            return
+        if not shows:
+            check_film(path)
+        env, policy = _load(options.task, options.policy)
+    except (ValueError, OSError) as error:
+        fail(PROGRAM, error, 2)
+    try:
+        if shows:
+            outcomes = show(env, policy, options.episodes, options.seed)
+        else:
+            print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
+            outcomes = film(path, env, policy, options.episodes, options.seed)
+            print(path)
+    except (RenderingError, OSError, ValueError) as error:
+        fail(PROGRAM, error, 1)
+    print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
 
 
 def _check(options: Options) -> None:

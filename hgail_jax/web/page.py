@@ -5,6 +5,7 @@ import dataclasses
 import io
 import queue
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterable
 
@@ -23,7 +24,7 @@ _SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
 
 _BRAND = (22, 107, 184)
 _RED = (226, 45, 45)
-_CAMERA_POSITION, _CAMERA_TARGET = (2.75, -0.55, 1.3), (0.95, 0.72, 0.55)  # metres
+_CAMERA_POSITION, _CAMERA_TARGET = (2.87, -0.37, 1.32), (1.07, 0.9, 0.58)  # metres
 _FIELD_OF_VIEW = np.radians(38.0)
 _HANDLE_SIZE = 0.16  # metres
 _MARK_RADIUS = 0.022  # metres
@@ -79,6 +80,7 @@ class Page:
         self._open_session, self._tasks = open_session, list(tasks)
         self._task, self._seed = self._tasks[0], seed
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._closed = threading.Event()
         self._paused, self._speed, self._dragged, self._due = False, 1.0, False, 0.0
         self.session = open_session(self._task, seed)
         with contextlib.redirect_stdout(io.StringIO()):  # its banner
@@ -93,10 +95,11 @@ class Page:
         return self.server.get_port()
 
     def run(self) -> None:
-        """Serves the page until an exception, such as that of Ctrl-C, ends it."""
+        """Serves the page until `close`, or an exception such as that of Ctrl-C, ends it."""
         try:
             last = shown = time.perf_counter()
-            while True:
+            rest = 0.0
+            while not self._closed.wait(rest):
                 self._answer_requests()
                 now = time.perf_counter()
                 if self.server.get_clients():
@@ -105,10 +108,15 @@ class Page:
                         self._show_status()
                         shown = now
                 last = now
-                rest = _FRAME_PERIOD if self.server.get_clients() else _IDLE_PERIOD
-                time.sleep(max(0.0, rest - (time.perf_counter() - now)))
+                period = _FRAME_PERIOD if self.server.get_clients() else _IDLE_PERIOD
+                rest = max(0.0, period - (time.perf_counter() - now))
         finally:
-            self.server.stop()
+            with contextlib.redirect_stdout(io.StringIO()):  # it says so
+                self.server.stop()
+
+    def close(self) -> None:
+        """Ends `run`; may be called from any thread."""
+        self._closed.set()
 
     def advance(self, seconds: float) -> None:
         """Lets so much time pass, at the speed that is chosen, and shows the scene as it then is."""
@@ -205,12 +213,12 @@ class Page:
         self._show_status()
 
     def _light(self) -> None:
-        """Lights the scene, with nothing that a browser would have to fetch from elsewhere."""
+        """Lights the scene and lays a floor."""
         scene = self.server.scene
-        scene.configure_environment_map(hdri=None)
+        # mjviser's meshes are of metal, which shows what surrounds it.
+        scene.configure_environment_map("studio", environment_intensity=0.28)
         scene.configure_default_lights(enabled=False)
-        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(196, 200, 208), intensity=2.0)
-        scene.add_light_directional("/light/sun", intensity=1.6, cast_shadow=True, position=(1.9, 0.2, 3.0))
+        scene.add_light_directional("/light", intensity=1.2, cast_shadow=True, position=(1.9, 0.2, 3.0))
         scene.add_grid(
             "/floor",
             width=8.0,
@@ -242,7 +250,8 @@ def _status_html(status: Status) -> str:
 
 
 def _badge(colour: str, title: str, text: str) -> str:
+    style = f"margin:0 .6em .6em;padding:.7em .9em;border-radius:8px;color:white;background:{_COLOURS[colour]}"
     return (
-        f'<div style="margin:0 .6em .6em;padding:.7em .9em;border-radius:8px;color:white;background:{_COLOURS[colour]}">'
+        f'<div style="{style}">'
         f'<div style="font-size:1.25em;font-weight:600">{title}</div><div style="font-size:.9em">{text}</div></div>'
     )
