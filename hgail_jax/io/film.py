@@ -2,10 +2,10 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
-import imageio
+import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 
@@ -18,7 +18,8 @@ FORMATS = (".mp4", ".gif", ".webp")
 """What a film's name may end in."""
 
 _COLOURS = 256  # of a GIF
-_QUALITY = 80  # of a WebP, per cent
+_WEBP_QUALITY = 80  # per cent
+_MP4_QUALITY = 8  # of 10
 
 
 def check_film(path: Path) -> None:
@@ -49,21 +50,40 @@ def open_film(path: Path, frame_period: float) -> Iterator[Append]:
     """
     with replace_path(path) as temporary:
         if path.suffix.lower() == ".mp4":
-            with imageio.get_writer(
-                temporary, format="FFMPEG", fps=1.0 / frame_period, quality=8, output_params=["-f", "mp4"]
-            ) as writer:
-                yield writer.append_data  # type: ignore[attr-defined]
+            with contextlib.closing(_Mp4(temporary, 1.0 / frame_period)) as writer:
+                yield writer.append
         else:
             pictures: list[Image.Image] = []
             yield lambda frame: pictures.append(Image.fromarray(frame))
             _save_animation(temporary, path.suffix.lower(), pictures, frame_period)
 
 
+class _Mp4:
+    """Encodes pictures as they come, by FFmpeg, which learns their size from the first."""
+
+    def __init__(self, path: Path, rate: float) -> None:
+        self._path, self._rate = path, rate
+        self._encoder: Generator[None, np.ndarray | None, None] | None = None
+
+    def append(self, frame: np.ndarray) -> None:
+        if self._encoder is None:
+            height, width, _ = frame.shape
+            self._encoder = imageio_ffmpeg.write_frames(
+                str(self._path), (width, height), fps=self._rate, quality=_MP4_QUALITY, output_params=["-f", "mp4"]
+            )
+            self._encoder.send(None)
+        self._encoder.send(np.ascontiguousarray(frame))
+
+    def close(self) -> None:
+        if self._encoder is not None:
+            self._encoder.close()
+
+
 def _save_animation(path: Path, suffix: str, pictures: list[Image.Image], frame_period: float) -> None:
     """Writes a GIF or a WebP that plays for ever."""
     options = {"save_all": True, "duration": round(1000 * frame_period), "loop": 0}
     if suffix == ".webp":
-        pictures[0].save(path, "WEBP", append_images=pictures[1:], quality=_QUALITY, method=4, **options)
+        pictures[0].save(path, "WEBP", append_images=pictures[1:], quality=_WEBP_QUALITY, method=4, **options)
         return
     # One palette for all pictures, from the first, the middle and the last: palettes of their own would flicker.
     width, height = pictures[0].size

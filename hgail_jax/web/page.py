@@ -1,7 +1,6 @@
 """Shows a session in a browser, with a handle on the target and a panel of controls."""
 
 import contextlib
-import dataclasses
 import io
 import queue
 import socket
@@ -25,7 +24,7 @@ _SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
 _BRAND = (22, 107, 184)
 _RED = (226, 45, 45)
 _CAMERA_POSITION, _CAMERA_TARGET = (2.87, -0.37, 1.32), (1.07, 0.9, 0.58)  # metres
-_FIELD_OF_VIEW = np.radians(38.0)
+_FIELD_OF_VIEW = np.radians(35.0)
 _HANDLE_SIZE = 0.16  # metres
 _MARK_RADIUS = 0.022  # metres
 
@@ -49,15 +48,6 @@ def free_port(host: str, port: int | None, first: int) -> int:
         except OSError as error:
             reason = error
     raise ValueError(f"cannot serve on {host}:{tried[0]}: {reason and reason.strerror}; name another --port")
-
-
-@dataclasses.dataclass
-class _Controls:
-    """The panel's elements that are read or written later."""
-
-    status: viser.GuiHtmlHandle
-    pause: viser.GuiButtonHandle
-    speed: viser.GuiDropdownHandle
 
 
 class Page:
@@ -86,7 +76,7 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):  # its banner
             self.server = viser.ViserServer(host=host, port=port, label="hgail_jax", verbose=False)
         self._configure()
-        self._controls = self._add_controls()
+        self._add_controls()
         self._show_scene()
 
     @property
@@ -145,26 +135,25 @@ class Page:
         def _(_) -> None:
             self._requests.put(lambda: self._drag("end", self.session.target))
 
-    def _add_controls(self) -> _Controls:
+    def _add_controls(self) -> None:
         gui = self.server.gui
         self._instruction = gui.add_markdown("")
-        status = gui.add_html("")
+        self._status = gui.add_html("")
         restart = gui.add_button("New start", icon=viser.Icon.REFRESH)
-        pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._pause_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         speed = gui.add_dropdown("Speed", list(_SPEEDS), initial_value="1 ×")
         task = gui.add_dropdown("Task", self._tasks, initial_value=self._task)
         seed = gui.add_number("Seed", self._seed, min=0, max=MOST_SEED, step=1, hint="of the starts")
         restart.on_click(lambda _: self._requests.put(lambda: self.session.restart()))
-        pause.on_click(lambda _: self._requests.put(self._pause))
+        self._pause_button.on_click(lambda _: self._requests.put(self._pause))
         speed.on_update(lambda _: self._requests.put(lambda: self._set_speed(_SPEEDS[speed.value])))
         task.on_update(lambda _: self._requests.put(lambda: self._set_task(task.value)))
         seed.on_update(lambda _: self._requests.put(lambda: self._set_seed(int(seed.value))))
-        return _Controls(status, pause, speed)
 
     def _pause(self) -> None:
         self._paused = not self._paused
-        self._controls.pause.label = "Go on" if self._paused else "Pause"
-        self._controls.pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
+        self._pause_button.label = "Go on" if self._paused else "Pause"
+        self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
 
     def _set_speed(self, speed: float) -> None:
         self._speed = speed
@@ -175,7 +164,7 @@ class Page:
 
     def _set_task(self, task: str) -> None:
         self._task = task
-        self._controls.status.content = _badge("grey", f"Loading {task} …", "")
+        self._status.content = _badge("grey", f"Loading {task} …", "")
         self.session = self._open_session(task, self._seed)
         self._show_scene()
 
@@ -216,7 +205,7 @@ class Page:
         """Lights the scene and lays a floor."""
         scene = self.server.scene
         # mjviser's meshes are of metal, which shows what surrounds it.
-        scene.configure_environment_map("studio", environment_intensity=0.28)
+        scene.configure_environment_map("warehouse", environment_intensity=0.65)
         scene.configure_default_lights(enabled=False)
         scene.add_light_directional("/light", intensity=1.2, cast_shadow=True, position=(1.9, 0.2, 3.0))
         scene.add_grid(
@@ -235,7 +224,7 @@ class Page:
         )
 
     def _show_status(self) -> None:
-        self._controls.status.content = _status_html(self.session.status)
+        self._status.content = _status_html(self.session.status)
 
 
 def _status_html(status: Status) -> str:
