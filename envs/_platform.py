@@ -20,6 +20,9 @@ _FAULTY = [(0, minor) for minor in range(7, 11)]
 _NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _ENOUGH_THREADS = 8
 
+rendering_fault: str | None = None
+"""Why MuJoCo cannot render with what `MUJOCO_GL` names; None where it can, or where that is not known yet."""
+
 # Shardy, JAX's default partitioner, crashes in these releases over a training step that several devices share.
 _SHARDY_CRASHES = [(0, 11)]
 
@@ -77,6 +80,23 @@ def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
     return next((library.lower() for library in ("EGL", "OSMesa") if find_library(library)), None)
 
 
+def import_mujoco() -> None:
+    """Imports MuJoCo, without its renderer where `MUJOCO_GL` names one that is unknown or whose library is missing.
+
+    MuJoCo cannot be imported then, not even by those who only want its physics.
+    """
+    global rendering_fault
+    try:
+        importlib.import_module("mujoco")
+    except Exception as error:  # PyOpenGL's and ctypes' errors are of many kinds
+        chosen = os.environ.get("MUJOCO_GL")
+        if not chosen:
+            raise
+        rendering_fault = f"MUJOCO_GL={chosen} does not work: {error}"
+        os.environ["MUJOCO_GL"] = "disable"
+        importlib.import_module("mujoco")
+
+
 def prepare() -> None:
     """Sets what XLA, JAX and MuJoCo's renderer go by; imports MJX without its notices of missing packages."""
     version = jaxlib.version.__version__
@@ -90,6 +110,7 @@ def prepare() -> None:
         os.environ["MUJOCO_GL"] = backend
         if "mujoco" in sys.modules:  # it has read the variable already
             importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
+    import_mujoco()
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")
     # A program that calls C MuJoCo on the host (`envs.engines.c`) can hang if a CPU dispatches it asynchronously.

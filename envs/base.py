@@ -84,7 +84,10 @@ class GoalEnv(Env):
     control_period: float = 0.04
     """Seconds between two actions, at which an episode is shown."""
     scene: str | None = None
-    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show."""
+    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show. The physics of
+    a task with a scene have `qpos`, and its goals begin with the position of the target, metres, world frame."""
+    target_body: str | None = None
+    """Name of the scene's body that is the target itself; None where a mark is to show the target."""
     reference: str | None = None
     """Name of the Gymnasium environment that the task is held to."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
@@ -163,6 +166,18 @@ class GoalEnv(Env):
         del features
         return jnp.zeros(goal.shape[:-1], bool)
 
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Returns a state with the target at `position`, `[3]`, metres: somebody drags it while the policy acts.
+
+        A task in which the target is a body of the scene moves that body too.
+        """
+        plan = self.aim(state.info["plan"], position)
+        return self._look(state, state.pipeline_state, plan, state.info["step"])
+
+    def aim(self, plan: Any, position: jax.Array) -> Any:
+        """Returns a plan with the target at `position`, `[3]`; by default the plan is a goal that begins with it."""
+        return plan.at[:3].set(position)
+
     def probe_action(self, action: jax.Array) -> jax.Array:
         """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
         return action
@@ -211,8 +226,12 @@ class GoalEnv(Env):
         if jnp.shape(action) != (self.action_size,):
             raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
-        following = self._observe(physics, state.info["plan"], state.info["step"] + 1, state.metrics)
-        return following.replace(info=state.info | following.info)
+        return self._look(state, physics, state.info["plan"], state.info["step"] + 1)
+
+    def _look(self, state: State, physics: Any, plan: Any, step: jax.Array) -> State:
+        """Returns `state` with other physics, another plan and another step."""
+        seen = self._observe(physics, plan, step, state.metrics)
+        return seen.replace(info=state.info | seen.info)
 
     def _observe(self, physics: Any, plan: Any, step: jax.Array, metrics: dict[str, jax.Array]) -> State:
         features, desired = self.features(physics), self.current_goal(plan, physics, step)

@@ -69,6 +69,7 @@ class Grasp(FetchEnv):
     probe_length = 12
 
     scene = "fetch/grasp"
+    target_body = "cube"
     reference = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {
         "from-above": controllers.grasp,
@@ -82,7 +83,8 @@ class Grasp(FetchEnv):
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
-        self._cube_qpos = int(self.model.jnt_qposadr[self.model.joint("cube").id])
+        self._cube_qpos = int(self.model.joint("cube").qposadr[0])
+        self._cube_qvel = int(self.model.joint("cube").dofadr[0])
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
@@ -121,6 +123,18 @@ class Grasp(FetchEnv):
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
         return super().success(achieved[..., :3], desired[..., :3]) & (achieved[..., 3] == desired[..., 3])
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Puts the cube down at `position`, at rest and upright, and makes it the goal; see `GoalEnv`."""
+        physics = state.pipeline_state
+        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
+        moved = physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._cube_qpos,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
+            sensordata=jnp.zeros_like(physics.sensordata),  # nothing touches it any more
+        )
+        plan = self.plan_goals(jax.random.key(0), moved, exploring=False)
+        return self._look(state, moved, plan, state.info["step"])
 
     def probe_action(self, action: jax.Array) -> jax.Array:
         return jnp.array([0.0, 0.0, 1.0, 0.0]).at[3].set(action[3])

@@ -1,5 +1,7 @@
 """What push, pick and place and slide share: an object to be brought to a place, and whose place a goal is."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from brax import math
@@ -156,6 +158,10 @@ class ObjectEnv(FetchEnv):
         offset = jax.random.uniform(rng, (2,), minval=-self.target_range, maxval=self.target_range)
         middle = self.initial_gripper_position[:2] + jnp.array([self.target_offset, 0.0])
         return object_goal(jnp.append(middle + offset, self.object_height))
+
+    def aim(self, plan: Any, position: jax.Array) -> Any:
+        """See `GoalEnv`; the plans of these tasks have a field `goal`."""
+        return plan.replace(goal=plan.goal.at[:3].set(position))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         height = goal[..., 2]

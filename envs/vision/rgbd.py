@@ -10,11 +10,14 @@ MuJoCo needs EGL or OSMesa to render without a display; `open_renderer` says so 
 import contextlib
 import copy
 import dataclasses
+import os
+import warnings
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
+from envs import _platform
 from envs.vision.camera import Camera
 
 Stage = Callable[[mujoco.MjvScene], None]
@@ -34,17 +37,30 @@ class Picture:
     """`[height, width]`, float32, along the optical axis, metres."""
 
 
+class RenderingError(RuntimeError):
+    """MuJoCo cannot render here; the message says what would help."""
+
+
 def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
     """Opens MuJoCo's renderer.
 
     Raises:
-      RuntimeError: MuJoCo cannot render here.
+      RenderingError: MuJoCo cannot render here.
 
     """
     try:
-        return mujoco.Renderer(model, height, width)
+        if _platform.rendering_fault is not None:
+            raise ImportError(_platform.rendering_fault)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW warns of a display that does not answer, then the renderer fails
+            return mujoco.Renderer(model, height, width)
     except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
-        raise RuntimeError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
+        display = os.environ.get("DISPLAY")
+        if display and "MUJOCO_GL" not in os.environ:
+            raise RenderingError(
+                f"MuJoCo cannot render on DISPLAY={display}; set MUJOCO_GL=egl or MUJOCO_GL=osmesa ({error})"
+            ) from error
+        raise RenderingError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
 
 
 class Photographer(contextlib.AbstractContextManager):
@@ -56,7 +72,7 @@ class Photographer(contextlib.AbstractContextManager):
       height: of the pictures, pixels.
 
     Raises:
-      RuntimeError: MuJoCo cannot render here.
+      RenderingError: MuJoCo cannot render here.
 
     """
 

@@ -5,7 +5,7 @@ import sys
 
 COMMANDS = {
     "train": "trains seeds of a method on a task and writes what came of it to a folder",
-    "play": "rolls out a trained policy, in a viewer or as a film",
+    "play": "rolls out a trained policy, in the browser, in a viewer or as a film",
     "demos": "records demonstrations by a scripted controller",
 }
 """What each command does; its module has its name."""

@@ -1,17 +1,23 @@
-"""Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
+"""Rolls out a trained policy: in the browser, in MuJoCo's viewer where there is a display, or as a film."""
 
 import dataclasses
 import os
 from pathlib import Path
 
+import jax
+
 import envs
 from envs.scenes import assets_directory
+from envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
 from hgail_jax.validation import MOST_SEED, check_count
 
 PROGRAM = "hgail play"
+
+_FIRST_PORT, _MOST_PORT = 8080, 65535
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,55 +25,116 @@ class Options:
     """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
 
     task: str = "grasp"
-    """A task with a scene, e.g. reach or grasp."""
+    """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Path | None = None
     """The policy's file; by default the one that comes with the package."""
     episodes: int = 3
-    """Episodes to play."""
+    """Episodes to play; the page goes on until it is stopped."""
     seed: int = 0
     """Of the episodes."""
     out: Path | None = None
-    """Film to write instead of opening the viewer; without a display <task>.mp4 by default."""
+    """Film to write instead of opening the viewer, .mp4, .gif or .webp, which must not exist; without a display
+    <task>.mp4 by default."""
+    web: bool = False
+    """Serve a page on which the target can be dragged while the policy acts (extra `web`)."""
+    port: int | None = None
+    """The page's port; by default the first that is free from 8080 on."""
+    host: str = "127.0.0.1"
+    """The network address to serve the page on; by default it is for this machine alone."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, PROGRAM, __doc__, arguments)
+    path = options.out or Path(f"{options.task.replace(':', '.')}.mp4")
+    shows = options.out is None and bool(os.environ.get("DISPLAY"))
     try:
-        check_count("episodes", options.episodes)
-        check_count("seed", options.seed, least=0, most=MOST_SEED)
-        env, policy = _load(options)
+        _check(options)
+        if options.web:
+            _serve(options)
+            return
+        if not shows:
+            check_film(path)
+        env, policy = _load(options.task, options.policy)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
-    if options.out is None and os.environ.get("DISPLAY"):
-        outcomes = show(env, policy, options.episodes, options.seed)
-    else:
-        path = options.out or Path(f"{options.task}.mp4")
-        print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
-        try:
+    try:
+        if shows:
+            outcomes = show(env, policy, options.episodes, options.seed)
+        else:
+            print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
             outcomes = film(path, env, policy, options.episodes, options.seed)
-        except (RuntimeError, OSError, ValueError) as error:
-            fail(PROGRAM, error, 1)
-        print(path)
+            print(path)
+    except (RenderingError, OSError, ValueError) as error:
+        fail(PROGRAM, error, 1)
     print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
 
 
-def _load(options: Options) -> tuple[envs.GoalEnv, MeanPolicy]:
+def _check(options: Options) -> None:
+    """Refuses numbers out of range, and options that do not go together."""
+    check_count("episodes", options.episodes)
+    check_count("seed", options.seed, least=0, most=MOST_SEED)
+    if options.port is not None:
+        check_count("port", options.port, most=_MOST_PORT)
+    if options.web and options.out is not None:
+        raise ValueError("--web writes no film; leave out --out")
+    if not options.web and (options.port is not None or options.host != Options.host):
+        raise ValueError("--port and --host are for --web")
+
+
+def _load(task: str, path: Path | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
     """Returns the task and the policy.
+
+    Args:
+      task: its name.
+      path: the policy's file; None is the one that comes with the package.
+      **physics: options of the task, where it takes them.
 
     Raises:
       ValueError: the task has no scene, or the policy is not for it.
       OSError: the policy's file cannot be read.
 
     """
-    if envs.find_class(options.task).scene is None:
-        shown = [task for task in envs.TASKS if envs.find_class(task).scene]
-        raise ValueError(f"task {options.task!r} has no scene to show; choose from {', '.join(shown)}")
-    policy = load_policy(options.policy or assets_directory() / "policies" / f"{options.task}.npz")
-    env = envs.make(options.task)
-    if policy.task != options.task or policy.observation_size != env.observation_size:
-        raise ValueError(f"the policy is for {policy.task!r}, not for {options.task!r}")
+    if envs.find_class(task).scene is None:
+        shown = [name for name in envs.TASKS if envs.find_class(name).scene]
+        raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
+    policy = load_policy(path or _shipped(task))
+    taken = {name: value for name, value in physics.items() if name in envs.accepted_options(task)}
+    env = envs.make(task, **taken)
+    if policy.task != task or policy.observation_size != env.observation_size:
+        raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
     return env, policy
+
+
+def _shipped(task: str) -> Path:
+    return assets_directory() / "policies" / f"{task}.npz"
+
+
+def _serve(options: Options) -> None:
+    """Serves the page until Ctrl-C.
+
+    Raises:
+      ValueError: it cannot be served so, or the task or the policy does not go.
+      OSError: the policy's file cannot be read.
+
+    """
+    jax.config.update("jax_platforms", "cpu")  # one robot gains nothing by a GPU, which may be at work for others
+    try:
+        from hgail_jax.web.page import Page, free_port
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--web needs the package {error.name}: pip install 'hgail-jax[web]'") from None
+    from hgail_jax.web.session import Session
+
+    def open_session(task: str, seed: int) -> Session:
+        env, policy = _load(task, options.policy if task == options.task else None, impl="c")
+        return Session(env, policy, seed)
+
+    port = free_port(options.host, options.port, _FIRST_PORT)
+    others = [task for task in envs.TASKS if task != options.task and _shipped(task).exists()]
+    print(f"compiling {options.task} ...", flush=True)
+    page = Page(open_session, [options.task, *others], options.seed, options.host, port)
+    print(f"http://{options.host}:{page.port} shows {options.task}; Ctrl-C stops", flush=True)
+    page.run()
 
 
 if __name__ == "__main__":

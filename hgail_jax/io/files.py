@@ -19,12 +19,18 @@ _PARTIAL = ".partial"
 @contextlib.contextmanager
 def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
     """Opens a temporary file beside `path` that takes its name once it is whole, and is removed if writing fails."""
+    with replace_path(path) as temporary, temporary.open(mode) as file:
+        yield file
+
+
+@contextlib.contextmanager
+def replace_path(path: Path | str) -> Iterator[Path]:
+    """Names a temporary file for somebody else to write; see `replace_file`."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
     try:
         with unfinished(temporary):
-            with temporary.open(mode) as file:
-                yield file
+            yield temporary
             temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

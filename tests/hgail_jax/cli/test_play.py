@@ -1,12 +1,19 @@
+import dataclasses
+import os
+import subprocess
+import sys
+
 import imageio
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 
 import envs
 from hgail_jax.cli import play
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.playback import Playback
+from tests.support import ROOT
 
 
 def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
@@ -35,7 +42,7 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
 def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
-    env, policy = play._load(play.Options(task=task))
+    env, policy = play._load(task, None)
     assert policy.task == task
     assert policy.action_size == env.action_size
 
@@ -50,18 +57,130 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         (["--policy", "none.npz"], "none.npz"),
         (["--episodes", "many"], "invalid literal for int()"),
         (["--task", "grasp-aperture"], "grasp-aperture.npz"),
+        (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
+        (["--out", "none/film.mp4"], "there is no folder none to write film.mp4 into"),
+        (["--web", "--out", "film.mp4"], "--web writes no film"),
+        (["--web", "--port", "0"], "port is 0; it must be at least 1"),
+        (["--web", "--port", "70000"], "port is 70000; it must be at most 65535"),
+        (["--port", "8080"], "--port and --host are for --web"),
     ],
 )
 def test_bad_input_is_one_line(arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    refused(arguments, message, capsys)
+    assert not list(tmp_path.iterdir())
+
+
+def refused(arguments, message, capsys, code=2, program=play.main):
     with pytest.raises(SystemExit) as exit_info:
-        play.main(arguments)
-    assert exit_info.value.code == 2
+        program(arguments)
+    assert exit_info.value.code == code
     error = capsys.readouterr().err
     assert error.startswith("hgail play: ")
     assert error.count("\n") == 1
     assert message in error
+
+
+@pytest.fixture
+def in_folder(tmp_path, monkeypatch):
+    """A folder to run in, without a display."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("options", "name"), [(["--out", "mine.gif"], "mine.gif"), ([], "reach.mp4")])
+def test_a_film_that_is_there_is_kept(options, name, in_folder, capsys, monkeypatch):
+    monkeypatch.setattr(play, "load_policy", None)  # which is slow, and what follows slower
+    (in_folder / name).write_text("kept")
+    refused(["--task", "reach", *options], f"{name} exists already; name another file", capsys)
+    assert (in_folder / name).read_text() == "kept"
+
+
+def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):
+    os.mkfifo(in_folder / "pipe.npz")
+    (in_folder / "folder.npz").mkdir()
+    for name in ("pipe.npz", "folder.npz"):
+        refused(["--policy", name], f"{name} does not hold a policy: it is not a regular file", capsys)
+
+
+INTERRUPTED = """
+import os, signal, sys, time
+import numpy as np
+import hgail_jax.cli, hgail_jax.playback
+
+def frames(*_):
+    yield np.zeros((48, 64, 3), np.uint8)
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+
+hgail_jax.playback.frames = frames
+hgail_jax.cli.main(["play", "--task", "reach"])
+"""
+
+
+def test_an_interruption_leaves_no_film(in_folder):
+    process = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=in_folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert (process.returncode, process.stderr) == (130, "hgail play: stopped by SIGINT\n")
+    assert not list(in_folder.iterdir())
+
+
+PLAY = "from hgail_jax.cli import main; import sys; main(['play', *sys.argv[1:]])"
+
+
+@pytest.mark.parametrize(
+    ("environment", "options", "message"),
+    [
+        ({"MUJOCO_GL": "bogus"}, ["--out", "x.mp4"], "MUJOCO_GL=bogus does not work"),
+        ({"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "none"}, ["--out", "x.mp4"], "cannot render"),
+        ({"DISPLAY": ":97"}, ["--out", "x.mp4"], "cannot render on DISPLAY=:97; set MUJOCO_GL=egl or"),
+        ({"DISPLAY": ":97"}, [], "no window opens on DISPLAY=:97; --out writes a film, --web serves a page"),
+    ],
+)
+@pytest.mark.skipif(sys.platform != "linux", reason="DISPLAY and MUJOCO_GL are of Linux")
+def test_where_nothing_can_be_shown_one_line_says_why(environment, options, message, tmp_path):
+    kept = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    done = subprocess.run(
+        [sys.executable, "-c", PLAY, "--task", "reach", "--episodes", "1", *options],
+        cwd=tmp_path,
+        env=kept | {"PYTHONPATH": str(ROOT)} | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("hgail play: ")
+    assert done.stderr.count("\n") == 1
+    assert message in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+REACH_OF_ONE_S_OWN = """
+from envs.fetch.reach import Reach
+
+class Near(Reach):
+    episode_length = 3
+"""
+
+
+def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
+    monkeypatch.syspath_prepend(in_folder)
+    monkeypatch.setattr("hgail_jax.playback._SIZE", (48, 64))
+    (in_folder / "my_reach.py").write_text(REACH_OF_ONE_S_OWN)
+    policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
+    save_policy("near.npz", policy)
+    play.main(["--task", "my_reach:Near", "--policy", "near.npz", "--episodes", "1", "--out", "near.webp"])
+    assert capsys.readouterr().out.splitlines()[1] == "near.webp"
+    with Image.open(in_folder / "near.webp") as film:
+        assert film.size == (64, 48)
+        assert film.n_frames > 1
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):

@@ -1,0 +1,1 @@
+"""A trained policy in the browser, and a target to drag."""
