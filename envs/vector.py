@@ -88,8 +88,9 @@ class GoalVectorEnv(VectorEnv):
         if seed is None and self._keys is not None:
             return self._start(self._keys)
         if seed is None or _is_integer(seed):
-            super().reset(seed=None if seed is None else int(seed))
-            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(seed)
+            chosen: Any = seed  # an integer of any kind
+            super().reset(seed=None if seed is None else int(chosen))
+            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(chosen)
             seed = [first + index for index in range(self.num_envs)]
         seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
         if not all(map(_is_integer, seed)):

@@ -4,6 +4,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 """
 
 import copy
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +53,9 @@ class FetchPhysics(EngineState):
     """`[3]`: the point between the fingers, metres, world frame."""
     gripper_velocity: jax.Array
     """`[3]`: its linear velocity times `CONTROL_PERIOD`, metres, as the reference has it."""
+
+
+PhysicsT = TypeVar("PhysicsT", bound=FetchPhysics)
 
 
 class FetchEnv(GoalEnv):
@@ -170,14 +174,14 @@ class FetchEnv(GoalEnv):
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
         )
 
-    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
+    def _move(self, physics: PhysicsT, displacement: jax.Array, grip: jax.Array | None = None) -> PhysicsT:
         """Carries out an action; see `control` for the arguments. Without servos the fingers stay closed."""
         moved = self.engine.step(physics, self.control(physics, displacement, grip))
         if grip is None:
             moved = moved.replace(qpos=moved.qpos.at[self._finger_qpos].set(0.0))
         return self._see(moved)
 
-    def _see(self, physics: FetchPhysics) -> FetchPhysics:
+    def _see(self, physics: PhysicsT) -> PhysicsT:
         """Returns the physics with the gripper where the joints put it."""
         gripper = self._arm.pose(physics.qpos, physics.qvel)
         return physics.replace(

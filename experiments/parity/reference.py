@@ -26,7 +26,7 @@ _NAMES = {
 def make_reference(env: FetchEnv) -> Any:
     """Returns the Gymnasium environment that a task is held to, without its wrappers and its time limit."""
     gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make(env.reference, max_episode_steps=_LONGER_THAN_ANY).unwrapped
+    return gymnasium.make(str(env.reference), max_episode_steps=_LONGER_THAN_ANY).unwrapped
 
 
 def joint_indices(model: mujoco.MjModel, theirs: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

@@ -114,7 +114,7 @@ class TensorboardLogger(Logger):
         """See `Logger`; TensorBoard shows a film as a GIF, and this one is small and coarse."""
         from tensorboardX.proto.summary_pb2 import Summary
 
-        reader = imageio.get_reader(path)
+        reader: Any = imageio.get_reader(path)  # which is typed as what it is not
         pictures = [frame[::_FILM_STEP, ::_FILM_STEP] for frame in list(reader)[::_FILM_STEP]]
         rate = reader.get_meta_data()["fps"] / _FILM_STEP
         gif = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", duration=1000 / rate, loop=0)

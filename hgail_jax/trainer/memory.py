@@ -1,6 +1,7 @@
 """Estimates the memory that a run takes, and refuses one that cannot fit, before anything is compiled."""
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -33,7 +34,7 @@ def check_memory(run: Run) -> None:
     smaller = [
         f"{option} {count}"
         for option, name in (("--num-envs", "num_envs"), ("--seeds", "seeds"))
-        if (count := _most(lambda value, name=name: estimate_memory(_resize(run, name, value)) <= free))
+        if (count := _most(functools.partial(_fits, run, name, free)))
     ]
     raise ValueError(
         f"{run.seeds} seeds of {run.config.num_envs} environments need about {_gigabytes(needed)} of memory on a device"
@@ -83,6 +84,10 @@ def _free_on_host() -> int | None:
     except (OSError, ValueError):  # no limit
         pass
     return min(found)
+
+
+def _fits(run: Run, name: str, free: int, value: int) -> bool:
+    return estimate_memory(_resize(run, name, value)) <= free
 
 
 def _resize(run: Run, name: str, value: int) -> Run:

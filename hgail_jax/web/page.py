@@ -186,9 +186,14 @@ class Page:
             scene.remove_by_name(f"/fixed_bodies/world/{plane}")
         self._light()
         low, high = session.bounds
-        axes = tuple(bool(width) for width in high - low > 1e-3)
+        x, y, z = (bool(width) for width in high - low > 1e-3)
         self._handle = scene.add_transform_controls(
-            "/target", scale=_HANDLE_SIZE, active_axes=axes, disable_rotations=True, depth_test=False, line_width=4.0
+            "/target",
+            scale=_HANDLE_SIZE,
+            active_axes=(x, y, z),
+            disable_rotations=True,
+            depth_test=False,
+            line_width=4.0,
         )
         if session.env.target_body is None:
             scene.add_icosphere("/target/mark", radius=_MARK_RADIUS, color=_RED)

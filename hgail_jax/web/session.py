@@ -73,6 +73,8 @@ class Session:
         self.model = load_scene(env.scene, visual=True)
         self.data = mujoco.MjData(self.model)
         self._policy = policy
+        self._phase, self._clock = Phase.ACTING, 0
+        self._action: np.ndarray = np.zeros(env.action_size)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
         self.bounds = self._bounds()
@@ -156,7 +158,8 @@ class Session:
 
     def _begin(self) -> None:
         self._state = self._reset(next(self._starts))
-        self._phase, self._clock, self._action = Phase.ACTING, 0, np.zeros(self.env.action_size)
+        self._phase, self._clock = Phase.ACTING, 0
+        self._action = np.zeros(self.env.action_size)
         self._place_target()
 
     def _place_target(self) -> None:
