@@ -24,6 +24,9 @@ _ROWS = (
     ("reach", "jax", FAST_SUBSTEPS),
     ("grasp", "c", ACCURATE_SUBSTEPS),
     ("grasp", "c", 8),
+    ("push", "c", ACCURATE_SUBSTEPS),
+    ("pick-and-place", "c", ACCURATE_SUBSTEPS),
+    ("slide", "c", ACCURATE_SUBSTEPS),
 )
 
 
