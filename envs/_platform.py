@@ -83,18 +83,20 @@ def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
 def import_mujoco() -> None:
     """Imports MuJoCo, without its renderer where `MUJOCO_GL` names one that is unknown or whose library is missing.
 
-    MuJoCo cannot be imported then, not even by those who only want its physics.
+    MuJoCo alone could not be imported then, not even by those who only want its physics.
     """
     global rendering_fault
+    chosen = os.environ.get("MUJOCO_GL")
+    if not chosen or "mujoco" in sys.modules:
+        importlib.import_module("mujoco")
+        return
+    os.environ["MUJOCO_GL"] = "disable"
+    mujoco = importlib.import_module("mujoco")
+    os.environ["MUJOCO_GL"] = chosen
     try:
-        importlib.import_module("mujoco")
-    except Exception as error:  # PyOpenGL's and ctypes' errors are of many kinds
-        chosen = os.environ.get("MUJOCO_GL")
-        if not chosen:
-            raise
+        mujoco.GLContext = importlib.reload(mujoco.rendering.classic.gl_context).GLContext  # type: ignore[attr-defined]
+    except Exception as error:  # those of PyOpenGL and ctypes are of many kinds
         rendering_fault = f"MUJOCO_GL={chosen} does not work: {error}"
-        os.environ["MUJOCO_GL"] = "disable"
-        importlib.import_module("mujoco")
 
 
 def prepare() -> None:

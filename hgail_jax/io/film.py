@@ -18,6 +18,7 @@ FORMATS = (".mp4", ".gif", ".webp")
 """What a film's name may end in."""
 
 _COLOURS = 256  # of a GIF
+_PALETTE_SAMPLES = 12  # pictures that they are taken from
 _WEBP_QUALITY = 80  # per cent
 _MP4_QUALITY = 8  # of 10
 
@@ -85,11 +86,9 @@ def _save_animation(path: Path, suffix: str, pictures: list[Image.Image], frame_
     if suffix == ".webp":
         pictures[0].save(path, "WEBP", append_images=pictures[1:], quality=_WEBP_QUALITY, method=4, **options)
         return
-    # One palette for all pictures, from the first, the middle and the last: palettes of their own would flicker.
-    width, height = pictures[0].size
-    samples = Image.new("RGB", (width, 3 * height))
-    for row, index in enumerate((0, len(pictures) // 2, -1)):
-        samples.paste(pictures[index], (0, row * height))
+    # One palette for all pictures, from some of them: palettes of their own would flicker.
+    sampled = np.linspace(0, len(pictures) - 1, min(len(pictures), _PALETTE_SAMPLES)).astype(int)
+    samples = Image.fromarray(np.concatenate([np.asarray(pictures[index]) for index in sampled]))
     palette = samples.quantize(_COLOURS)
     first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     first.save(path, "GIF", append_images=others, **options)

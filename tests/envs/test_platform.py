@@ -51,3 +51,31 @@ def test_without_a_display_mujoco_renders_with_what_is_there():
     options = {"env": environment, "capture_output": True, "text": True, "check": True}
     printed = subprocess.run([sys.executable, "-c", f"import mujoco, envs; {chosen}"], **options)
     assert f"mujoco.{backend}" in printed.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
+@pytest.mark.parametrize(("first", "chosen"), [("envs", "bogus"), ("envs", "disable"), ("mujoco, envs", "disable")])
+def test_physics_needs_no_renderer(first, chosen):
+    lines = f"""
+import {first}
+from envs.scenes import load_scene
+from envs.vision.rgbd import RenderingError, open_renderer
+model = load_scene("fetch/reach")
+try:
+    open_renderer(model, 8, 8)
+except RenderingError as error:
+    print(error)
+"""
+    environment = os.environ | {"MUJOCO_GL": chosen, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", lines], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("MuJoCo cannot render here, install EGL or OSMesa (")
+    assert first == "mujoco, envs" or f"MUJOCO_GL={chosen} does not work" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
+def test_a_renderer_that_is_chosen_is_taken(rendering):
+    backend = _platform.headless_backend(ctypes.util.find_library)
+    lines = "import envs, mujoco; print(mujoco.GLContext.__module__, mujoco.GLContext(8, 8) is None)"
+    environment = os.environ | {"MUJOCO_GL": backend, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", lines], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == f"mujoco.{backend} False\n"

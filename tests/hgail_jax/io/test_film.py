@@ -28,7 +28,7 @@ def test_a_film_has_the_pictures_that_it_was_given(tmp_path, suffix):
     if suffix == ".mp4":
         with imageio.get_reader(path, format="FFMPEG") as reader:
             assert reader.get_meta_data()["fps"] == 25
-            frames = list(reader)
+            frames = [reader.get_data(index) for index in range(reader.count_frames())]
     else:
         with Image.open(path) as animation:
             assert animation.info["loop"] == 0  # for ever
