@@ -50,5 +50,7 @@ def place(env: FetchEnv, reference: Any, qpos: np.ndarray, qvel: np.ndarray) -> 
 
 def gripper(reference: Any) -> np.ndarray:
     """Returns where the reference's gripper is, `[3]`, metres."""
-    mujoco.mj_kinematics(reference.model, reference.data)  # a step leaves positions as they were one physics step before
+    mujoco.mj_kinematics(
+        reference.model, reference.data
+    )  # a step leaves positions as they were one physics step before
     return reference.data.site("robot0:grip").xpos.copy()
