@@ -77,15 +77,16 @@ def _check_attributes(env: GoalEnv) -> None:
 def _check_methods(env: GoalEnv) -> None:
     """Traces each method on what the ones before it gave."""
     rng, flag = jax.eval_shape(lambda: jax.random.key(0)), jax.ShapeDtypeStruct((), bool)
-    action = _floats(env.action_size)
+    step, action = jax.ShapeDtypeStruct((), jnp.int32), _floats(env.action_size)
     physics = _trace(env, "reset_physics", rng)
+    plan = _trace(env, "plan_goals", rng, physics, flag)
     _check_same(env, "step_physics", physics, _trace(env, "step_physics", physics, action))
     needed: dict[str, tuple[tuple[Any, ...], str, tuple[int, ...], str]] = {
         "features": ((physics,), "float32", (env.feature_size,), "[feature_size]"),
         "achieved_goal": ((physics,), "float32", (env.goal_size,), "[goal_size]"),
         "sample_goal": ((rng, physics), "float32", (env.goal_size,), "[goal_size]"),
-        "sample_exploration_goal": ((rng, physics), "float32", (env.goal_size,), "[goal_size]"),
-        "track_goal": ((_floats(env.goal_size), physics, flag), "float32", (env.goal_size,), "[goal_size]"),
+        "current_goal": ((plan, physics, step), "float32", (env.goal_size,), "[goal_size]"),
+        "reached": ((physics, _floats(env.goal_size)), "bool", (), "one number"),
         "probe_action": ((action,), "float32", (env.action_size,), "[action_size]"),
         "overflow": ((physics,), "bool", (), "one number"),
     }
@@ -98,6 +99,7 @@ def _check_methods(env: GoalEnv) -> None:
         _check_array(env, "goal_observation", observation, "float32", size, "[..., observation_size]")
         _check_array(env, "success", _trace(env, "success", goal, goal), "bool", batch, "[...]")
         _check_array(env, "goal_kind", _trace(env, "goal_kind", goal), "int32", batch, "[...]")
+        _check_array(env, "is_trivial", _trace(env, "is_trivial", features, goal), "bool", batch, "[...]")
 
 
 def _check_episode(env: GoalEnv) -> None:

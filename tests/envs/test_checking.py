@@ -76,13 +76,14 @@ MISTAKES = [
     (Wrong(features=lambda physics: physics / 0), "Wrong.reset gives a State whose observation is not finite"),
     (Wrong(sample_goal=lambda rng, physics: jnp.zeros(2)), r"Wrong.sample_goal gives float32 \[2\]; it must give"),
     (
-        Wrong(sample_exploration_goal=lambda rng, physics: jnp.zeros(())),
-        r"Wrong.sample_exploration_goal gives float32 \[\]; it must give float32 \[3\]",
+        Wrong(plan_goals=lambda rng, physics, exploring: jnp.zeros(())),
+        r"Wrong.current_goal gives float32 \[\]; it must give float32 \[3\]",
     ),
     (
-        Wrong(track_goal=lambda desired, physics, exploring: desired[:1]),
-        r"Wrong.track_goal gives float32 \[1\]; it must give float32 \[3\]",
+        Wrong(current_goal=lambda plan, physics, step: plan[:1]),
+        r"Wrong.current_goal gives float32 \[1\]; it must give float32 \[3\]",
     ),
+    (Wrong(is_trivial=lambda features, goal: False), r"Wrong.is_trivial gives bool \[\]; it must give bool \[2, 3\]"),
     (Wrong(probe_action=lambda action: action[None]), r"Wrong.probe_action gives float32 \[1, 3\]"),
     (Wrong(overflow=lambda physics: physics > 1), r"Wrong.overflow gives bool \[3\]; it must give bool \[\]"),
     (Wrong(goal_kind=lambda goal: jnp.int32(0)), r"Wrong.goal_kind gives int32 \[\]; it must give int32 \[2, 3\]"),

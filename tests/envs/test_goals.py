@@ -224,7 +224,7 @@ def test_defaults_of_training_are_what_the_readme_says(name, tasks):
     if name == "reach":
         options = {"substeps": 4}
         assert chosen == {
-            "cpu": ({"num_envs": 64, "rounds": 6}, options),
+            "cpu": ({"num_envs": 64, "rounds": 6, "discriminator_batch": 128, "pretrain_policy_batch": 128}, options),
             "gpu": ({"num_envs": 256, "rounds": 4}, options),
         }
         return

@@ -16,7 +16,7 @@ from envs.engines import ENGINES
         ("reach", {"substeps": 3}, "from 4 to 20"),
         ("reach", {"substeps": 21}, "from 4 to 20"),
         ("reach", {"worlds": 0}, "worlds is 0; it must be an integer of at least 1"),
-        ("reach", {"substeps": 4.5}, "substeps is 4.5; it must be from 4 to 20"),
+        ("reach", {"substeps": 4.5}, "substeps is 4.5; it must be an integer from 4 to 20"),
         ("reach", {"impl": "warp"}, "needs warp-lang and an NVIDIA GPU"),
         ("reach", {"impl": "cuda"}, f"choose from auto, {', '.join(ENGINES)}"),
     ],
@@ -38,6 +38,9 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
         "grasp": (12, 4, 4),
         "grasp-position": (11, 3, 4),
         "grasp-aperture": (12, 4, 4),
+        "push": (19, 4, 4),
+        "pick-and-place": (21, 4, 4),
+        "slide": (19, 4, 4),
     }
 
 
