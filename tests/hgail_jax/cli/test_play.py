@@ -102,7 +102,7 @@ def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):
     os.mkfifo(in_folder / "pipe.npz")
     (in_folder / "folder.npz").mkdir()
     for name in ("pipe.npz", "folder.npz"):
-        refused(["--policy", name], f"{name} does not hold a policy: it is not a regular file", capsys)
+        refused(["--policy", name], f"{name} does not hold a policy: it is no regular file", capsys)
 
 
 INTERRUPTED = """
