@@ -4,6 +4,7 @@ import gymnasium
 import gymnasium_robotics
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -124,3 +125,28 @@ def test_starts_are_the_reference_s(reference):
     np.testing.assert_allclose(ours[:, 2], theirs[:, 2].mean(), atol=1e-3)
     observation = reference.reset(seed=0)[0]["observation"]
     np.testing.assert_allclose(ENV.initial_gripper_position, observation[:3], atol=5e-4)
+
+
+@pytest.mark.parametrize("task", ["grasp", "grasp-position", "grasp-aperture"])
+def test_moving_the_target_puts_the_cube_down(task):
+    """Out of the hand and thrown about, in MuJoCo's own kinematics; the arm and its motion are left as they are."""
+    env, place = envs.make(task), np.array([1.4, 0.7, 0.425])
+    state = jax.jit(env.reset)(jax.random.key(0))
+    data = mujoco.MjData(env.model)
+    cube = env.model.body("cube").dofadr[0]
+    physics = state.pipeline_state
+    tumbling = physics.qvel.at[cube : cube + 6].set(3.0).at[4].set(0.1)
+    tilted = physics.qpos.at[-7:].set(jnp.array([1.3, 0.7, 0.8, 0.0, 1.0, 0.0, 0.0]))
+    physics = physics.replace(qpos=tilted, qvel=tumbling, sensordata=jnp.ones(2))
+    moved = env.move_target(state.replace(pipeline_state=physics), place)
+    data.qpos[:], data.qvel[:] = moved.pipeline_state.qpos, moved.pipeline_state.qvel
+    mujoco.mj_forward(env.model, data)
+    np.testing.assert_allclose(data.body("cube").xpos, place, atol=1e-6)
+    np.testing.assert_allclose(data.body("cube").xmat, np.eye(3).flatten(), atol=1e-6)
+    np.testing.assert_array_equal(data.body("cube").cvel, 0.0)
+    np.testing.assert_array_equal(data.qvel[:cube], tumbling[:cube])
+    np.testing.assert_array_equal(data.qpos[:-7], tilted[:-7])
+    goal = {"grasp": [*place, 1.0], "grasp-position": place, "grasp-aperture": [*place[:2], 0.525, 0.1]}[task]
+    np.testing.assert_allclose(moved.info["desired_goal"], goal, atol=1e-6)
+    np.testing.assert_allclose(moved.obs[8:], goal, atol=1e-6)
+    assert moved.obs[7] == 0.0  # nothing is held
