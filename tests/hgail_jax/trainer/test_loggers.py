@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 
 from hgail_jax import Trainer, TrainOptions
+from hgail_jax.trainer import loop
 from hgail_jax.trainer.loggers import check_loggers, scalars
 from tests.hgail_jax.trainer.test_trainer import After
 from tests.support import compile_once, make_runs_tiny
@@ -136,10 +137,12 @@ def test_tensorboard_has_all_of_the_table_and_more():
 def test_a_run_that_goes_on_goes_on_in_the_same_log(monkeypatch, stopped):
     options = {"logger": "csv,tensorboard,wandb", "checkpoint_every": 2}
     first = Trainer(SMALL, out=Path("run"), **options)
-    if stopped == "killed":  # after the third round, of which there is no checkpoint
+    if stopped == "killed":
         with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed"):
-            patch.setattr("hgail_jax.trainer.loop.save", kill_after(patch, rounds=3))
+            kill_in_round_3(patch)
             first.train()
+        assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
+        assert len(table(Path("run"))) == 3 * 2  # the third round is logged and not saved
     else:
         assert first.train(After(3)) is None
     Trainer(SMALL, resume="run", **options).train()
@@ -159,17 +162,14 @@ def without_seconds(found):
     return {key: value for key, value in found.items() if key[0] != "seconds"}
 
 
-def kill_after(patch, rounds):
-    from hgail_jax.trainer.loop import save
+def kill_in_round_3(patch):
+    def record(metrics, index, *more):
+        if index == 3:
+            raise RuntimeError("killed")
+        return loop_record(metrics, index, *more)
 
-    def saving(checkpoints, progress):
-        save(checkpoints, progress)
-        patch.setattr("hgail_jax.trainer.loop.round_record", failing)
-
-    def failing(*arguments):
-        raise RuntimeError("killed")
-
-    return saving
+    loop_record = loop.round_record
+    patch.setattr(loop, "round_record", record)
 
 
 def test_a_log_that_comes_later_has_the_rounds_before_it_too():
