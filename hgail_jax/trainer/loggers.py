@@ -2,6 +2,7 @@
 
 import abc
 import importlib
+import itertools
 import json
 import os
 import uuid
@@ -114,9 +115,10 @@ class TensorboardLogger(Logger):
         """See `Logger`; TensorBoard shows a film as a GIF, and this one is small and coarse."""
         from tensorboardX.proto.summary_pb2 import Summary
 
-        reader: Any = imageio.get_reader(path)  # which is typed as what it is not
-        pictures = [frame[::_FILM_STEP, ::_FILM_STEP] for frame in list(reader)[::_FILM_STEP]]
-        rate = reader.get_meta_data()["fps"] / _FILM_STEP
+        with imageio.get_reader(path) as reader:
+            rate = reader.get_meta_data()["fps"] / _FILM_STEP
+            frames = itertools.islice(reader, 0, None, _FILM_STEP)
+            pictures = [np.asarray(frame)[::_FILM_STEP, ::_FILM_STEP] for frame in frames]
         gif = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", duration=1000 / rate, loop=0)
         height, width, _ = pictures[0].shape
         image = Summary.Image(encoded_image_string=gif, height=height, width=width, colorspace=3)
@@ -149,7 +151,7 @@ class WandbLogger(Logger):
                 name=folder.name,
                 id=name.read_text(),
                 resume="allow",
-                dir=folder,
+                dir=folder.resolve(),
                 config=json.loads(json.dumps(settings, default=str)),
                 settings=wandb.Settings(console="off", silent=True),
             )

@@ -434,3 +434,10 @@ def test_apertures_are_learnt_at_random_and_measured_by_a_plan(tasks, starts):
         for step, goal in enumerate(follow(state.info["plan"][0], physics, jnp.arange(51))):
             plan = [x, y, 0.525 if step < 18 else 0.425, 0.1 if step < 36 else 0.0]
             np.testing.assert_allclose(goal, plan if state is measured else state.info["desired_goal"][0], atol=1e-6)
+
+
+@pytest.mark.parametrize("action", [0.5, jnp.zeros(1), jnp.zeros(4), jnp.zeros((1, 3))])
+def test_an_action_of_another_shape_is_refused_where_it_would_broadcast(action):
+    env = envs.make("point")
+    with pytest.raises(ValueError, match=r"an action has the shape .*; it must be \(3,\)"):
+        env.step(env.reset(jax.random.key(0)), action)

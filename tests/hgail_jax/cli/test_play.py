@@ -54,7 +54,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         (["--seed", "-1"], "seed is -1; it must be at least 0"),
         (["--task", "point"], "task 'point' has no scene to show; choose from reach, grasp"),
         (["--task", "poke"], "unknown task 'poke'"),
-        (["--policy", "none.npz"], "none.npz"),
+        (["--policy", "none.npz"], "hgail play: there is no file none.npz"),
         (["--episodes", "many"], "invalid literal for int()"),
         (["--task", "grasp-aperture"], "grasp-aperture.npz"),
         (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
