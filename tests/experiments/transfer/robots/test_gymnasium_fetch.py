@@ -88,6 +88,7 @@ def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task):
     np.testing.assert_allclose(robot.features(), ours, atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("task", "least"), [("push", 0.9), ("pick-and-place", 0.9), ("slide", 0.3)])
 def test_controllers_written_for_ours_succeed_there(task, least):
     policy = jax.jit(next(iter(envs.find_class(task).controllers.values())))
