@@ -55,7 +55,7 @@ def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demons
     """Returns the first `episodes` successes of the controller that demonstrates a task.
 
     Raises:
-      ValueError: none demonstrates it, or it succeeds too rarely.
+      ValueError: the controller succeeds too rarely.
 
     """
     check_count("demonstrations", episodes)

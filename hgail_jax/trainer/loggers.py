@@ -117,7 +117,8 @@ class TensorboardLogger(Logger):
 
         with imageio.get_reader(path) as reader:
             rate = reader.get_meta_data()["fps"] / _FILM_STEP
-            frames = itertools.islice(reader, 0, None, _FILM_STEP)
+            each: Any = reader  # which iterates, and is not typed so
+            frames = itertools.islice(each, 0, None, _FILM_STEP)
             pictures = [np.asarray(frame)[::_FILM_STEP, ::_FILM_STEP] for frame in frames]
         gif = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", duration=1000 / rate, loop=0)
         height, width, _ = pictures[0].shape
