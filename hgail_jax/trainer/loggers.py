@@ -115,10 +115,10 @@ class TensorboardLogger(Logger):
         """See `Logger`; TensorBoard shows a film as a GIF, and this one is small and coarse."""
         from tensorboardX.proto.summary_pb2 import Summary
 
+        reader: Any  # which iterates, and is not typed so
         with imageio.get_reader(path) as reader:
             rate = reader.get_meta_data()["fps"] / _FILM_STEP
-            each: Any = reader  # which iterates, and is not typed so
-            frames = itertools.islice(each, 0, None, _FILM_STEP)
+            frames = itertools.islice(reader, 0, None, _FILM_STEP)
             pictures = [np.asarray(frame)[::_FILM_STEP, ::_FILM_STEP] for frame in frames]
         gif = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", duration=1000 / rate, loop=0)
         height, width, _ = pictures[0].shape
