@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
+import mujoco
 import numpy as np
 import viser
 from mjviser import ViserMujocoScene
@@ -26,6 +27,7 @@ _RED = (226, 45, 45)
 _CAMERA_POSITION, _CAMERA_TARGET = (2.87, -0.37, 1.32), (1.07, 0.9, 0.58)  # metres
 _FIELD_OF_VIEW = np.radians(35.0)
 _HANDLE_SIZE = 0.16  # metres
+_LEAST_WIDTH = 1e-3  # metres, of the space along an axis of the handle
 _MARK_RADIUS = 0.022  # metres
 
 _MOST_TRIED = 100  # ports
@@ -182,11 +184,10 @@ class Page:
         model.site("target").group = 5  # hidden: the mark below moves with the handle
         self._scene = ViserMujocoScene(self.server, model, num_envs=1)
         self._scene.camera_tracking_enabled = False  # would move the world, but not the handle
-        for plane in ("table_top", "floor"):  # are drawn as endless grids
-            scene.remove_by_name(f"/fixed_bodies/world/{plane}")
+        for plane in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):  # drawn as endless grids
+            scene.remove_by_name(f"/fixed_bodies/world/{model.geom(plane).name}")
         self._light()
-        low, high = session.bounds
-        x, y, z = (bool(width) for width in high - low > 1e-3)
+        x, y, z = (bool(width > _LEAST_WIDTH) for width in session.bounds[1] - session.bounds[0])
         self._handle = scene.add_transform_controls(
             "/target",
             scale=_HANDLE_SIZE,

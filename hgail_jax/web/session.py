@@ -75,6 +75,7 @@ class Session:
         self._policy = policy
         self._phase, self._clock = Phase.ACTING, 0
         self._action: np.ndarray = np.zeros(env.action_size)
+        self._held: np.ndarray | None = None
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
         self.bounds = self._bounds()
@@ -86,7 +87,7 @@ class Session:
         if seed is not None:
             self._starts = self._keys(seed)
             self._episodes = self._successes = 0
-        self._held: np.ndarray | None = None
+        self._held = None
         self._begin()
 
     def move_target(self, position: np.ndarray) -> None:
