@@ -70,14 +70,14 @@ def join(
 def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
     """Starts `jax.distributed` by these numbers, or by what it finds."""
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
-    filter_stderr(
-        f"hgail train: another process of this training ended, or was silent for {heartbeat_timeout} s; {GO_ON}"
-    )
     try:
         jax.distributed.initialize(**numbers, heartbeat_timeout_seconds=heartbeat_timeout)
     except (RuntimeError, ValueError) as error:
         where = f"at {numbers['coordinator_address']}" if numbers else _OF_A_CLUSTER
         raise ValueError(f"cannot join the processes {where}: {str(error).splitlines()[0]}") from None
+    filter_stderr(
+        f"hgail train: another process of this training ended, or was silent for {heartbeat_timeout} s; {GO_ON}"
+    )
 
 
 def _wait_for(host: str, port: int) -> None:
