@@ -4,8 +4,8 @@ An action of all environments of all seeds is one call of `mujoco.rollout`, whos
 this process may use. The host keeps nothing between calls: all state goes in and out, so that a call may be repeated or
 left out, a run resumes exactly, and the result does not depend on the number of threads.
 
-Such callbacks do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one another
-for ever; `envs._platform` turns that off before JAX starts.
+Calls back into Python do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one
+another for ever; `envs._platform` turns that off before JAX starts.
 """
 
 import hashlib
