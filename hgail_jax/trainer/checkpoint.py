@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NamedTuple
 
 import jax
@@ -211,8 +212,8 @@ class Checkpoints:
         try:
             yield
         except Exception as error:
-            self._remove_unfinished()
             _ignore_late_failures()
+            self._remove_unfinished()
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 
     def _remove_unfinished(self) -> None:
@@ -228,15 +229,25 @@ class Checkpoints:
             time.sleep(0.05)
 
 
+_LATE = "Event loop is closed"  # what they say
+
+
 def _ignore_late_failures() -> None:
-    """Keeps arrays whose write fails once another has failed from complaining, each over many lines."""
-    before = sys.unraisablehook
+    """Keeps arrays whose write fails once another has failed from complaining, each over many lines.
 
-    def hook(unraisable: Any) -> None:
-        if "Event loop is closed" not in str(unraisable.exc_value):
-            before(unraisable)
+    They do so from threads that are not Python's, by either of the hooks.
+    """
+    unraisable, uncaught = sys.unraisablehook, sys.excepthook
 
-    sys.unraisablehook = hook
+    def on_unraisable(event: Any) -> None:
+        if _LATE not in str(event.exc_value):
+            unraisable(event)
+
+    def on_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if _LATE not in str(error):
+            uncaught(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = on_unraisable, on_uncaught
 
 
 def _alone() -> ocp.options.MultiprocessingOptions:
