@@ -1,10 +1,10 @@
-# Two commands: `make train` and `make test`. Both set everything up in .venv first.
+# Two commands: `make train` and `make test`. Both set everything up in .venv first, and so do the others.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?= --seeds 8
 
-.PHONY: train test slow mutants lock clean
+.PHONY: train test docs slow mutants lock clean
 
 train: $(VENV)/.installed
 	$(BIN)/python experiments/run.py $(ARGS)
@@ -14,6 +14,11 @@ test: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadfile
+
+# Fills today's figures into the pages and builds them into .cache/site; any warning is an error.
+docs: $(VENV)/.installed
+	$(BIN)/python -m docs._generate.pages
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # with --quiet it would count no warnings
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow
@@ -32,7 +37,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Pins every dependency with its hashes for Python 3.11 and 3.12; needs uv.
 lock:
-	uv pip compile pyproject.toml --extra compare --extra ur5e --extra dev --universal --python-version 3.11 \
+	uv pip compile pyproject.toml --extra compare --extra ur5e --extra docs --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --no-header --quiet \
 		--output-file requirements.lock
 

@@ -7,6 +7,7 @@ _platform.prepare()
 from brax.envs.base import State  # noqa: E402
 
 from envs.base import EpisodeMetrics, GoalEnv  # noqa: E402
+from envs.checking import check_task  # noqa: E402
 from envs.registry import TASKS, accepted_options, find_class, make  # noqa: E402
 
-__all__ = ["TASKS", "EpisodeMetrics", "GoalEnv", "State", "accepted_options", "find_class", "make"]
+__all__ = ["TASKS", "EpisodeMetrics", "GoalEnv", "State", "accepted_options", "check_task", "find_class", "make"]

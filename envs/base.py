@@ -53,12 +53,14 @@ class GoalEnv(Env):
     defaults. Episodes never end early: `done` stays 0 and the time limit is the caller's, who treats it as a
     truncation.
 
-    A task is measured on the goals of `sample_goal`. It may have others to learn from: in an episode that is reset
-    with `exploring`, the goal is one of `sample_exploration_goal`.
+    The goals of an episode follow a plan. `plan_goals` draws it at the reset, and from it `current_goal` says what the
+    goal is at each step. By default the plan is one goal of `sample_goal`, which stays. A task that learns better on
+    other goals than those it is measured on has other plans for the episodes that are reset with `exploring`: a random
+    place, a stage on the way, a new place every few steps.
 
-    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), and
-    `exploring` (a boolean). `State.obs` is `goal_observation(observation, desired_goal)`, `[observation_size]`.
-    `State.reward` is -1, or 0 where the achieved goal is a success.
+    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
+    (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is `goal_observation(observation, desired_goal)`,
+    `[observation_size]`. `State.reward` is -1, or 0 where the state is at the goal (`reached`).
     """
 
     episode_length: int
@@ -116,9 +118,19 @@ class GoalEnv(Env):
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
         """Draws the desired goal of an episode that starts in `physics` and is measured, `[goal_size]`."""
 
-    def sample_exploration_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
-        """Draws the desired goal of an episode to learn from, `[goal_size]`; by default as `sample_goal` does."""
+    def plan_goals(self, rng: jax.Array, physics: Any, exploring: jax.Array | bool) -> Any:
+        """Draws what decides the goals of an episode that starts in `physics`; by default one goal of `sample_goal`.
+
+        All that is random about the goals is drawn here. `exploring`, which may be traced, is whether the episode is
+        one to learn from; the plan is any pytree, of the same structure and shapes in either case.
+        """
+        del exploring
         return self.sample_goal(rng, physics)
+
+    def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
+        """Returns the desired goal, `[goal_size]`, in `physics` after `step` steps; by default the plan itself."""
+        del physics, step
+        return plan
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns the observation of `features`, `[..., feature_size]`, under `goal`, `[..., goal_size]`."""
@@ -137,27 +149,34 @@ class GoalEnv(Env):
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
-    def track_goal(self, desired: jax.Array, physics: Any, exploring: jax.Array | bool) -> jax.Array:
-        """Returns the desired goal, `[goal_size]`, as it stands once `physics` is reached; by default it stays.
+    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
+        """Returns whether `physics` is at the goal `desired`, `[goal_size]`: a boolean `[]`, by the achieved goal."""
+        return self.success(self.achieved_goal(physics), desired)
 
-        `exploring` is whether the episode is one to learn from.
+    def is_trivial(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether nothing is left to do for goals, where hindsight may weigh them less: booleans `[...]`.
+
+        Args:
+          features: `[..., feature_size]`, of the states that act.
+          goal: `[..., goal_size]`, what hindsight has put in the place of their desired goals.
+
+        By default none is; see `Hyperparameters.trivial_weight`.
+
         """
-        del physics, exploring
-        return desired
+        del features
+        return jnp.zeros(goal.shape[:-1], bool)
 
     def move_target(self, state: State, position: jax.Array) -> State:
         """Returns a state with the target at `position`, `[3]`, metres: somebody drags it while the policy acts.
 
-        By default the position takes the place of the desired goal's first three numbers. A task in which the target is
-        a body of the scene moves that body too.
+        A task in which the target is a body of the scene moves that body too.
         """
-        desired = state.info["desired_goal"].at[:3].set(position)
-        return self._retarget(state, state.pipeline_state, desired)
+        plan = self.aim(state.info["plan"], position)
+        return self._look(state, state.pipeline_state, plan, state.info["step"])
 
-    def _retarget(self, state: State, physics: Any, desired: jax.Array) -> State:
-        """Returns `state` with other physics and another desired goal."""
-        seen = self._observe(physics, desired, state.info["exploring"], state.metrics)
-        return seen.replace(info=state.info | seen.info)
+    def aim(self, plan: Any, position: jax.Array) -> Any:
+        """Returns a plan with the target at `position`, `[3]`; by default the plan is a goal that begins with it."""
+        return plan.at[:3].set(position)
 
     def probe_action(self, action: jax.Array) -> jax.Array:
         """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
@@ -195,29 +214,39 @@ class GoalEnv(Env):
         """Starts an episode to be measured, or one to learn from where `exploring`, which may be traced."""
         physics_rng, goal_rng = jax.random.split(rng)
         physics = self.reset_physics(physics_rng)
-        goal = jax.lax.cond(exploring, self.sample_exploration_goal, self.sample_goal, goal_rng, physics)
-        desired = self.track_goal(goal, physics, exploring)
-        return self._observe(physics, desired, jnp.asarray(exploring, bool), metrics={})
+        return self._observe(physics, self.plan_goals(goal_rng, physics, exploring), jnp.zeros((), jnp.int32), {})
 
     def step(self, state: State, action: jax.Array) -> State:
-        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]."""
-        physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
-        desired = self.track_goal(state.info["desired_goal"], physics, state.info["exploring"])
-        return self._retarget(state, physics, desired)
+        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
 
-    def _observe(self, physics: Any, desired: jax.Array, exploring: jax.Array, metrics: dict[str, jax.Array]) -> State:
-        features, achieved = self.features(physics), self.achieved_goal(physics)
+        Raises:
+          ValueError: the action has another shape.
+
+        """
+        if jnp.shape(action) != (self.action_size,):
+            raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
+        physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
+        return self._look(state, physics, state.info["plan"], state.info["step"] + 1)
+
+    def _look(self, state: State, physics: Any, plan: Any, step: jax.Array) -> State:
+        """Returns `state` with other physics, another plan and another step."""
+        seen = self._observe(physics, plan, step, state.metrics)
+        return seen.replace(info=state.info | seen.info)
+
+    def _observe(self, physics: Any, plan: Any, step: jax.Array, metrics: dict[str, jax.Array]) -> State:
+        features, desired = self.features(physics), self.current_goal(plan, physics, step)
         return State(
             pipeline_state=physics,
             obs=self.goal_observation(features, desired),
-            reward=self.success(achieved, desired).astype(jnp.float32) - 1.0,
+            reward=self.reached(physics, desired).astype(jnp.float32) - 1.0,
             done=jnp.zeros(()),
             metrics=metrics,
             info={
                 "observation": features,
-                "achieved_goal": achieved,
+                "achieved_goal": self.achieved_goal(physics),
                 "desired_goal": desired,
-                "exploring": exploring,
+                "plan": plan,
+                "step": step,
             },
         )
 

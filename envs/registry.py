@@ -10,6 +10,9 @@ TASKS = {
     "point": "envs.point:Point",
     "reach": "envs.fetch.reach:Reach",
     "grasp": "envs.fetch.grasp:Grasp",
+    "push": "envs.fetch.push:Push",
+    "pick-and-place": "envs.fetch.pick_and_place:PickAndPlace",
+    "slide": "envs.fetch.slide:Slide",
     "grasp-position": "envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "envs.fetch.grasp:GraspAperture",
 }
@@ -47,9 +50,11 @@ def accepted_options(task: str) -> tuple[str, ...]:
 
 def find_class(task: str) -> type[GoalEnv]:
     """Returns the class of a task; see `make`."""
+    if not isinstance(task, str):
+        raise ValueError(f"task is {task!r}; it must be a name, one of {', '.join(TASKS)}, or 'module:Class'")
     module, separator, name = TASKS.get(task, task).partition(":")
     names = f"choose from {', '.join(TASKS)}, or name a GoalEnv of your own as 'module:Class'"
-    if not separator:
+    if not (module and separator and name):
         raise ValueError(f"unknown task {task!r}; {names}")
     try:
         task_class = getattr(importlib.import_module(module), name)

@@ -35,6 +35,7 @@ class GoalVectorEnv(VectorEnv):
       num_envs: environments.
 
     Raises:
+      TypeError: `env` is no `GoalEnv`, or `num_envs` no integer.
       ValueError: `num_envs` is less than 1, or more than the task's physics can step at once.
 
     """
@@ -42,6 +43,10 @@ class GoalVectorEnv(VectorEnv):
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
 
     def __init__(self, env: GoalEnv, num_envs: int) -> None:
+        if not isinstance(env, GoalEnv):
+            raise TypeError(f"env is {env!r}; it must be a GoalEnv")
+        if not _is_integer(num_envs):
+            raise TypeError(f"num_envs is {num_envs!r}; it must be an integer")
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
         if env.max_worlds is not None and num_envs > env.max_worlds:
@@ -71,23 +76,29 @@ class GoalVectorEnv(VectorEnv):
 
         Args:
           seed: of the first environment, the others count on; or a seed for each.
-          options: none are known.
+          options: none are known; all environments are reset together, so that there is no `reset_mask`.
 
         Raises:
-          ValueError: not as many seeds as environments, or a seed out of range.
+          TypeError: a seed is no integer.
+          ValueError: not as many seeds as environments, or a seed out of range; or there are options.
 
         """
-        del options
+        if options:
+            raise ValueError(f"options are {', '.join(map(repr, options))}; there are none")
         if seed is None and self._keys is not None:
             return self._start(self._keys)
-        if seed is None or isinstance(seed, int | np.integer):
-            super().reset(seed=None if seed is None else int(seed))
-            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(seed)
+        if seed is None or _is_integer(seed):
+            chosen: Any = seed  # an integer of any kind
+            super().reset(seed=None if seed is None else int(chosen))
+            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(chosen)
             seed = [first + index for index in range(self.num_envs)]
+        seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
+        if not all(map(_is_integer, seed)):
+            raise TypeError(f"seed is {seed}; it must be an integer, or one for each environment")
         if len(seed) != self.num_envs:
             raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments")
         if not all(0 <= one < 2**32 for one in seed):
-            raise ValueError(f"seeds are {list(seed)}; they must be from 0 to {2**32 - 1}")
+            raise ValueError(f"seeds are {seed}; they must be from 0 to {2**32 - 1}")
         return self._start(jax.vmap(jax.random.key)(np.asarray(seed, np.uint32)))
 
     def step(
@@ -97,13 +108,16 @@ class GoalVectorEnv(VectorEnv):
 
         Raises:
           gymnasium.error.ResetNeeded: there was no `reset` before.
-          ValueError: the actions have another shape.
+          ValueError: the actions have another shape, or not all of them are finite numbers.
 
         """
         if self._state is None or self._keys is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         if np.shape(actions) != self.action_space.shape:
             raise ValueError(f"actions have shape {np.shape(actions)}; it must be {self.action_space.shape}")
+        actions = np.asarray(actions)
+        if actions.dtype.kind not in "biuf" or not np.isfinite(actions).all():
+            raise ValueError("not all actions are finite numbers")
         no = np.zeros(self.num_envs, bool)
         if self._steps == self.env.episode_length:
             observation, info = self._start(self._keys)
@@ -128,3 +142,7 @@ class GoalVectorEnv(VectorEnv):
         assert self._state is not None
         names = self.single_observation_space.spaces  # type: ignore[attr-defined]
         return {name: np.array(self._state.info[name], np.float32) for name in names}
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

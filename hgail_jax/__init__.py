@@ -4,6 +4,10 @@ The centre is `train_step`: a pure function from a `TrainState` and a row of `sc
 round measured.
 """
 
+from hgail_jax.interrupts import expect_while_importing
+
+expect_while_importing()  # the imports below take seconds
+
 from envs import EpisodeMetrics, GoalEnv, make
 from hgail_jax.config import EXPERT_SOURCES, REWARDS, STRATEGIES, Config, Hyperparameters
 from hgail_jax.evaluate import evaluate, mean_outcome

@@ -16,8 +16,9 @@ STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
 REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
 """Reward forms by name."""
-RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
+EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Where expert samples come from, see `hgail_jax.experts`."""
+RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
 _MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
@@ -113,6 +114,8 @@ class Hyperparameters(struct.PyTreeNode):
     """Where a replaced goal comes from: a value of `STRATEGIES`."""
     include_current: jax.Array | bool = False
     """Whether "future" may also pick the position achieved before the step's own action."""
+    trivial_weight: jax.Array | float = 1.0
+    """Weight of relabelled samples under whose goal nothing is left to do, see `GoalEnv.is_trivial`."""
     ties_by_distance: jax.Array | bool = False
     """Whether, of equally good episodes, those that end nearer to their goal are kept; see `keep_best`."""
     reward: jax.Array | int = R1
@@ -122,6 +125,12 @@ class Hyperparameters(struct.PyTreeNode):
     standardize_reward: jax.Array | bool = True
     """Whether PPO's reward is shifted and scaled to mean 0 and standard deviation 1 over a roll-out. That removes what
     tells r1 to r4 apart in scale, and makes a rare success large: one among 51,200 steps is worth +226."""
+    reward_scale: jax.Array | float = 1.0
+    """Factor on PPO's reward, which is first divided by the steps of an episode."""
+    standardize_advantage: jax.Array | bool = True
+    """Whether PPO's advantages are shifted and scaled to mean 0 and standard deviation 1 over a roll-out."""
+    standardize_observation: jax.Array | bool = True
+    """Whether observations are shifted and scaled by their statistics so far. They are clipped to ±5 either way."""
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
     likelihood_weight: jax.Array | float = 1.0
@@ -149,11 +158,13 @@ class Hyperparameters(struct.PyTreeNode):
         """
         for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
             check_share(name, getattr(self, name))
-        for name in ("include_current", "ties_by_distance", "standardize_reward"):
+        for name in ("include_current", "ties_by_distance"):
             check_share(name, getattr(self, name))
-        for name in ("action_std", "clip_ratio", "policy_learning_rate", "discriminator_learning_rate"):
+        for name in ("standardize_reward", "standardize_advantage", "standardize_observation"):
+            check_share(name, getattr(self, name))
+        for name in ("action_std", "clip_ratio", "reward_scale", "policy_learning_rate", "discriminator_learning_rate"):
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "likelihood_weight"):
+        for name in ("ppo_weight", "likelihood_weight", "trivial_weight"):
             check_not_negative(name, getattr(self, name))
         std = self.action_std
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too

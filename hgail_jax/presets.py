@@ -70,14 +70,20 @@ def task_preset(task_class: type[GoalEnv], platform: str, preset: str = "paralle
       preset: a name in `PRESETS`.
 
     Raises:
-      ValueError: there is no such preset.
+      ValueError: there is no such preset, or the task's own sizes or hyperparameters are none.
 
     """
     check_name("preset", preset, PRESETS)
     base = PRESETS[preset]
     if preset != "parallel":
         return base
-    defaults = task_class.training[platform]
-    return Preset(
-        dataclasses.replace(base.config, **defaults.config), base.hyperparameters.replace(**defaults.hyperparameters)
-    )
+    try:
+        defaults = task_class.training[platform]
+        return Preset(
+            dataclasses.replace(base.config, **defaults.config),
+            base.hyperparameters.replace(**defaults.hyperparameters),
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{task_class.__name__}.training[{platform!r}] is not TrainingDefaults of fields that there are: {error}"
+        ) from error

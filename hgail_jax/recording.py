@@ -32,7 +32,14 @@ def run_controller(env: envs.GoalEnv, name: str, episodes: int, seed: int) -> Tr
 
 
 def make_for_demonstrations(task: str, episodes: int) -> envs.GoalEnv:
-    """Makes a task with the physics that it is trained in, to record so many demonstrations."""
+    """Makes a task with the physics that it is trained in, to record so many demonstrations.
+
+    Raises:
+      ValueError: there is no such task, or no controller demonstrates it.
+
+    """
+    if not envs.find_class(task).controllers:
+        raise ValueError(f"no controller demonstrates {task!r}")
     options = dict(envs.find_class(task).training[platform_name()].options)
     if "worlds" in envs.accepted_options(task):
         options["worlds"] = _attempts(episodes)
@@ -48,12 +55,10 @@ def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demons
     """Returns the first `episodes` successes of the controller that demonstrates a task.
 
     Raises:
-      ValueError: none demonstrates it, or it succeeds too rarely.
+      ValueError: the controller succeeds too rarely.
 
     """
     check_count("demonstrations", episodes)
-    if not env.controllers:
-        raise ValueError(f"no controller demonstrates {task!r}")
     name = next(iter(env.controllers))
     trajectory = run_controller(env, name, _attempts(episodes), seed)
     succeeded = np.flatnonzero(np.asarray(trajectory.outcome.success))[:episodes]

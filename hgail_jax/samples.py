@@ -78,7 +78,8 @@ def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
 def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
     """Returns the samples of a trajectory under goals replaced in hindsight.
 
-    Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`.
+    Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`. Within
+    a kind, samples under whose goal nothing is left to do count `hyper.trivial_weight` times.
     """
     desired, weight = trajectory.desired[:-1], step_weight(trajectory)
     share = _kind_share(env, desired, weight)
@@ -89,8 +90,10 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
 
     rngs = jax.random.split(rng, desired.shape[1])
     goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
+    features = trajectory.features[:-1]
+    weight = weight * jnp.where(env.is_trivial(features, goal), hyper.trivial_weight, 1.0)
     weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
-    return flatten(Samples(env.goal_observation(trajectory.features[:-1], goal), trajectory.action, weight))
+    return flatten(Samples(env.goal_observation(features, goal), trajectory.action, weight))
 
 
 def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:

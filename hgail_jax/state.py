@@ -1,5 +1,6 @@
 """The training state: everything that a round reads and writes, as one pytree."""
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -40,8 +41,13 @@ class TrainState(struct.PyTreeNode):
         return running_statistics.normalize(observation, self.statistics, max_abs_value=_MAX_NORMALIZED)
 
     def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
-        """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`."""
-        return self.replace(statistics=running_statistics.update(self.statistics, observation, weights=weight))
+        """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`.
+
+        Where observations are not to be standardised the statistics stay at mean 0 and standard deviation 1.
+        """
+        counted = running_statistics.update(self.statistics, observation, weights=weight)
+        kept = functools.partial(jnp.where, self.hyperparameters.standardize_observation)
+        return self.replace(statistics=jax.tree.map(kept, counted, self.statistics))
 
 
 class StateKeys(NamedTuple):

@@ -30,6 +30,7 @@ LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
 EXPERTS, PPO, ROLLOUT = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout"))
 GOALS, PRESETS = "tests/envs/test_goals.py", "tests/hgail_jax/test_presets.py"
+OBJECTS = "tests/envs/fetch/test_objects.py"
 
 TESTS = {
     "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
@@ -49,6 +50,9 @@ TESTS = {
     "envs/point": [GOALS, SAMPLES],
     "envs/fetch/reach": [GOALS, PRESETS],
     "envs/fetch/grasp": [GOALS, PRESETS],
+    "envs/fetch/objects": [OBJECTS],
+    "envs/fetch/push": [OBJECTS],
+    "envs/fetch/pick_and_place": [OBJECTS],
 }
 """What is run for a module, the quickest first."""
 
@@ -93,12 +97,7 @@ EQUIVALENT = {
         "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
     ],
     "envs/fetch/grasp": [
-        # No draw lies on the edge; of two axes 1 is the last; 32 candidates are enough.
-        "far = (jnp.linalg.norm(offsets, axis=-1) > LEAST_DISTANCE)",
-        "far = jnp.linalg.norm(offsets, axis=(1)) >= LEAST_DISTANCE",
-        "_CANDIDATES = 64  # positions drawn to find one far enough; each is with probability 0.65",
-        # Of two kinds as likely as each other either may come first; the method does not look at its object.
-        "return jnp.where(jax.random.bernoulli(kind_rng), self.sample_goal(rng, physics), elsewhere)",
+        # The method does not look at its object.
         "return FetchEnv.goal_kind(goal, goal)",
         # The last number is set.
         "return jnp.array([0.0, 0.0, 1.0, 1.0]).at[3].set(action[3])",

@@ -4,15 +4,16 @@ An action of all environments of all seeds is one call of `mujoco.rollout`, whos
 this process may use. The host keeps nothing between calls: all state goes in and out, so that a call may be repeated or
 left out, a run resumes exactly, and the result does not depend on the number of threads.
 
-Such callbacks do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one another
-for ever; `envs._platform` turns that off before JAX starts.
+Calls back into Python do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one
+another for ever; `envs._platform` turns that off before JAX starts.
 """
 
+import hashlib
 import math
 import os
 import threading
 import weakref
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ import numpy as np
 from mujoco import rollout
 
 from envs.engines.base import Control, Engine, StateT
+from envs.engines.host_call import host_call
 
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
@@ -40,22 +42,19 @@ class CEngine(Engine):
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self._host = HostRollout(self.model, substeps, usable_cores())
+        self._name = f"rollout.{_digest(self.model)}.{substeps}"
 
     def step(self, state: StateT, control: Control) -> StateT:
         """See `Engine`; the warm start is passed on unused."""
-        shapes = (
-            jax.ShapeDtypeStruct((self.model.nq,), jnp.float32),
-            jax.ShapeDtypeStruct((self.model.nv,), jnp.float32),
-            jax.ShapeDtypeStruct((self.model.nsensordata,), jnp.float32),
-        )
+        sizes = (self.model.nq, self.model.nv, self.model.nsensordata)
         mocap_pos, mocap_quat = control.mocap_pos.reshape(-1), control.mocap_quat.reshape(-1)
-        qpos, qvel, sensordata = jax.pure_callback(
+        qpos, qvel, sensordata = host_call(
+            self._name,
             self._host,
-            shapes,
+            [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes],
             state.qpos,
             state.qvel,
             jnp.concatenate([control.ctrl, mocap_pos, mocap_quat]),
-            vmap_method="broadcast_all",
         )
         return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
 
@@ -66,8 +65,6 @@ class CEngine(Engine):
 
 class HostRollout:
     """Steps a batch of environments with C MuJoCo, NumPy arrays in and out.
-
-    JAX must not be used in here, not even to convert an array: it may wait for the very program that waits for this.
 
     Args:
       model: the scene, whose time step is taken.
@@ -81,9 +78,10 @@ class HostRollout:
         self._lock = threading.Lock()  # several devices of a process call from threads of their own
         self._pool: rollout.Rollout | None = None
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
+        self._room = _Room(model, substeps, 0)
         _HOSTS.add(self)
 
-    def __call__(self, qpos: Any, qvel: Any, control: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def __call__(self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, ...]:
         """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
 
         Args:
@@ -92,26 +90,30 @@ class HostRollout:
           control: `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies.
 
         """
-        qpos, qvel, control = (np.asarray(array) for array in (qpos, qvel, control))  # JAX hands over arrays of its own
         model, batch = self._model, qpos.shape[:-1]
-        start = np.zeros((math.prod(batch), self._state_size()))
-        start[:, 0] = _START  # time comes first
-        start[:, 1 : 1 + model.nq] = qpos.reshape(-1, model.nq)
-        start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel.reshape(-1, model.nv)
-        controls = control.reshape(len(start), 1, -1).astype(np.float64)
+        count, velocities = math.prod(batch), 1 + model.nq  # time comes first
         with self._lock:
-            states, sensors = self._open().rollout(
-                model, self._datas, start, np.repeat(controls, self._substeps, axis=1), control_spec=_CONTROL
+            room = self._room = self._room if self._room.count == count else _Room(model, self._substeps, count)
+            room.start[:, 1:velocities] = qpos.reshape(count, -1)
+            room.start[:, velocities : velocities + model.nv] = qvel.reshape(count, -1)
+            room.control[:] = control.reshape(count, 1, -1)
+            self._open().rollout(
+                room.models,
+                self._datas,
+                room.start,
+                room.control,
+                control_spec=_CONTROL,
+                skip_checks=True,  # they copy, and cost as much as a physics step of a few environments
+                nstep=self._substeps,
+                state=room.states,
+                sensordata=room.sensors,
             )
-        end, sensordata = states[:, -1], sensors[:, -1].astype(np.float32)
+            end, sensordata = room.states[:, -1].astype(np.float32), room.sensors[:, -1].astype(np.float32)
         # MuJoCo resets a simulation that breaks down, and its clock with it; after any warning it stops early.
         broken = ~(end[:, 0] > _START + (self._substeps - 0.5) * model.opt.timestep)
-        positions = np.where(broken[:, None], np.nan, end[:, 1 : 1 + model.nq]).astype(np.float32)
-        velocities = end[:, 1 + model.nq : 1 + model.nq + model.nv].astype(np.float32)
-        return positions.reshape(*batch, -1), velocities.reshape(*batch, -1), sensordata.reshape(*batch, -1)
-
-    def _state_size(self) -> int:
-        return mujoco.mj_stateSize(self._model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        end[broken, 1:velocities] = np.nan
+        parts = end[:, 1:velocities], end[:, velocities : velocities + model.nv], sensordata
+        return tuple(part.reshape(*batch, -1) for part in parts)
 
     def _open(self) -> rollout.Rollout:
         if self._pool is None:
@@ -125,6 +127,20 @@ class HostRollout:
             self._pool = None
 
 
+class _Room:
+    """What a call of `mujoco.rollout` on `count` environments reads and writes, kept from call to call."""
+
+    def __init__(self, model: mujoco.MjModel, substeps: int, count: int) -> None:
+        self.count = count
+        self.models = [model] * count
+        state_size = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        self.start = np.zeros((count, state_size))
+        self.start[:, 0] = _START
+        self.control = np.empty((count, substeps, mujoco.mj_stateSize(model, _CONTROL)))
+        self.states = np.empty((count, substeps, state_size))
+        self.sensors = np.empty((count, substeps, model.nsensordata))
+
+
 _HOSTS: weakref.WeakSet[HostRollout] = weakref.WeakSet()
 
 
@@ -136,6 +152,13 @@ def _close_all() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_close_all)
+
+
+def _digest(model: mujoco.MjModel) -> str:
+    """Returns what tells a scene from others, the same in every process."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).hexdigest()[:32]
 
 
 def usable_cores() -> int:

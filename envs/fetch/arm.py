@@ -4,6 +4,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 """
 
 import copy
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -28,18 +29,22 @@ TABLE_HEIGHT = 0.4
 LEAD = 0.05
 """Metres that the mocap body leads the gripper by for a unit action."""
 
+LEAST_DISTANCE = 0.1
+"""Metres from the gripper's start, in the plane, at which an object starts at least."""
+
+_CANDIDATES = 64  # positions drawn to find one far enough; each is with probability 0.65, or 0.21 for the puck of slide
+_ROAM = 0.15  # metres around the gripper's start, of random positions to bring it to
+_LOWEST = 0.42  # metres; the pads rest on the table at 0.417
 _DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
 _FINGERS = ("right_finger", "left_finger")
-_BASE_POSITION = {"base_x": 0.405, "base_y": 0.48}  # metres
-_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.231])  # metres from the gripper's outstretched position to its start
+_BASE_X, _BASE_Y = 0.405, 0.48  # metres
+_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
 _SETTLE_PERIODS = 10
 
 
 class FetchPhysics(EngineState):
     """What the engine carries from one action to the next, and what is seen of it."""
 
-    steps: jax.Array
-    """`[]` integer: actions taken in the episode."""
     body_position: jax.Array
     """`[3]`: the gripper's body, which the mocap body leads."""
     body_quaternion: jax.Array
@@ -50,13 +55,16 @@ class FetchPhysics(EngineState):
     """`[3]`: its linear velocity times `CONTROL_PERIOD`, metres, as the reference has it."""
 
 
+PhysicsT = TypeVar("PhysicsT", bound=FetchPhysics)
+
+
 class FetchEnv(GoalEnv):
     """The Fetch arm, its gripper pulled by a mocap body through a weld constraint.
 
     An action is four numbers in [-1, 1]: three end-effector displacements (x, y, z; a unit moves the gripper about
     33 mm once it is up to speed) and the gripper command. The physics state is a `FetchPhysics`.
 
-    A task sets `scene` and the attributes of a `GoalEnv`.
+    A task sets `scene` and the attributes of a `GoalEnv`; its arm may start elsewhere.
 
     Args:
       impl: physics engine, see `envs.engines.resolve_impl`: `"auto"`, `"warp"`, `"c"` or `"jax"`.
@@ -75,15 +83,22 @@ class FetchEnv(GoalEnv):
     control_period = CONTROL_PERIOD
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
+    base_x: float = _BASE_X
+    """Metres along x at which the robot stands."""
+    start_height: float = 0.2
+    """Metres above the table, nominally, at which the gripper starts."""
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
         if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= ACCURATE_SUBSTEPS):
-            raise ValueError(f"substeps is {substeps}; it must be from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}")
+            raise ValueError(
+                f"substeps is {substeps!r}; it must be an integer from {FAST_SUBSTEPS} to {ACCURATE_SUBSTEPS}"
+            )
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         self.model = load_scene(self.scene)
         self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
-        settled = settle(self.model)
+        self._finger_qvel = self.model.jnt_dofadr[[self.model.joint(name).id for name in _FINGERS]]
+        settled = settle(self.model, self.base_x, self.start_height)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self.max_worlds = self.engine.max_worlds
@@ -110,6 +125,21 @@ class FetchEnv(GoalEnv):
         del rng  # the arm always starts from the same pose
         return self._initial_physics
 
+    def random_position(self, rng: jax.Array) -> jax.Array:
+        """Draws a position to bring the gripper to, `[3]`: around its start, and not in the table."""
+        offset = jax.random.uniform(rng, (3,), minval=-_ROAM, maxval=_ROAM)
+        return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
+
+    def random_place(self, rng: jax.Array, width: float) -> jax.Array:
+        """Draws where an object starts, `[2]`: uniform up to `width` around the gripper's start, and not too near."""
+        offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
+        far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
+        return self.initial_gripper_position[:2] + offsets[jnp.argmax(far)]
+
+    def gap(self, physics: FetchPhysics) -> jax.Array:
+        """Returns the distance between the fingers, `[]`, metres."""
+        return physics.qpos[self._finger_qpos].sum()
+
     def overflow(self, physics: FetchPhysics) -> jax.Array:
         return physics.overflow
 
@@ -122,7 +152,6 @@ class FetchEnv(GoalEnv):
                 warmstart=jnp.zeros(self.model.nv),
                 sensordata=jnp.zeros(self.model.nsensordata),
                 overflow=jnp.zeros((), bool),
-                steps=jnp.zeros((), jnp.int32),
                 body_position=jnp.zeros(3),
                 body_quaternion=jnp.zeros(4),
                 gripper_position=jnp.zeros(3),
@@ -145,14 +174,14 @@ class FetchEnv(GoalEnv):
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
         )
 
-    def _move(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> FetchPhysics:
+    def _move(self, physics: PhysicsT, displacement: jax.Array, grip: jax.Array | None = None) -> PhysicsT:
         """Carries out an action; see `control` for the arguments. Without servos the fingers stay closed."""
         moved = self.engine.step(physics, self.control(physics, displacement, grip))
         if grip is None:
             moved = moved.replace(qpos=moved.qpos.at[self._finger_qpos].set(0.0))
-        return self._see(moved.replace(steps=physics.steps + 1))
+        return self._see(moved)
 
-    def _see(self, physics: FetchPhysics) -> FetchPhysics:
+    def _see(self, physics: PhysicsT) -> PhysicsT:
         """Returns the physics with the gripper where the joints put it."""
         gripper = self._arm.pose(physics.qpos, physics.qvel)
         return physics.replace(
@@ -163,13 +192,21 @@ class FetchEnv(GoalEnv):
         )
 
 
-def settle(model: mujoco.MjModel) -> mujoco.MjData:
-    """Brings the arm to its start, as the reference does: pull the gripper there with C MuJoCo and let it settle."""
+def settle(
+    model: mujoco.MjModel, base_x: float = FetchEnv.base_x, start_height: float = FetchEnv.start_height
+) -> mujoco.MjData:
+    """Brings the arm to its start, as the reference does: pull the gripper there with C MuJoCo and let it settle.
+
+    Args:
+      model: the scene.
+      base_x: see `FetchEnv`.
+      start_height: likewise.
+
+    """
     data = mujoco.MjData(model)
-    for joint, position in _BASE_POSITION.items():
-        data.joint(joint).qpos = position
+    data.joint("base_x").qpos, data.joint("base_y").qpos = base_x, _BASE_Y
     mujoco.mj_forward(model, data)
-    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET
+    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, start_height]
     data.mocap_quat[0] = _DOWNWARD
     mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * ACCURATE_SUBSTEPS)
     mujoco.mj_forward(model, data)

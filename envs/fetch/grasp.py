@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from envs.base import Controller, EpisodeMetrics, State, TrainingDefaults
 from envs.fetch import controllers
 from envs.fetch.arm import ACCURATE_SUBSTEPS, FetchEnv, FetchPhysics
+from envs.fetch.training import training_defaults
 
 CUBE_WIDTH = 0.05
 """Metres along each edge."""
@@ -17,16 +18,11 @@ WIDEST_GAP = 0.1
 
 CUBE_RANGE = 0.15
 """Metres around the gripper's start, along x and y, in which the cube starts."""
-LEAST_DISTANCE = 0.1
-"""Metres from the gripper's start, in the plane, at which the cube starts at least."""
 LEAST_RISE = 0.05
 """Metres that a cube rises in the probe if it is held."""
 
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
-_CANDIDATES = 32  # positions drawn to find one far enough; each is with probability 0.65
 _CUBE_HEIGHT = 0.425  # metres, on the table
-_GOAL_RANGE = 0.15  # metres around the gripper's start, of goals that are not the cube
-_LOWEST_GOAL = 0.42  # metres; the pads rest on the table at 0.417
 
 
 def is_held(touching: Any, gap: Any) -> Any:
@@ -38,30 +34,6 @@ def is_held(touching: Any, gap: Any) -> Any:
 
     """
     return touching & (abs(gap - CUBE_WIDTH) <= _GAP_TOLERANCE)
-
-
-def _training(num_envs: int, rounds: int) -> TrainingDefaults:
-    # A grasp is found by chance, so it takes wide roll-outs and many rounds; the likelihood of expert samples beside
-    # PPO teaches the hand, and a wide deviation of its command alone finds the order of opening and closing.
-    return TrainingDefaults(
-        config={
-            "num_envs": num_envs,
-            "rounds": rounds,
-            "policy_phases": 4,
-            "discriminator_phases": 1,
-            "ppo_minibatches": 16,
-            "likelihood_batch": 2048,
-            "discriminator_batch": 1024,
-            "pretrain_policy_batch": 1024,
-        },
-        hyperparameters={
-            "action_std": (0.2, 0.2, 0.2, 0.5),
-            "likelihood_weight": 0.3,
-            "policy_learning_rate": 1e-3,
-            "discriminator_learning_rate": 2e-4,
-        },
-        options={"substeps": 8},
-    )
 
 
 class Grasp(FetchEnv):
@@ -105,18 +77,14 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": _training(num_envs=1024, rounds=16),
-        "gpu": _training(num_envs=1024, rounds=40),
+        "cpu": training_defaults(num_envs=1024, rounds=16),
+        "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
         self._cube_qpos = int(self.model.joint("cube").qposadr[0])
         self._cube_qvel = int(self.model.joint("cube").dofadr[0])
-
-    def gap(self, physics: FetchPhysics) -> jax.Array:
-        """Returns the distance between the fingers, `[]`, metres."""
-        return physics.qpos[self._finger_qpos].sum()
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
@@ -127,9 +95,7 @@ class Grasp(FetchEnv):
         return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
-        offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-CUBE_RANGE, maxval=CUBE_RANGE)
-        far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
-        cube = jnp.append(self.initial_gripper_position[:2] + offsets[jnp.argmax(far)], _CUBE_HEIGHT)
+        cube = jnp.append(self.random_place(rng, CUBE_RANGE), _CUBE_HEIGHT)
         qpos = self._initial_physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube)
         return self._initial_physics.replace(qpos=qpos)
 
@@ -146,10 +112,11 @@ class Grasp(FetchEnv):
     def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
         return jnp.append(self.cube_position(physics), 1.0)
 
-    def sample_exploration_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, exploring: jax.Array | bool) -> jax.Array:
         kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
-        elsewhere = jnp.append(self._random_position(position_rng), 0.0)
-        return jnp.where(jax.random.bernoulli(kind_rng), elsewhere, self.sample_goal(goal_rng, physics))
+        elsewhere = jnp.append(self.random_position(position_rng), 0.0)
+        away = exploring & jax.random.bernoulli(kind_rng)
+        return jnp.where(away, elsewhere, self.sample_goal(goal_rng, physics))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return (goal[..., 3] > 0.5).astype(jnp.int32)
@@ -166,8 +133,8 @@ class Grasp(FetchEnv):
             qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
             sensordata=jnp.zeros_like(physics.sensordata),  # nothing touches it any more
         )
-        goal = self.sample_goal(jax.random.key(0), moved)
-        return self._retarget(state, moved, self.track_goal(goal, moved, exploring=False))
+        plan = self.plan_goals(jax.random.key(0), moved, exploring=False)
+        return self._look(state, moved, plan, state.info["step"])
 
     def probe_action(self, action: jax.Array) -> jax.Array:
         return jnp.array([0.0, 0.0, 1.0, 0.0]).at[3].set(action[3])
@@ -179,11 +146,6 @@ class Grasp(FetchEnv):
         return self.measure(last.gripper_position, self.cube_position(last)).replace(
             success=(touched & (rise > LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
         )
-
-    def _random_position(self, rng: jax.Array) -> jax.Array:
-        offset = jax.random.uniform(rng, (3,), minval=-_GOAL_RANGE, maxval=_GOAL_RANGE)
-        position = self.initial_gripper_position + offset
-        return position.at[2].max(_LOWEST_GOAL)
 
 
 class GraspPosition(Grasp):
@@ -202,8 +164,8 @@ class GraspPosition(Grasp):
     def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
         return self.cube_position(physics)
 
-    def sample_exploration_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
-        return self.cube_position(physics)
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, exploring: jax.Array | bool) -> jax.Array:
+        return self.sample_goal(rng, physics)
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return FetchEnv.goal_kind(self, goal)
@@ -230,16 +192,26 @@ class GraspAperture(Grasp):
         return jnp.append(physics.gripper_position, self.gap(physics))
 
     def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
-        return jnp.append(self.cube_position(physics), WIDEST_GAP)
+        return self._test_plan(physics)[-1]
 
-    def sample_exploration_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, exploring: jax.Array | bool) -> jax.Array:
+        """Returns the goals of the plan's stages, `[3, goal_size]`; to learn from, three times the same random one."""
         position_rng, gap_rng = jax.random.split(rng)
-        return jnp.append(self._random_position(position_rng), jax.random.uniform(gap_rng, maxval=WIDEST_GAP))
+        anywhere = jnp.append(self.random_position(position_rng), jax.random.uniform(gap_rng, maxval=WIDEST_GAP))
+        return jnp.where(exploring, anywhere, self._test_plan(physics))
 
-    def track_goal(self, desired: jax.Array, physics: FetchPhysics, exploring: jax.Array | bool) -> jax.Array:
-        height = _CUBE_HEIGHT + jnp.where(physics.steps < self._DESCEND, self._ABOVE, 0.0)
-        gap = jnp.where(physics.steps < self._CLOSE, WIDEST_GAP, 0.0)
-        return jnp.where(exploring, desired, jnp.array([desired[0], desired[1], height, gap]))
+    def current_goal(self, plan: jax.Array, physics: FetchPhysics, step: jax.Array | int) -> jax.Array:
+        return plan[jnp.sum(step >= jnp.array([self._DESCEND, self._CLOSE]))]
+
+    def _test_plan(self, physics: FetchPhysics) -> jax.Array:
+        x, y, _ = self.cube_position(physics)
+        return jnp.array(
+            [
+                [x, y, _CUBE_HEIGHT + self._ABOVE, WIDEST_GAP],
+                [x, y, _CUBE_HEIGHT, WIDEST_GAP],
+                [x, y, _CUBE_HEIGHT, 0.0],
+            ]
+        )
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return FetchEnv.goal_kind(self, goal)

@@ -19,7 +19,7 @@ from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
 from experiments.bench.whole_runs import measure_compilation, measure_time_to_success
 from experiments.bench.workload import Workload, default_preset, default_substeps
-from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.provenance import provenance
 from hgail_jax.validation import check_count, check_name
@@ -134,4 +134,5 @@ def _workloads(options: Options, num_envs: Sequence[int]) -> Iterator[Workload]:
 
 if __name__ == "__main__":
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # MuJoCo Warp by itself needs memory beside JAX
-    main()
+    with one_line_errors(PROGRAM):
+        main()

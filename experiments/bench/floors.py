@@ -19,7 +19,7 @@ def measure_floors(workload: Workload) -> dict[str, float]:
     """
     model, host = workload.env.model, jax.devices("cpu")[0]
     mjx_model = mjx.put_model(model, device=host, impl="jax")
-    data = mjx.put_data(model, settle(model), device=host, impl="jax")
+    data = mjx.put_data(model, settle(model, workload.env.base_x, workload.env.start_height), device=host, impl="jax")
     with jax.default_device(host):
         operations = (jax.jit(mjx.step).lower(mjx_model, data).cost_analysis() or {}).get("flops", math.nan)
     state_bytes = 2 * 4 * (model.nq + 2 * model.nv)

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import mujoco
@@ -18,7 +18,7 @@ import numpy as np
 
 import envs
 from envs.engines.c import usable_cores
-from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, settle
+from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, settle
 from envs.scenes import load_scene
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import default_substeps
@@ -74,8 +74,9 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
     """Returns the environment steps per second of whole episodes, each of them one call."""
     from mujoco import rollout
 
-    model, batch = load_scene(f"fetch/{task}"), 8 * threads
-    settled = settle(model)
+    task_class = cast(type[FetchEnv], envs.find_class(task))
+    model, batch = load_scene(task_class.scene), 8 * threads
+    settled = settle(model, task_class.base_x, task_class.start_height)
     model.opt.timestep = CONTROL_PERIOD / substeps
     start = np.zeros(mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS)))
     mujoco.mj_getState(model, settled, start, int(mujoco.mjtState.mjSTATE_FULLPHYSICS))

@@ -1,6 +1,7 @@
 """The file of measurements, rows of quantities, and how rows are printed."""
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ class Results:
 
     Raises:
       ValueError: the file is there and is not one of measurements.
-      OSError: the folder cannot be made, or the file not be read.
+      OSError: the folder cannot be made, or the file not be read, or not be written.
 
     """
 
@@ -47,6 +48,8 @@ class Results:
                     _key(row)
             except (ValueError, KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"{path} is no file of measurements: {error!r}") from None
+        with tempfile.TemporaryFile(dir=path.parent):  # now, not once something is measured
+            pass
 
     def add(self, row: dict[str, Any], made_by: dict[str, Any]) -> None:
         """Adds a row, in place of an older one of the same.

@@ -1,8 +1,10 @@
 """Measures whole runs of `hgail train`, each in a process of its own: compilation, and the time to a success rate."""
 
 import csv
+import ctypes
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -16,6 +18,7 @@ SUCCESS = {"reach": 0.98}
 """The success rate that every seed is to reach, by task."""
 _SUCCESS_ELSE = 0.95
 
+_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _TRAIN = (sys.executable, "-m", "hgail_jax.cli.train")
 _QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
 
@@ -98,9 +101,16 @@ def _train(
     own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH", own_cache / "warp"))
     environment["XDG_CACHE_HOME"] = str(programs)
-    subprocess.run([*_TRAIN, *arguments, "--out", str(folder)], check=True, env=environment)
+    command = [*_TRAIN, *arguments, "--out", str(folder)]
+    subprocess.run(command, check=True, env=environment, preexec_fn=_end_with_parent)
     with (folder / "metrics.csv").open() as file:
         return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
+
+
+def _end_with_parent() -> None:
+    """Has Linux end this process, a child, with the one that started it, even where that one is killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _given(options: Sequence[str]) -> dict[str, str]:

@@ -10,7 +10,7 @@ from experiments.localisation.keypoint_training import train
 from experiments.localisation.localiser import detect_colour
 from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.trainer.provenance import provenance
 from hgail_jax.trainer.run_folder import create_folder, next_folder
@@ -101,5 +101,6 @@ def _evaluate(options: Evaluate, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(_PROGRAM):
+        prepare_process()
+        main()

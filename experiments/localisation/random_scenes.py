@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.colors import hsv_to_rgb
 from scipy.spatial.transform import Rotation
 
-from envs.fetch.arm import TABLE_HEIGHT, settle
-from envs.fetch.grasp import CUBE_RANGE, CUBE_WIDTH, LEAST_DISTANCE
+from envs.fetch.arm import LEAST_DISTANCE, TABLE_HEIGHT, settle
+from envs.fetch.grasp import CUBE_RANGE, CUBE_WIDTH
 from envs.fetch.reach import GOAL_RANGE
 from envs.scenes import load_scene
 from envs.vision.camera import Camera

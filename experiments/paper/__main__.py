@@ -2,19 +2,25 @@
 
 import contextlib
 import dataclasses
+import os
+import threading
 from pathlib import Path
 from typing import Literal
 
 import envs
+from experiments.paper.aggregate import write_aggregates
+from experiments.paper.gpus import visible_gpus
+from experiments.paper.seeds import choose_seeds
+from experiments.paper.spread import carry_out
 from experiments.paper.studies import LONGER, STUDIES, studies_of
+from experiments.paper.study import Study
 from experiments.paper.trials import Scale
-from experiments.paper.work import Work, carry_out, redraw, time_one_program, unfinished
-from hgail_jax.cli.command_line import fail, parse, prepare_process
-from hgail_jax.distributed.seeds import check_seeds
+from experiments.paper.work import Unfinished, Work, redraw, time_one_program
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.run_folder import sole_user
 from hgail_jax.trainer.signals import stop_on_signal
-from hgail_jax.validation import check_name
+from hgail_jax.validation import check_count, check_name
 
 _PROGRAM = "paper"
 _QUICK_SEEDS = 2
@@ -30,39 +36,54 @@ class Options:
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
-    (of rewards), and those behind the tables and figures."""
+    (of rewards), and those behind the tables and figures; paper-sizes and gail-demo-weight, by which settings are
+    chosen, on seeds of their own."""
     all: bool = False
-    """Everything that the paper has on the task: all of the above on reach, table 1 on grasp."""
+    """Everything that the paper has on the tasks: all that is reported on reach, table 1 on grasp."""
     longer: bool = True
     """With table 1, also train GASIL and PPO for 10 times the steps."""
     sweep: bool = False
     """Time 18 settings as one program against the same one after another."""
     plots_only: bool = False
     """Draw every figure again from the data in the folder; nothing is trained."""
-    task: str | None = None
-    """The task's name; by default reach, or point with --quick."""
+    task: tuple[str, ...] = ()
+    """Tasks by name; by default reach, or point with --quick."""
     seeds: int | None = None
-    """Number of seeds: 8, or 2 with --quick."""
+    """Number of seeds: 8, of studies that settings are chosen by 4; 2 with --quick."""
+    processes: int | None = None
+    """Programs to train at a time, each on a GPU of its own where there are any; by default as many as GPUs."""
     quick: bool = False
     """Sizes that show in a minute or two that everything runs, and nothing else."""
     out: Path | None = None
     """Folder to write to: runs/paper, or runs/quick with --quick; the published one is experiments/results/paper."""
 
 
-def plan(options: Options, platform: str) -> Work:
-    """Works out what the options ask for on `"cpu"` or `"gpu"`.
+def plan(options: Options, platform: str) -> list[Work]:
+    """Works out what the options ask for on `"cpu"` or `"gpu"`, task by task.
 
     Raises:
       ValueError: they ask for nothing, or for what cannot be.
 
     """
-    task = options.task or ("point" if options.quick else "reach")
-    seeds = (_QUICK_SEEDS if options.quick else 8) if options.seeds is None else options.seeds
-    check_seeds(0, seeds)
-    envs.find_class(task)
+    tasks = dict.fromkeys(options.task or (["point"] if options.quick else ["reach"]))
+    seeds = _QUICK_SEEDS if options.quick and options.seeds is None else options.seeds
+    choose_seeds(tuning=False, count=seeds)
+    if options.processes is not None:
+        check_count("processes", options.processes)
     for name in options.study:
         check_name("study", name, [study.name for study in STUDIES])
-    wanted = tuple(
+    folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
+    works = []
+    for task in tasks:
+        envs.find_class(task)
+        works.append(Work(Scale(task, platform, options.quick), seeds, folder, _wanted(options, task), options.sweep))
+    if not (any(work.studies for work in works) or options.sweep or options.plots_only):
+        raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
+    return works
+
+
+def _wanted(options: Options, task: str) -> tuple[Study, ...]:
+    return tuple(
         study
         for study in STUDIES
         if (options.longer or study.name != LONGER)
@@ -73,36 +94,59 @@ def plan(options: Options, platform: str) -> Work:
             or study.name in options.study
         )
     )
-    if not (wanted or options.sweep or options.plots_only):
-        raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
-    folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
-    return Work(Scale(task, platform, options.quick), seeds, folder, wanted, options.sweep)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, _PROGRAM, __doc__, arguments)
+    gpus = _places(options)
     with contextlib.ExitStack() as held:
         try:
-            work = plan(options, platform_name())
+            works = plan(options, platform_name())
+            if works[0].scale.platform == "cpu" and options.processes is None:
+                gpus = gpus[:1]
+            folder = works[0].folder
             if options.plots_only:
-                return redraw(work.folder)
-            (work.folder / "parts").mkdir(parents=True, exist_ok=True)
-            held.enter_context(sole_user(work.folder))
-            studies = unfinished(work)
+                return redraw(folder)
+            (folder / "parts").mkdir(parents=True, exist_ok=True)
+            held.enter_context(sole_user(folder))
+            unfinished = [Unfinished(work) for work in works]
         except (ValueError, OSError) as error:
             fail(_PROGRAM, error, 2)
         try:
             with stop_on_signal() as stop:
-                carry_out(work, studies, stop)
+                _carry_out(unfinished, gpus, stop)
             if stop.is_set():
                 print("stopped; the same command goes on")
-            elif work.sweep:
+                return
+            write_aggregates(works)
+            for work in works if options.sweep else ():
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:
             fail(_PROGRAM, f"stopped: {error}; the same command goes on", 1)
 
 
+def _places(options: Options) -> list[str]:
+    """Returns the GPUs to train on, one for each program at a time; empty names where there are none."""
+    gpus = visible_gpus() or [""]
+    count = len(gpus) if options.processes is None else max(options.processes, 1)
+    if count > 1:  # JAX in this process must leave their memory to those that train
+        os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
+    return [gpus[index % len(gpus)] for index in range(count)]
+
+
+def _carry_out(unfinished: list[Unfinished], gpus: list[str], stop: threading.Event) -> None:
+    """Trains what is missing, and writes each study once all of its trials are there."""
+
+    def write() -> None:
+        for of_task in unfinished:
+            of_task.write_complete()
+
+    write()
+    carry_out([job for of_task in unfinished for job in of_task.jobs()], gpus, stop, write)
+
+
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(_PROGRAM):
+        prepare_process()
+        main()

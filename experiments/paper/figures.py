@@ -13,9 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.paper.statistics import confidence_interval
 from experiments.paper.studies import FIGURES
 from hgail_jax.io.files import replace_file
+from hgail_jax.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
@@ -56,12 +56,18 @@ def draw_figure(folder: Path, number: int) -> Path | None:
             axis.grid(alpha=0.3)
             axis.spines[["top", "right"]].set_visible(False)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.suptitle(f"Figure {number}: {FIGURES[number]}", fontsize=11)
+    figure.suptitle(f"Figure {number}: {FIGURES[number]}{_commits(rows)}", fontsize=11)
     path = folder / f"figure{number}.png"
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
     plt.close(figure)
     return path
+
+
+def _commits(rows: list[dict[str, str]]) -> str:
+    """Says which commits made a figure's data, where they are several."""
+    commits = sorted({row.get("commit") or "an older one" for row in rows})
+    return f" (commits {', '.join(commits)})" if len(commits) > 1 else ""
 
 
 def _draw_lines(axis: plt.Axes, rows: list[dict[str, Any]], column: str, colors: dict[str, tuple]) -> None:

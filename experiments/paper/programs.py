@@ -16,6 +16,7 @@ from hgail_jax.samples import Samples
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.loop import Program, Progress, SavingPolicy, begin, train
+from hgail_jax.trainer.status import StatusLine
 
 _CHECKPOINT_SECONDS = 60.0
 
@@ -24,7 +25,8 @@ def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
     """Returns the trials in groups that one compiled program trains, in the order in which each group first comes."""
     groups: dict[Any, list[Trial]] = {}
     for trial in trials:
-        groups.setdefault((trial.config, trial.setting.steps, trial.demonstrations_sha256), []).append(trial)
+        shared = (trial.config, trial.setting.steps, trial.seeds, trial.demonstrations_sha256)
+        groups.setdefault(shared, []).append(trial)
     return list(groups.values())
 
 
@@ -34,7 +36,8 @@ def make_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples
         env=env,
         config=trials[0].config,
         settings=tuple(trial.hyperparameters for trial in trials),
-        seeds=trials[0].seeds,
+        seeds=len(trials[0].seeds),
+        first_seed=trials[0].seeds.start,
         demonstrations=demonstrations,
         evaluate_every=trials[0].evaluate_every,
     )
@@ -64,7 +67,8 @@ def train_program(
     """
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()
-    step = program.compile()
+    with StatusLine("compiling the training program"):
+        step = program.compile()
     seconds = {"compile": time.perf_counter() - started}
     with Checkpoints(folder, {"trials": [trial.identity() for trial in trials]}) as checkpoints:
         progress = begin(program, checkpoints.restore(jax.eval_shape(program.init)))
@@ -72,7 +76,8 @@ def train_program(
     if stop.is_set():
         return None
     started = time.perf_counter()
-    final = evaluate_seeds(env, program.config, progress.states, trials[0].evaluation_episodes)
+    with StatusLine("evaluating the policies in the most accurate physics"):
+        final = evaluate_seeds(env, program.config, progress.states, trials[0].evaluation_episodes)
     seconds |= {"train": progress.seconds, "evaluation": time.perf_counter() - started}
     return _results(trials, program, progress, vars(final), seconds)
 
@@ -127,7 +132,7 @@ def time_sweep(env: envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
     in_turn = measure([[trial] for trial in trials])
     return {
         "settings": [trial.setting.name for trial in trials],
-        "seeds": trials[0].seeds,
+        "seeds": list(trials[0].seeds),
         "one_program_seconds": together,
         "one_after_another_seconds": in_turn,
         "ratio": in_turn["train"] / together["train"],

@@ -1,47 +1,14 @@
 """The paper's experiments as data: which settings a table or figure compares, and what the paper found."""
 
 import dataclasses
-from typing import Any
 
+from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
+from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
 
-PAPER_DEMONSTRATIONS = 20
 MOST_DEMONSTRATIONS = 100
 LONGER = "table1-longer"
 """Name of the study that takes ten times the steps of table 1."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """One line of a figure and row of a table."""
-
-    name: str
-    panel: str = ""
-    """The row of a figure that the line is in."""
-    method: str = "hgail"
-    config: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Changes to the method's config."""
-    hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
-    steps: int = 1
-    """Environment steps, as a multiple of those that HGAIL takes by default."""
-    preset: str = "parallel"
-    demonstrations: int = 0
-    paper: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
-    """By task, the paper's success rate and L1 distance (m)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Study:
-    """What one training serves: a table, a figure, or both."""
-
-    name: str
-    """Of its files: `<name>-<task>.csv` and so on."""
-    title: str
-    settings: tuple[Setting, ...]
-    table: int | None = None
-    """The paper's number; more than one study may belong to it."""
-    figure: int | None = None
-    """The paper's number."""
 
 
 def _both(*settings: Setting) -> tuple[Setting, ...]:
@@ -109,6 +76,7 @@ _METHODS = Study(
     ),
     table=1,
     figure=3,
+    reference="HGAIL",
 )
 _LONGER = Study(
     LONGER,
@@ -147,6 +115,7 @@ _SHARES = Study(
     "probability of relabelling",
     _both(*(Setting(f"p_ht {share}", hyperparameters={"p_ht": share}) for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))),
     figure=6,
+    reference="p_ht 1.0",
 )
 _REWARDS = Study(
     "rewards",
@@ -168,6 +137,7 @@ _ABLATIONS = Study(
             if setting.config.get("expert_source") == FROZEN or setting.hyperparameters
         ),
     ),
+    reference="HGAIL",
 )
 _GASIL = Study(
     "gasil",
@@ -199,14 +169,15 @@ _STANDARDIZATION = Study(
         *_both(*(Setting(name, hyperparameters={"reward": form}) for name, form in REWARDS.items())),
     ),
 )
-STUDIES = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
+_REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
+STUDIES = (*_REPORTED, *TUNING_STUDIES)
 """Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
 _TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
 
 
 def studies_of(task: str) -> tuple[Study, ...]:
-    """Returns the studies that the paper has on a task, or would have."""
-    return tuple(study for study in STUDIES if task not in _TABLE_1_ALONE or study.table == 1)
+    """Returns the studies that the paper has on a task, or would have; those that settings are chosen by are not."""
+    return tuple(study for study in _REPORTED if task not in _TABLE_1_ALONE or study.table == 1)
 
 
 FIGURES = {study.figure: study.title for study in reversed(STUDIES) if study.figure is not None}

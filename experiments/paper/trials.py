@@ -9,7 +9,7 @@ import numpy as np
 
 import envs
 from envs.engines import resolve_impl
-from experiments.paper.studies import Setting
+from experiments.paper.study import Setting
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.methods import METHODS
 from hgail_jax.presets import EVALUATION_EPISODES, FEW_UPDATES, Preset, task_preset
@@ -73,7 +73,7 @@ class Trial:
     setting: Setting
     config: Config
     hyperparameters: Hyperparameters
-    seeds: int
+    seeds: range
     task_options: dict[str, Any]
     evaluation_episodes: int
     demonstrations_sha256: str | None
@@ -84,7 +84,7 @@ class Trial:
         identity = {
             "task": self.task,
             "method": self.setting.method,
-            "seeds": self.seeds,
+            "seeds": list(self.seeds),
             "evaluation_episodes": self.evaluation_episodes,
             "physics": physics | self.task_options,
             "demonstrations": self.demonstrations_sha256,
@@ -111,7 +111,7 @@ def hash_json(content: Any) -> str:
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def work_out(scale: Scale, setting: Setting, seeds: int, demonstrations_sha256: str | None = None) -> Trial:
+def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256: str | None = None) -> Trial:
     """Returns a setting as it is trained.
 
     It takes `setting.steps` times the environment steps that HGAIL takes by default, to the nearest whole round.
@@ -119,7 +119,7 @@ def work_out(scale: Scale, setting: Setting, seeds: int, demonstrations_sha256: 
     Args:
       scale: the task and its sizes.
       setting: what to work out.
-      seeds: how many.
+      seeds: the seeds; see `choose_seeds`.
       demonstrations_sha256: what the demonstrations are, where the setting has any.
 
     """

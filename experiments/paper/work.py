@@ -1,35 +1,43 @@
-"""What a call for tables and figures comes to: which studies are missing, and the training of them."""
+"""What a call for tables and figures comes to: which studies are missing, and the programs that they need."""
 
 import dataclasses
+import datetime
 import functools
 import json
 import shutil
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments.paper.figures import draw_figure
+from experiments.paper.gpus import driver_version
 from experiments.paper.programs import group_by_program, time_sweep, train_program
-from experiments.paper.studies import FIGURES, MOST_DEMONSTRATIONS, SWEEP, Setting, Study
-from experiments.paper.tables import files, write_study
+from experiments.paper.seeds import choose_seeds
+from experiments.paper.studies import FIGURES, MOST_DEMONSTRATIONS, SWEEP
+from experiments.paper.study import Setting, Study
+from experiments.paper.tables import files, set_aside, write_study
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
 from hgail_jax.recording import load_or_record, make_for_demonstrations
-from hgail_jax.trainer.identity import refuse_another_run
-from hgail_jax.trainer.provenance import provenance
+from hgail_jax.trainer.identity import AnotherRunError, refuse_another_run
+from hgail_jax.trainer.provenance import own_command, provenance
 
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What the options ask for, worked out."""
+    """What the options ask for of a task, worked out."""
 
     scale: Scale
-    seeds: int
+    seeds: int | None
+    """How many; None takes those that there are for a study."""
     folder: Path
     studies: tuple[Study, ...]
     sweep: bool = False
     """Whether to time many settings as one program."""
+    command: str = dataclasses.field(default_factory=own_command)
+    """The command that asks for it, which another process may carry out."""
 
     @property
     def task(self) -> str:
@@ -43,80 +51,121 @@ class Work:
         env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS)
         return load_or_record(path, env, self.task, MOST_DEMONSTRATIONS)
 
-    def trial(self, setting: Setting) -> Trial:
+    def trial(self, setting: Setting, tuning: bool = False) -> Trial:
         """Returns a setting worked out for the task."""
         count = setting.demonstrations
         identity = self.demonstrations.first(count).sha256 if count else None
-        return work_out(self.scale, setting, self.seeds, identity)
+        return work_out(self.scale, setting, choose_seeds(tuning, self.seeds), identity)
+
+    def made_by(self) -> dict[str, Any]:
+        """Returns what makes a result, here and now."""
+        made_by = provenance()
+        versions = made_by["versions"] | {"driver": driver_version()}
+        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        return made_by | {"command": self.command, "versions": versions, "date": date}
 
 
-def unfinished(work: Work) -> list[tuple[Study, list[Trial]]]:
-    """Returns the studies whose data are not in the folder yet, with their trials; a figure alone is drawn again.
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """Trials of a task that one program trains."""
 
-    Raises:
-      ValueError: the folder holds one of them with other settings.
+    work: Work
+    trials: list[Trial]
 
-    """
-    found = []
-    for study in work.studies:
-        trials = [work.trial(setting) for setting in study.settings]
-        path = _json_path(work, study)
-        if path.exists():
-            there = _read_json(path)
-            refuse_another_run(path, there.get("settings", {}), _identities(trials))
-            missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
-            if not missing - {"figure"}:
-                if missing and study.figure is not None:
-                    draw_figure(work.folder, study.figure)
-                print(f"{study.name} of {work.task} is there")
-                continue
-        found.append((study, trials))
-    return found
+    @property
+    def names(self) -> str:
+        """What it trains."""
+        return f"{self.work.task}: {'; '.join(trial.setting.label for trial in self.trials)}"
 
+    def carry_out(self, stop: threading.Event) -> None:
+        """Trains and evaluates, and keeps what came of each trial.
 
-def carry_out(work: Work, studies: list[tuple[Study, list[Trial]]], stop: threading.Event) -> None:
-    """Trains what is missing, one program after another, and writes each study once all of its trials are there.
-
-    Ends early, with a checkpoint, once `stop` is set.
-    """
-    trials = {trial.key(): trial for _, of_study in studies for trial in of_study}
-    groups = group_by_program(trial for key, trial in trials.items() if not _part_path(work, key).exists())
-    _write_complete(work, studies)
-    for index, group in enumerate(groups):
-        if stop.is_set():
-            return
-        names = "; ".join(_label(trial.setting) for trial in group)
-        print(f"program {index + 1} of {len(groups)}: {names}", flush=True)
-        env = work.scale.make_env(len(group) * work.seeds * group[0].config.num_envs)
-        count = group[0].setting.demonstrations
+        Ends early, with a checkpoint, once `stop` is set.
+        """
+        work, setting = self.work, self.trials[0].setting
+        seeds = len(self.trials[0].seeds)
+        env = work.scale.make_env(len(self.trials) * seeds * self.trials[0].config.num_envs)
+        count = setting.demonstrations
         samples = work.demonstrations.first(count).samples(env) if count else None
-        checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in group])
-        results = train_program(env, group, samples, checkpoints, stop)
+        checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in self.trials])
+        results = train_program(env, self.trials, samples, checkpoints, stop)
         if results is None:
             return
-        for trial, result in zip(group, results, strict=True):
-            write_json(_part_path(work, trial.key()), result | {"identity": trial.identity(), "made_by": provenance()})
+        for trial, result in zip(self.trials, results, strict=True):
+            made = {"identity": trial.identity(), "made_by": work.made_by()}
+            write_json(_part_path(work, trial), result | made)
         shutil.rmtree(checkpoints, ignore_errors=True)
-        _write_complete(work, studies)
 
 
-def _write_complete(work: Work, studies: list[tuple[Study, list[Trial]]]) -> None:
-    """Writes, and takes off the list, the studies whose trials are all there."""
-    for study, trials in list(studies):
-        parts = [_part_path(work, trial.key()) for trial in trials]
-        if not all(path.exists() for path in parts):
-            continue
-        results = [_read_json(path) for path in parts]
-        write_study(work.folder, work.task, study, results)
-        made = {
-            _label(trial.setting): {name: result[name] for name in ("final", "program", "made_by")}
-            for trial, result in zip(trials, results, strict=True)
-        }
-        identities = _identities(trials)
-        content = {"hash": hash_json(identities), "settings": identities, "made": made}
-        write_json(_json_path(work, study), content)
-        studies.remove((study, trials))
-        print(f"{study.name} of {work.task} -> {_json_path(work, study).parent}")
+class Unfinished:
+    """The studies of a task whose data are not in the folder yet.
+
+    Raises:
+      ValueError: a file of the folder is damaged.
+
+    """
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+        self._studies = [(study, trials) for study, trials in _worked_out(work) if not _is_there(work, study, trials)]
+
+    def jobs(self) -> list[Job]:
+        """Returns the programs that are still to be trained."""
+        trials = {trial.key(): trial for _, of_study in self._studies for trial in of_study}
+        missing = [trial for trial in trials.values() if not _part_path(self.work, trial).exists()]
+        return [Job(self.work, group) for group in group_by_program(missing)]
+
+    def write_complete(self) -> None:
+        """Writes the studies whose trials are all there, which are then no longer unfinished.
+
+        Results that a study has from other settings are set aside.
+        """
+        for study, trials in list(self._studies):
+            parts = [_part_path(self.work, trial) for trial in trials]
+            if all(path.exists() for path in parts):
+                _write(self.work, study, trials, [_read_json(path) for path in parts])
+                self._studies.remove((study, trials))
+
+
+def _worked_out(work: Work) -> list[tuple[Study, list[Trial]]]:
+    return [(study, [work.trial(setting, study.tuning) for setting in study.settings]) for study in work.studies]
+
+
+def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:
+    """Returns whether a study's data are in the folder; a figure alone is drawn again."""
+    path = _json_path(work, study)
+    if not path.exists():
+        return False
+    there = _read_json(path)
+    try:
+        refuse_another_run(path, there.get("settings", {}), _identities(trials))
+    except AnotherRunError as error:
+        print(f"{study.name} of {work.task} is older, and made again: {error}")
+        return False
+    missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
+    if missing - {"figure"}:
+        return False
+    if missing and study.figure is not None:
+        draw_figure(work.folder, study.figure)
+    commits = sorted({str(made["made_by"]["commit"]) for made in there["made"].values()})
+    print(f"{study.name} of {work.task} is there, of commit {', '.join(commits)}")
+    return True
+
+
+def _write(work: Work, study: Study, trials: list[Trial], results: list[dict[str, Any]]) -> None:
+    """Writes a study; what is there of other settings goes to older/<their hash>/."""
+    path, identities = _json_path(work, study), _identities(trials)
+    if path.exists() and (there := _read_json(path).get("hash")) != hash_json(identities):
+        of_study = files(work.folder, work.task, study)
+        data = [file for name, file in of_study.items() if name != "figure"]
+        set_aside(work.folder / "older" / str(there), [*data, path])
+    write_study(work.folder, work.task, study, results)
+    made = {
+        trial.setting.label: {name: result[name] for name in ("final", "program", "made_by")}
+        for trial, result in zip(trials, results, strict=True)
+    }
+    write_json(path, {"hash": hash_json(identities), "settings": identities, "made": made})
+    print(f"{study.name} of {work.task} -> {path.parent}")
 
 
 def time_one_program(work: Work) -> None:
@@ -126,9 +175,9 @@ def time_one_program(work: Work) -> None:
         print(f"{path} is there")
         return
     trials = [work.trial(setting) for setting in SWEEP]
-    env = work.scale.make_env(len(trials) * work.seeds * trials[0].config.num_envs)
+    env = work.scale.make_env(len(trials) * len(trials[0].seeds) * trials[0].config.num_envs)
     timed = time_sweep(env, trials)
-    write_json(path, timed | {"config": dataclasses.asdict(trials[0].config)} | provenance())
+    write_json(path, timed | {"config": dataclasses.asdict(trials[0].config)} | work.made_by())
     print(f"one program is {timed['ratio']:.1f} times as fast as {len(trials)} one after another -> {path}")
 
 
@@ -145,21 +194,17 @@ def redraw(folder: Path) -> None:
     print(", ".join(str(path) for path in drawn if path))
 
 
-def _identities(trials: list[Trial]) -> dict[str, Any]:
-    return {_label(trial.setting): trial.identity() for trial in trials}
-
-
-def _label(setting: Setting) -> str:
-    return ", ".join(filter(None, (setting.name, setting.panel)))
+def _identities(trials: Sequence[Trial]) -> dict[str, Any]:
+    return {trial.setting.label: trial.identity() for trial in trials}
 
 
 def _json_path(work: Work, study: Study) -> Path:
     return work.folder / f"{study.name}-{work.task}.json"
 
 
-def _part_path(work: Work, key: str) -> Path:
+def _part_path(work: Work, trial: Trial) -> Path:
     """Returns where a trial's result is kept until all that need it are written, and for those that come later."""
-    return work.folder / "parts" / f"{key}.json"
+    return work.folder / "parts" / f"{trial.key()}.json"
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from experiments.transfer.paths import OUT
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import GOAL_SOURCES
-from experiments.transfer.tasks import TASKS
-from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.validation import check_count, check_not_negative
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     GoalSource = str
 else:  # the command line offers what is registered
     RobotName = Literal[tuple(ROBOTS)]
-    TaskName = Literal[tuple(TASKS)]
+    TaskName = Literal[tuple(dict.fromkeys(task for robot in ROBOTS.values() for task in robot.tasks))]
     GoalSource = Literal[tuple(GOAL_SOURCES)]
 
 _PROGRAM = "transfer"
@@ -137,4 +136,5 @@ def _run(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_line_errors(_PROGRAM):
+        main()

@@ -66,7 +66,7 @@ def run_episode(
     conditions = conditions or Conditions()
     task = find_class(robot.task)
     believed = conditions.estimate(robot.target(), rng)
-    goal = np.append(believed, 1.0) if robot.task == "grasp" else believed  # 1: to hold the cube there
+    goal = np.append(believed, np.ones(task.goal_size - len(believed)))  # 1: to hold the cube there, the object's place
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
     watch()
@@ -76,11 +76,13 @@ def run_episode(
         action = pending.popleft()
         robot.step(action)
         watch()
-    features, target = robot.features(), robot.target()
+    position, target = robot.carried(), robot.target()
+    achieved = bool(robot.features()[7]) if task.probe_length else robot.reached()  # 7: whether the hand holds the cube
     for _ in range(task.probe_length):
         robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.probe_action`
         watch()
-    return _judge(task, features, target, rise=robot.target()[2] - target[2])
+    rise = robot.target()[2] - target[2] if task.probe_length else np.inf
+    return _judge(task, position, target, achieved, achieved and rise > LEAST_RISE)
 
 
 def run_episodes(
@@ -108,15 +110,15 @@ def episode_rngs(seed: int, index: int) -> tuple[np.random.Generator, np.random.
     return start_rng, estimate_rng
 
 
-def _judge(task: type[GoalEnv], features: np.ndarray, target: np.ndarray, rise: float) -> EpisodeMetrics:
-    """Returns the metrics of the last step, given how far the target rose in the probe, metres."""
-    l1, l2 = np.abs(features[:3] - target).sum(), np.linalg.norm(features[:3] - target)
-    threshold = task.success_threshold
-    achieved = bool(features[7]) if task.probe_length else l2 <= threshold  # 7 is whether the hand holds the cube
+def _judge(
+    task: type[GoalEnv], position: np.ndarray, target: np.ndarray, achieved: bool, success: bool
+) -> EpisodeMetrics:
+    """Returns the metrics of the last step, given where what was to come to the target is."""
+    l1, l2 = np.abs(position - target).sum(), np.linalg.norm(position - target)
     return EpisodeMetrics(
-        success=float(achieved and (rise > LEAST_RISE or not task.probe_length)),
+        success=float(success),
         achieved=float(achieved),
-        success_l1=float(l1 <= threshold),
+        success_l1=float(l1 <= task.success_threshold),
         distance_l1=float(l1),
         distance_l2=float(l2),
     )

@@ -29,6 +29,8 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
 
     """
     paths = [path] if path else sorted((RESULTS / "runs" / f"{task}-hgail" / "policies").glob("*.npz"))
+    if not paths:
+        raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
     policies = [load_policy(path) for path in paths]
     for policy in policies:
         if policy.task != task:

@@ -19,4 +19,4 @@ TASKS = {
     "reach": Task(paper_success=0.95, paper_distance_l1=0.01, pictured_steps=(0, 2, 4, 6, 10, -1)),
     "grasp": Task(paper_success=0.93, paper_distance_l1=0.02, pictured_steps=(0, 3, 5, 8, 50, -1)),
 }
-"""The tasks, by their names in `envs.TASKS`."""
+"""The tasks of the tables, curves and pictures, by their names in `envs.TASKS`; a robot may do others too."""

@@ -13,7 +13,7 @@ COMMANDS = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs `hgail <command> <options>`, with the process's own arguments unless others are given."""
-    from hgail_jax.cli.command_line import fail, interruptible, prepare_process
+    from hgail_jax.cli.command_line import fail, one_line_errors, prepare_process
 
     name, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("-h", "--help"):
@@ -24,6 +24,6 @@ def main(arguments: list[str] | None = None) -> None:
         return
     if name not in COMMANDS:
         fail("hgail", f"there is no command {name!r}; choose from {', '.join(COMMANDS)}", 2)
-    with interruptible(f"hgail {name}"):
+    with one_line_errors(f"hgail {name}"):
         prepare_process()
         importlib.import_module(f"hgail_jax.cli.{name}").main(options)

@@ -12,7 +12,7 @@ import jax
 import tyro
 from tyro import _errors as tyro_errors
 
-_INTERRUPTED = 130  # what a shell reports of a process that SIGINT ends
+from hgail_jax.interrupts import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
@@ -65,23 +65,32 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
     return f"it cannot be read ({type(event).__name__})"
 
 
+@contextlib.contextmanager
+def one_line_errors(program: str) -> Iterator[None]:
+    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.interrupts`."""
+    with stop_in_one_line(program):
+        try:
+            yield
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if not is_out_of_memory(error):
+                raise
+            fail(program, OUT_OF_MEMORY, 1)
+
+
+OUT_OF_MEMORY = "out of memory; take fewer or smaller of what runs at once"
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Returns whether the host or a device has no more memory."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+
+
 def fail(program: str, message: object, code: int) -> NoReturn:
     """Ends the process with one line."""
+    if isinstance(message, OSError) and message.strerror:
+        message = ": ".join(map(str, filter(None, (message.filename, message.strerror))))
     print(f"{program}: {' '.join(str(message).split())}", file=sys.stderr)
     raise SystemExit(code)
-
-
-@contextlib.contextmanager
-def interruptible(program: str) -> Iterator[None]:
-    """Ends the process with one line and exit code 130 on Ctrl-C."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        fail(program, "interrupted", _INTERRUPTED)
-    except jax.errors.JaxRuntimeError as error:  # as which JAX hands on what interrupts a callback
-        if "KeyboardInterrupt" not in str(error):
-            raise
-        fail(program, "interrupted", _INTERRUPTED)
 
 
 def prepare_process() -> None:

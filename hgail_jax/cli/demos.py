@@ -2,10 +2,13 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.recording import make_for_demonstrations, record
+from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.status import StatusLine
 from hgail_jax.validation import MOST_SEED, check_count
 
 PROGRAM = "hgail demos"
@@ -21,8 +24,8 @@ class Options:
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0
     """Seed of the episodes."""
-    out: Path | None = None
-    """File to write, which must not exist; by default demonstrations/<task>.npz."""
+    out: Annotated[Path | None, unless_given("demonstrations/<task>.npz", "FILE")] = None
+    """File to write, which must not exist."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -35,7 +38,8 @@ def main(arguments: list[str] | None = None) -> None:
         if path.exists():
             raise ValueError(f"{path} exists already; name another file")
         env = make_for_demonstrations(options.task, options.episodes)
-        demonstrations = record(env, options.task, options.episodes, options.seed)
+        with StatusLine(f"compiling and running {options.episodes} episodes of {options.task}"):
+            demonstrations = record(env, options.task, options.episodes, options.seed)
         path.parent.mkdir(parents=True, exist_ok=True)
         save_demonstrations(path, demonstrations)
     except (ValueError, OSError) as error:
@@ -47,5 +51,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

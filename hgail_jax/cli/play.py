@@ -9,7 +9,7 @@ import jax
 import envs
 from envs.scenes import assets_directory
 from envs.vision.rgbd import RenderingError
-from hgail_jax.cli.command_line import fail, parse, prepare_process
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
@@ -138,5 +138,6 @@ def _serve(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

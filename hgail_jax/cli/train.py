@@ -3,13 +3,16 @@
 import contextlib
 import dataclasses
 import sys
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from hgail_jax.cli.command_line import fail, parse, prepare_process
-from hgail_jax.distributed.processes import join
+import jax
+
+from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
+from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
 from hgail_jax.trainer import Trainer, TrainOptions
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.signals import stop_on_signal
 
 PROGRAM = "hgail train"
@@ -19,12 +22,16 @@ PROGRAM = "hgail train"
 class Command(TrainOptions):
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
 
-    coordinator: str | None = None
+    distributed: Annotated[Literal["auto"] | None, unless_given("none", "auto")] = None
+    """With auto, train with the processes that Slurm, Open MPI or Kubernetes started beside this one."""
+    coordinator: Annotated[str | None, unless_given("none", "HOST:PORT")] = None
     """host:port of the first of several processes that train together; each has all options of the others but one."""
     num_processes: int = 1
     """Number of these processes."""
     process_id: int = 0
     """Which of them this one is, from 0; the first writes the files."""
+    heartbeat_timeout: int = HEARTBEAT_TIMEOUT
+    """Seconds after which the others end if one of several processes is silent."""
     video: bool = False
     """Film the policy of the first seed after training (Fetch tasks)."""
 
@@ -34,7 +41,9 @@ def main(arguments: list[str] | None = None) -> None:
     command = parse(Command, PROGRAM, __doc__, arguments)
     with contextlib.ExitStack() as held:
         try:
-            join(command.coordinator, command.num_processes, command.process_id)
+            auto = command.distributed == "auto"
+            numbers = (command.coordinator, command.num_processes, command.process_id)
+            join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
             options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
             trainer = held.enter_context(Trainer(**options))
             trainer.open()
@@ -56,8 +65,14 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _train(trainer: Trainer) -> dict[str, Any] | None:
     """Trains; ends the process with one line if the training diverges or something cannot be written."""
+
+    def nothing_to_save() -> str | None:
+        if trainer.in_rounds or jax.process_count() > 1:  # the others would wait for this one
+            return None
+        return f"\n{PROGRAM}: stopped between rounds; go on with --resume {trainer.folder}"
+
     try:
-        with stop_on_signal() as stop:
+        with stop_on_signal(nothing_to_save) as stop:
             return trainer.train(stop)
     except (FloatingPointError, OverflowError, ReplicaError) as error:
         checkpoints = trainer.checkpoints
@@ -65,6 +80,13 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
         fail(PROGRAM, f"the run stops: {error}; go on with --resume {trainer.folder}", 1)
+    except (MemoryError, jax.errors.JaxRuntimeError, ValueError) as error:
+        if is_out_of_memory(error):
+            fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
+        if jax.process_count() == 1:
+            raise
+        # What an exchange with a process that died raises
+        end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
 
 
 def _film(trainer: Trainer) -> None:
@@ -74,6 +96,7 @@ def _film(trainer: Trainer) -> None:
         env, policy = trainer.run.env.accurate(), trainer.policy(trainer.options.first_seed)
         film(trainer.folder / "rollout.mp4", env, policy)
         print(trainer.folder / "rollout.mp4")
+        trainer.log_film(trainer.folder / "rollout.mp4")
     except Exception as error:  # whatever rendering or encoding raises, the results are written
         print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
 
@@ -93,5 +116,6 @@ def _report(summary: dict[str, Any], trainer: Trainer) -> None:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

@@ -2,31 +2,59 @@
 
 import contextlib
 import io
+import os
 import socket
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NoReturn
 
 import jax
 from jax.sharding import Mesh
 
 from hgail_jax.distributed.sharding import is_first_process, make_mesh, most_devices
+from hgail_jax.distributed.stderr_filter import filter_stderr
 from hgail_jax.validation import check_count
 
 _MOST_PORT = 65535
 _PATIENCE = 300.0  # seconds to wait for the first process
+_OF_A_CLUSTER = "that Slurm, Open MPI or Kubernetes started, if any did"
+
+HEARTBEAT_TIMEOUT = 100
+"""Seconds after which a process that is silent counts as dead; JAX's own default."""
+GO_ON = "the same command with --resume goes on, with as many processes as are left"
+"""What to do once a process of several died."""
 
 
-def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
-    """Joins this process to the others of a training, before JAX is first used; alone without a coordinator.
+def join(
+    coordinator: str | None,
+    num_processes: int = 1,
+    process_id: int = 0,
+    auto: bool = False,
+    heartbeat_timeout: int = HEARTBEAT_TIMEOUT,
+) -> None:
+    """Joins this process to the others of a training, before JAX is first used; alone without a coordinator or `auto`.
+
+    Args:
+      coordinator: host:port of the first process.
+      num_processes: how many there are.
+      process_id: which this one is, from 0.
+      auto: takes all three from Slurm, Open MPI or Kubernetes, as `jax.distributed` finds them.
+      heartbeat_timeout: seconds after which the others end if a process is silent.
 
     Raises:
-      ValueError: the numbers do not fit, or nobody answers.
+      ValueError: the numbers do not fit, nobody answers, or there is nothing to be found.
 
     """
     check_count("num_processes", num_processes)
     check_count("process_id", process_id, least=0, most=num_processes - 1)
+    check_count("heartbeat_timeout", heartbeat_timeout)
+    if auto:
+        if coordinator is not None or num_processes > 1:
+            raise ValueError("--distributed auto finds the processes itself; leave --coordinator and its numbers away")
+        return _initialize(heartbeat_timeout)
     if coordinator is None:
         if num_processes > 1:
             raise ValueError("several processes need --coordinator, the host:port of the first")
@@ -36,11 +64,20 @@ def join(coordinator: str | None, num_processes: int, process_id: int) -> None:
         raise ValueError(f"coordinator is {coordinator!r}; it must be host:port")
     if process_id > 0:
         _wait_for(host.strip("[]"), int(port))
+    _initialize(heartbeat_timeout, coordinator_address=coordinator, num_processes=num_processes, process_id=process_id)
+
+
+def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
+    """Starts `jax.distributed` by these numbers, or by what it finds."""
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
-        jax.distributed.initialize(coordinator, num_processes, process_id)
+        jax.distributed.initialize(**numbers, heartbeat_timeout_seconds=heartbeat_timeout)
     except (RuntimeError, ValueError) as error:
-        raise ValueError(f"cannot join the processes at {coordinator}: {str(error).splitlines()[0]}") from None
+        where = f"at {numbers['coordinator_address']}" if numbers else _OF_A_CLUSTER
+        raise ValueError(f"cannot join the processes {where}: {str(error).splitlines()[0]}") from None
+    filter_stderr(
+        f"hgail train: another process of this training ended, or was silent for {heartbeat_timeout} s; {GO_ON}"
+    )
 
 
 def _wait_for(host: str, port: int) -> None:
@@ -82,3 +119,9 @@ def silent_but_first() -> Iterator[Path | None]:
         return
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         yield Path(folder) / "run"
+
+
+def end_without_the_others(line: str) -> NoReturn:
+    """Ends this process with one line and exit code 1 at once: JAX's own end of it would wait for one that died."""
+    print(" ".join(line.split()), file=sys.stderr, flush=True)
+    os._exit(1)

@@ -11,6 +11,8 @@ from typing import IO, Any
 import jax
 import numpy as np
 
+from hgail_jax.interrupts import unfinished
+
 _PARTIAL = ".partial"
 
 
@@ -27,8 +29,9 @@ def replace_path(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
     try:
-        yield temporary
-        temporary.replace(path)
+        with unfinished(temporary):
+            yield temporary
+            temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

@@ -28,8 +28,11 @@ def load_npz(path: Path | str, what: str, read: Callable[[Mapping[str, np.ndarra
       ValueError: it does not hold `what`.
 
     """
-    if Path(path).exists() and not Path(path).is_file():  # to open a FIFO would wait for somebody to write
-        raise ValueError(f"{path} does not hold {what}: it is not a regular file")
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"there is no file {path}")
+    if not path.is_file():  # to open a pipe would wait for somebody to write to it
+        raise ValueError(f"{path} does not hold {what}: it is no regular file")
     try:
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):

@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import shutil
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -54,9 +55,14 @@ class Checkpoints:
       folder: made with the first checkpoint.
       run: what identifies the run, as JSON has it; a checkpoint of another run is refused.
 
+    Raises:
+      ValueError: what has the folder's name is none.
+
     """
 
     def __init__(self, folder: Path | str, run: dict) -> None:
+        if os.path.lexists(folder) and not os.path.isdir(folder):
+            raise ValueError(f"{folder} is no folder, so that no checkpoints can be in it")
         self.folder = Path(folder).resolve()
         self.saved: int | None = None
         """Rounds done in the checkpoint saved last or restored."""
@@ -100,7 +106,7 @@ class Checkpoints:
         if not is_first_process():
             self.saved = rounds
             return
-        body = {"schema": SCHEMA, "run": self._run, "scores": scores, "record": as_json(record)}
+        body = {"schema": SCHEMA, "run": self._run, "rounds": rounds, "scores": scores, "record": as_json(record)}
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
         with self._one_error():
             if self._manager is None:
@@ -131,6 +137,8 @@ class Checkpoints:
             try:
                 body = self._read_body(rounds)
                 self._refuse_others(body, template)
+                if body.get("rounds", rounds) != rounds:
+                    raise ValueError(f"it was renamed; it is checkpoint {body['rounds']}")
                 arrays = self._read_arrays(rounds, body["arrays"])
             except AnotherRunError:
                 raise
@@ -204,6 +212,7 @@ class Checkpoints:
             yield
         except Exception as error:
             self._remove_unfinished()
+            _ignore_late_failures()
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 
     def _remove_unfinished(self) -> None:
@@ -217,6 +226,17 @@ class Checkpoints:
             if quiet == 10:
                 break
             time.sleep(0.05)
+
+
+def _ignore_late_failures() -> None:
+    """Keeps arrays whose write fails once another has failed from complaining, each over many lines."""
+    before = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if "Event loop is closed" not in str(unraisable.exc_value):
+            before(unraisable)
+
+    sys.unraisablehook = hook
 
 
 def _alone() -> ocp.options.MultiprocessingOptions:

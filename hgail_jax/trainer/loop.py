@@ -9,7 +9,6 @@ from typing import Any
 import jax
 import numpy as np
 from jax.sharding import Mesh
-from tqdm import tqdm
 
 import envs
 from hgail_jax.config import Config, Hyperparameters
@@ -26,6 +25,7 @@ from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState
 from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, schedule
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.trainer.status import StatusLine, short
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,8 +136,9 @@ def train(
     """
     phases, steps, saving = program.phases(), program.env_steps(), saving or SavingPolicy()
     stop = stop or threading.Event()
-    started, saved = time.perf_counter() - progress.seconds, time.perf_counter()
-    with tqdm(total=len(phases), initial=progress.rounds, unit="round", desc=_title(program)) as bar:
+    begun, done = time.perf_counter(), progress.rounds
+    started, saved = begun - progress.seconds, begun
+    with StatusLine(_beginning(program, progress)) as line:
         while progress.rounds < len(phases) and not is_stopped(stop):
             index = progress.rounds
             progress.states, measured = step(progress.states, phases[index])
@@ -149,8 +150,8 @@ def train(
             if progress.rounds % saving.rounds == 0 and time.perf_counter() - saved >= saving.seconds:
                 save(checkpoints, progress)
                 saved = time.perf_counter()
-            bar.update()
-            bar.set_postfix_str(_status(program, progress))
+            left = (time.perf_counter() - begun) / (progress.rounds - done) * (len(phases) - progress.rounds)
+            line.show(_status(program, progress), left, log=phases[index, -1] == EVALUATE)
     save(checkpoints, progress)
 
 
@@ -215,20 +216,22 @@ def _refuse(metrics: RoundMetrics, index: int) -> None:
         raise type(error)(f"{error} in round {index}") from None
 
 
-def _title(program: Program) -> str:
-    settings = len(program.settings)
-    return "training" if settings == 1 else f"{settings} settings × {program.seeds} seeds"
+def _beginning(program: Program, progress: Progress) -> str:
+    """Says what happens before the first round is through."""
+    settings = f" of {len(program.settings)} settings × {program.seeds} seeds" if len(program.settings) > 1 else ""
+    kernels = ", which builds physics kernels" if getattr(program.env, "impl", None) == "warp" else ""
+    return f"round {progress.rounds + 1}/{len(program.phases())}{settings}{kernels}"
 
 
 def _status(program: Program, progress: Progress) -> str:
+    """Says what came of the last round, in a few words: with the time, and in hours, they fit a terminal's line."""
     last = progress.history[-1]
+    success, diverged = _mean(last["success_rate"]), diverged_seeds(program, progress)
     rate = last["env_steps"] * program.seeds * len(program.settings) / progress.seconds
-    success, distance = _mean(last["success_rate"]), _mean(last["distance_l2"])
-    measured = [] if success is None else [f"success {success:.3f}"]
-    measured += [] if distance is None else [f"distance {distance:.3f} m"]
-    diverged = diverged_seeds(program, progress)
-    measured += [f"diverged: {', '.join(diverged)}"] if diverged else []
-    return ", ".join([*measured, f"{rate:,.0f} env steps/s"])
+    said = [f"round {progress.rounds}/{len(program.phases())}"]
+    said += [] if success is None else [f"success {success:.3f}"]
+    said += [f"{len(diverged)} diverged"] if diverged else []
+    return ", ".join([*said, f"{short(rate)} env steps/s"])
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -15,6 +15,8 @@ from hgail_jax.distributed.seeds import check_seeds
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
 from hgail_jax.presets import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.trainer.loggers import LOGGERS, check_loggers
+from hgail_jax.trainer.memory import check_memory
 from hgail_jax.trainer.run import Run
 from hgail_jax.validation import check_count, check_name
 
@@ -26,6 +28,11 @@ def _choices(text: str, names: Any) -> Any:
     return tyro.conf.arg(help=f"{text}: {', '.join(names)}.")
 
 
+def unless_given(default: str, metavar: str) -> Any:
+    """Has the help of an option that is None by default say what that stands for."""
+    return tyro.conf.arg(help_behavior_hint=f"(default: {default})", metavar=metavar)
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
     """Trains several seeds of a method on a task, side by side, and writes the results to a new folder."""
@@ -33,42 +40,45 @@ class TrainOptions:
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
     method: Annotated[str, _choices("What to train", METHODS)] = "hgail"
-    demos: Path | None = None
+    demos: Annotated[Path | None, unless_given("none", "FILE")] = None
     """Demonstrations of the task, from the command demos; gail-demo needs them."""
     seeds: int = 8
     """Number of seeds, trained side by side."""
     first_seed: int = 0
     """The first seed; the others count up from it."""
-    num_envs: int | None = None
-    """Environments per seed, that is episodes per roll-out; by default chosen for the task and the platform."""
-    iterations: int | None = None
-    """Rounds of the adversarial training; by default chosen likewise. 0 leaves the pre-training alone."""
+    num_envs: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
+    """Environments per seed, that is episodes per roll-out."""
+    iterations: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
+    """Rounds of the adversarial training. 0 leaves the pre-training alone."""
     preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
     pretrain: bool = True
     """Fit policy and discriminator to the first roll-out before the rounds begin."""
     impl: Annotated[str, _choices("Physics engine of the Fetch tasks", ["auto", *ENGINES])] = "auto"
-    substeps: int | None = None
-    """Physics steps per action in training, 4 to 20; by default the task's. The final evaluation has 20."""
+    substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
+    """Physics steps per action in training, 4 to 20. The final evaluation has 20."""
     task_options: tuple[str, ...] = ()
-    """Further options of the task, as name=value."""
-    p_ht: float | None = None
-    """Probability that hindsight replaces a step's goal, 0 to 1; by default the method's."""
+    """Further options of the task, as name=value: a number, true, false or a word."""
+    p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
+    """Probability that hindsight replaces a step's goal, 0 to 1."""
     strategy: Annotated[str, _choices("Where hindsight takes goals from", STRATEGIES)] = "future"
     reward: Annotated[str, _choices("How the discriminator's logit becomes a reward", REWARDS)] = "r1"
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
-    likelihood: float | None = None
-    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's; by default the task's."""
-    action_std: tuple[float, ...] | None = None
-    """Standard deviation of the policy, one number or one for each of the action's; by default the task's."""
-    devices: int | None = None
-    """Devices to spread seeds, and then environments, over: by default one, or all of several processes."""
-    out: Path | None = None
-    """Folder to write, which must not exist; by default runs/<task>-<method>-<number>."""
-    resume: str | None = None
+    likelihood: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
+    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's."""
+    action_std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
+    """Standard deviation of the policy, one number or one for each of the action's."""
+    devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
+    """Devices to spread seeds, and then environments, over."""
+    out: Annotated[Path | None, unless_given("runs/<task>-<method>-<number>", "FOLDER")] = None
+    """Folder to write, which must not exist."""
+    resume: Annotated[str | None, unless_given("begins a run", "FOLDER|auto")] = None
     """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
+    evaluate_every: int = 1
+    """Rounds from one evaluation to the next; the last round always has one. What is learnt does not depend on it."""
+    logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -85,10 +95,12 @@ def plan(options: TrainOptions, platform: str) -> Run:
     task_options = dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size
     env = _make(options, task_class.training[platform].options, worlds, task_options)
+    if options.task not in envs.TASKS:  # those have tests
+        envs.check_task(env)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
-    return Run(
+    run = Run(
         task=options.task,
         method=options.method,
         seeds=options.seeds,
@@ -99,17 +111,26 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hyperparameters=preset.hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
+        evaluate_every=options.evaluate_every,
         mesh=mesh,
         demonstrations=demonstrations,
+        loggers=check_loggers(options.logger),
     )
+    check_memory(run)
+    return run
 
 
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
     check_count("checkpoint_every", options.checkpoint_every)
+    check_count("evaluate_every", options.evaluate_every)
+    if options.iterations is not None:
+        check_count("iterations", options.iterations, least=0)
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
+    if options.resume == "":
+        raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
 
@@ -175,10 +196,11 @@ def _parse_task_option(option: str) -> tuple[str, Any]:
     name, _, value = option.partition("=")
     try:
         parsed = json.loads(value)
-        if name not in _PHYSICS and isinstance(parsed, bool | int | float):
-            return name, parsed
     except json.JSONDecodeError:
-        pass
-    raise ValueError(
-        f"task option {option!r} is not name=value with a number, true or false, or has an option of its own here"
-    )
+        parsed = value if value.isidentifier() else None
+    if name in _PHYSICS or not isinstance(parsed, bool | int | float | str):
+        raise ValueError(
+            f"task option {option!r} is not name=value with a number, true, false or a word, or has an option of its"
+            " own here"
+        )
+    return name, parsed

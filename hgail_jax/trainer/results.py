@@ -1,4 +1,4 @@
-"""What a run leaves behind once it is trained: tables, curves, policies and a summary."""
+"""What a run leaves behind once it is trained: curves, policies and a summary."""
 
 from pathlib import Path
 from typing import Any
@@ -8,27 +8,11 @@ import numpy as np
 
 from envs import EpisodeMetrics
 from hgail_jax.distributed.seeds import evaluation_episodes
-from hgail_jax.io.files import write_csv
 from hgail_jax.io.policy import from_state, save_policy
 from hgail_jax.state import TrainState
 from hgail_jax.trainer.curves import draw_curves
 from hgail_jax.trainer.loop import Progress, diverged_seeds
 from hgail_jax.trainer.run import Run
-
-
-def metrics_rows(run: Run, history: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns the rows of metrics.csv, one per round and seed; what a round did not measure is None."""
-    return [
-        {"seed": run.first_seed + seed}
-        | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
-        for record in history
-        for seed in range(run.seeds)
-    ]
-
-
-def write_metrics(run: Run, folder: Path, progress: Progress) -> None:
-    """Writes metrics.csv."""
-    write_csv(folder / "metrics.csv", metrics_rows(run, progress.history))
 
 
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
@@ -42,7 +26,8 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
     success, distance = (
         np.array([record[name] for record in history], float) for name in ("success_rate", "distance_l1")
     )
-    draw_curves(folder / "curves.png", title, steps, success, distance)
+    evaluated = np.isfinite(success).any(axis=1)
+    draw_curves(folder / "curves.png", title, steps[evaluated], success[evaluated], distance[evaluated])
 
 
 def summarize(run: Run, progress: Progress, final: EpisodeMetrics, timing: dict[str, float]) -> dict[str, Any]:

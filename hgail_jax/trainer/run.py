@@ -32,6 +32,10 @@ class Run:
     """The devices to train on; what is computed does not depend on them."""
     demonstrations: Demonstrations | None = None
     """Where the method learns from any."""
+    evaluate_every: int = 1
+    """Rounds from one evaluation to the next."""
+    loggers: tuple[str, ...] = ("csv",)
+    """Where measurements go: names of `hgail_jax.trainer.loggers.LOGGERS`."""
 
     def identity(self) -> dict[str, Any]:
         """Returns what a run that resumes another must share with it."""
@@ -54,4 +58,5 @@ class Run:
             first_seed=self.first_seed,
             demonstrations=None if self.demonstrations is None else self.demonstrations.samples(self.env),
             mesh=self.mesh,
+            evaluate_every=self.evaluate_every,
         )

@@ -20,12 +20,14 @@ from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.trainer.loggers import LOGGERS, Logger
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
 from hgail_jax.trainer.options import TrainOptions, plan
 from hgail_jax.trainer.provenance import provenance
-from hgail_jax.trainer.results import summarize, write_metrics, write_results
+from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.run_folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
+from hgail_jax.trainer.status import StatusLine
 
 _RUNS = Path("runs")
 
@@ -59,7 +61,10 @@ class Trainer:
         self._checkpoints: Checkpoints | None = None
         self._restored: Checkpoint | None = None
         self._unwanted: Path | None = None
+        self._loggers: list[Logger] = []
         self._done = False
+        self.in_rounds = False
+        """Whether a stop ends with a checkpoint of what was done: while rounds are run."""
 
     def __enter__(self) -> Self:
         return self
@@ -124,7 +129,7 @@ class Trainer:
         self._held.close()
 
     def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
-        """Trains and evaluates all seeds, and writes everything into the folder.
+        """Trains and evaluates all seeds, and writes everything into the folder, which it closes if it opened it.
 
         Args:
           stop: once it is set, the training ends with the round that it is in, and a checkpoint.
@@ -141,17 +146,25 @@ class Trainer:
         """
         if self._done:
             raise ValueError(f"this trainer has trained; a new one goes on with resume={str(self.folder)!r}")
-        if self._folder is None:
-            self.open()
-        self._done = True
-        with self:
+        with contextlib.ExitStack() as closing:
+            if self._folder is None:
+                closing.callback(self.close)
+                self.open()
+            self._done = True
             made_by = provenance()
-            self._write_config(made_by)
-            summary = self._train(stop or threading.Event())
+            settings = self._write_config(made_by)
+            summary = self._train(settings, stop or threading.Event())
             if summary is not None:
                 summary["wall_seconds"]["total"] = time.perf_counter() - self._started
                 write_json(self.folder / "summary.json", summary | made_by)
+                for logger in self._loggers:
+                    logger.finish(summary, self.folder / "curves.png")
         return summary
+
+    def log_film(self, path: Path) -> None:
+        """Gives a film of a trained policy to the loggers, before `close`."""
+        for logger in self._loggers:
+            logger.film(path)
 
     def _open(self) -> None:
         folder, resumed = self._choose_folder()
@@ -177,17 +190,26 @@ class Trainer:
             return Path(resumed), True
         return Path(options.out) if options.out else next_folder(_RUNS, stem), False
 
-    def _write_config(self, made_by: dict[str, Any]) -> None:
+    def _write_config(self, made_by: dict[str, Any]) -> dict[str, Any]:
+        """Writes config.json, if it is not there, and returns what this process would have in it."""
         remove_partial_files(self.folder)
         path = self.folder / "config.json"
+        settings = {"options": dataclasses.asdict(self.options)} | self.run.identity() | made_by
         if not path.exists():
-            write_json(path, {"options": dataclasses.asdict(self.options)} | self.run.identity() | made_by)
+            write_json(path, settings)
+        return settings
 
-    def _train(self, stop: threading.Event) -> dict[str, Any] | None:
+    def _open_loggers(self, settings: dict[str, Any], history: list[dict[str, Any]]) -> None:
+        for name in self.run.loggers if self.writes else ():
+            logger = LOGGERS[name](self.folder, self.run, settings, history)
+            self._held.callback(logger.close)
+            self._loggers.append(logger)
+
+    def _train(self, settings: dict[str, Any], stop: threading.Event) -> dict[str, Any] | None:
         run, program = self.run, self.run.program()
+        self._open_loggers(settings, self._restored.record["history"] if self._restored else [])
         timing: dict[str, float] = {}
-        with _timed(timing, "compile"):
-            print("compiling ...", flush=True)
+        with _timed(timing, "compile"), StatusLine("compiling the training program"):
             step = program.compile()
         progress = begin(program, self._restored)
         background = ThreadPoolExecutor(1)  # which compiles the final evaluation while the training runs
@@ -199,8 +221,7 @@ class Trainer:
         if is_stopped(stop):
             return None
         timing["train"] = progress.seconds
-        with _timed(timing, "evaluation"):
-            print("running the final evaluation ...", flush=True)
+        with _timed(timing, "evaluation"), StatusLine("evaluating the policies in the most accurate physics"):
             final = compiling.result()(progress.states)
         states = replicate(progress.states)  # which all processes take part in
         if self.writes:
@@ -212,14 +233,18 @@ class Trainer:
         return compile_evaluation(run.env, run.config, states, run.evaluation_episodes, run.mesh)
 
     def _train_rounds(self, step: SeedsStep, progress: Progress, stop: threading.Event) -> None:
-        def write(progress: Progress) -> None:
-            if self.writes:
-                write_metrics(self.run, self.folder, progress)
+        def log(progress: Progress) -> None:
+            for logger in self._loggers:
+                logger.rounds(progress.history)
 
-        write(progress)
+        log(progress)
         saving = SavingPolicy(rounds=self.run.checkpoint_every)
-        with self.checkpoints as checkpoints:
-            train(self.run.program(), step, progress, checkpoints, saving, stop, after_round=write)
+        self.in_rounds = True
+        try:
+            with self.checkpoints as checkpoints:
+                train(self.run.program(), step, progress, checkpoints, saving, stop, after_round=log)
+        finally:
+            self.in_rounds = False
 
 
 def _announce(folder: Path, restored: Checkpoint | None, total: int) -> None:

@@ -159,7 +159,8 @@ class Session:
 
     def _begin(self) -> None:
         self._state = self._reset(next(self._starts))
-        self._phase, self._clock, self._action = Phase.ACTING, 0, np.zeros(self.env.action_size)
+        self._phase, self._clock = Phase.ACTING, 0
+        self._action = np.zeros(self.env.action_size)
         self._place_target()
 
     def _place_target(self) -> None:

@@ -64,31 +64,38 @@ class Walk(GoalEnv):
     def sample_goal(self, rng, physics):
         return jax.random.uniform(rng, (1,), minval=2.0, maxval=3.0)
 
-    def sample_exploration_goal(self, rng, physics):
-        return jax.random.uniform(rng, (1,), minval=-3.0, maxval=-2.0)
+    def plan_goals(self, rng, physics, exploring):
+        return {
+            "goal": jnp.where(exploring, -1.0, 1.0) * self.sample_goal(rng, physics),
+            "moves": 10.0 + 10 * exploring,
+        }
 
-    def track_goal(self, desired, physics, exploring):
-        return desired + jnp.where(exploring, 10.0, 20.0) + physics[1]
+    def current_goal(self, plan, physics, step):
+        return plan["goal"] + plan["moves"] * step + physics[:1]
 
 
 @pytest.mark.parametrize("exploring", [False, True, np.array(True)])
-def test_an_episode_pursues_its_kind_of_goal_as_it_moves(exploring):
+def test_an_episode_pursues_its_plan(exploring):
+    """What is drawn at the reset stays; the goal depends on it, on where the episode is and on the step."""
     env = Walk()
     state = env.reset(jax.random.key(3), exploring)
-    goal = float(state.info["desired_goal"][0])
-    assert (7.0 < goal < 8.0) if exploring else (22.0 < goal < 23.0)
-    assert abs(float(state.obs[0]) - goal % 1) > 1e-3  # start and goal are drawn with keys of their own
-    position, moves = float(state.obs[0]), (10.0 if exploring else 20.0)
+    position, plan = float(state.obs[0]), state.info["plan"]
+    goal, moves = float(plan["goal"][0]), (20.0 if exploring else 10.0)
+    assert (-3.0 < goal < -2.0) if exploring else (2.0 < goal < 3.0)
+    assert abs(position - goal % 1) > 1e-3  # start and goal are drawn with keys of their own
+    np.testing.assert_allclose(state.obs, [position, 0, goal + position], rtol=1e-5)
     for step, action in enumerate((0.5, -3.0, 1.5), start=1):
         state = env.step(state, jnp.array([action]))
-        position, goal = position + np.clip(action, -1, 1), goal + moves + step
-        np.testing.assert_allclose(state.obs, [position, step, goal], rtol=1e-5)
+        position += np.clip(action, -1, 1)
+        wanted = goal + moves * step + position
+        np.testing.assert_allclose(state.obs, [position, step, wanted], rtol=1e-5)
         np.testing.assert_allclose(state.info["observation"], [position, step], rtol=1e-5)
         np.testing.assert_allclose(state.info["achieved_goal"], [position], rtol=1e-5)
-        np.testing.assert_allclose(state.info["desired_goal"], [goal], rtol=1e-5)
+        np.testing.assert_allclose(state.info["desired_goal"], [wanted], rtol=1e-5)
         assert state.reward == -1.0
         assert state.done == 0.0
-        assert state.info["exploring"] == exploring
+        assert state.info["step"] == step
+        jax.tree.map(np.testing.assert_array_equal, state.info["plan"], plan)
 
 
 def test_what_a_step_finds_in_a_state_it_keeps():
@@ -99,11 +106,21 @@ def test_what_a_step_finds_in_a_state_it_keeps():
     assert (state.info["more"], state.metrics) == (1, {"most": 2})
 
 
-def test_the_reward_is_0_on_success_and_minus_1_elsewhere():
+def test_the_reward_is_0_at_the_goal_and_minus_1_elsewhere():
     env = Walk()
     at = env.reset(jax.random.key(0)).replace(pipeline_state=jnp.array([0.7, 2.0]))
-    for goal, reward in ((-23.0 + 0.3, 0.0), (-23.0 + 1.3, -1.0)):
-        assert env.step(at.replace(info=at.info | {"desired_goal": jnp.array([goal])}), jnp.zeros(1)).reward == reward
+    for goal, reward in ((-10.0 + 0.3, 0.0), (-10.0 + 1.3, -1.0)):
+        plan = {"goal": jnp.array([goal]), "moves": 10.0}
+        assert env.step(at.replace(info=at.info | {"plan": plan}), jnp.zeros(1)).reward == reward
+
+    class Elsewhere(Walk):
+        def reached(self, physics, desired):
+            return physics[1] > 0.0
+
+    rewards = [env.reset(jax.random.key(0)).reward, env.step(env.reset(jax.random.key(0)), jnp.zeros(1)).reward]
+    assert rewards == [-1.0, -1.0]
+    env = Elsewhere()
+    assert env.step(env.reset(jax.random.key(0)), jnp.zeros(1)).reward == 0.0
 
 
 def test_defaults_of_a_task():
@@ -117,11 +134,12 @@ def test_defaults_of_a_task():
     assert not env.overflow(jnp.zeros(2))
     assert env.overflow(jnp.zeros(2)).dtype == bool
     np.testing.assert_array_equal(env.probe_action(jnp.array([0.3])), np.float32([0.3]))
-    np.testing.assert_array_equal(
-        GoalEnv.track_goal(env, jnp.ones(1), jnp.zeros(2), exploring=True), GoalEnv.track_goal(env, 1, 2, False)
-    )
-    key = jax.random.key(1)
-    np.testing.assert_array_equal(GoalEnv.sample_exploration_goal(env, key, 0), env.sample_goal(key, 0))
+    assert not env.is_trivial(jnp.zeros((3, 2, 2)), goals).any()
+    assert env.is_trivial(jnp.zeros((3, 2, 2)), goals).shape == (3, 2)
+    key, goal = jax.random.key(1), jnp.array([7.0])
+    for exploring in (False, True):
+        np.testing.assert_array_equal(GoalEnv.plan_goals(env, key, 0, exploring), env.sample_goal(key, 0))
+    np.testing.assert_array_equal(GoalEnv.current_goal(env, goal, jnp.ones(2), 3), goal)
     assert {name: dict(chosen.config) for name, chosen in env.training.items()} == {
         "cpu": {"num_envs": 64, "rounds": 6},
         "gpu": {"num_envs": 256, "rounds": 4},
@@ -175,7 +193,7 @@ def test_observations_are_features_and_goal(name, tasks, starts):
     sizes = {"reach": (6, 3, 1, 0), "grasp": (8, 4, 2, 12), "grasp-position": (8, 3, 1, 12)}
     sizes["grasp-aperture"] = (8, 4, 1, 12)
     assert (env.feature_size, env.goal_size, env.goal_kinds, env.probe_length) == sizes[name]
-    for exploring, state in enumerate(starts[name]):
+    for state in starts[name]:
         physics, info = state.pipeline_state, state.info
         features = [physics.gripper_position, physics.gripper_velocity]
         if name != "reach":
@@ -185,7 +203,7 @@ def test_observations_are_features_and_goal(name, tasks, starts):
         achieved = env.achieved_goal(jax.tree.map(lambda leaf: leaf[0], physics))
         np.testing.assert_allclose(info["achieved_goal"][0], achieved)
         np.testing.assert_array_equal(info["achieved_goal"][:, :3], physics.gripper_position)
-        assert (info["exploring"] == bool(exploring)).all()
+        assert (info["step"] == 0).all()
 
 
 def test_reach_s_goals_fill_a_cube_around_the_gripper(tasks, starts):
@@ -206,7 +224,7 @@ def test_defaults_of_training_are_what_the_readme_says(name, tasks):
     if name == "reach":
         options = {"substeps": 4}
         assert chosen == {
-            "cpu": ({"num_envs": 64, "rounds": 6}, options),
+            "cpu": ({"num_envs": 64, "rounds": 6, "discriminator_batch": 128, "pretrain_policy_batch": 128}, options),
             "gpu": ({"num_envs": 256, "rounds": 4}, options),
         }
         return
@@ -409,10 +427,17 @@ def test_apertures_are_learnt_at_random_and_measured_by_a_plan(tasks, starts):
     assert is_uniform(goal[:, 3], 0.0, 0.1)
     assert np.abs(np.corrcoef(goal[goal[:, 2] > goal[:, 2].min()].T) - np.eye(4)).max() < 0.12
     physics = jax.tree.map(lambda leaf: leaf[0], measured.pipeline_state)
-    np.testing.assert_allclose(env.sample_goal(None, physics), [*cubes(measured)[0], 0.1], atol=1e-6)
-    desired = np.float32([1.1, 0.6, 0.5, 0.03])
-    track = jax.jit(jax.vmap(lambda steps, exploring: env.track_goal(desired, physics.replace(steps=steps), exploring)))
-    for exploring in (False, True):
-        for steps, goal in enumerate(track(jnp.arange(51), jnp.full(51, exploring))):
-            plan = [1.1, 0.6, 0.525 if steps < 18 else 0.425, 0.1 if steps < 36 else 0.0]
-            np.testing.assert_allclose(goal, desired if exploring else plan, atol=1e-6)
+    np.testing.assert_allclose(env.sample_goal(None, physics), [*cubes(measured)[0], 0.0], atol=1e-6)
+    follow = jax.jit(jax.vmap(env.current_goal, in_axes=(None, None, 0)))
+    x, y = cubes(measured)[0, :2]
+    for state in (measured, learnt):
+        for step, goal in enumerate(follow(state.info["plan"][0], physics, jnp.arange(51))):
+            plan = [x, y, 0.525 if step < 18 else 0.425, 0.1 if step < 36 else 0.0]
+            np.testing.assert_allclose(goal, plan if state is measured else state.info["desired_goal"][0], atol=1e-6)
+
+
+@pytest.mark.parametrize("action", [0.5, jnp.zeros(1), jnp.zeros(4), jnp.zeros((1, 3))])
+def test_an_action_of_another_shape_is_refused_where_it_would_broadcast(action):
+    env = envs.make("point")
+    with pytest.raises(ValueError, match=r"an action has the shape .*; it must be \(3,\)"):
+        env.step(env.reset(jax.random.key(0)), action)

@@ -8,6 +8,9 @@ from envs.engines import ENGINES
     ("task", "options", "message"),
     [
         ("poke", {}, "choose from point, reach"),
+        (":", {}, "unknown task ':'; choose from point, reach"),
+        ("envs.point:", {}, "unknown task 'envs.point:'; choose from"),
+        (None, {}, "task is None; it must be a name, one of point, reach"),
         ("no.such.module:Task", {}, "cannot load task"),
         ("envs.fetch.arm:CONTROL_PERIOD", {}, "not a GoalEnv"),
         ("envs.fetch.arm:Lift", {}, "cannot load task"),
@@ -15,8 +18,9 @@ from envs.engines import ENGINES
         ("reach", {"steps": 4}, "no option 'steps'; it takes impl, substeps, worlds"),
         ("reach", {"substeps": 3}, "from 4 to 20"),
         ("reach", {"substeps": 21}, "from 4 to 20"),
+        ("reach", {"substeps": "4"}, "substeps is '4'; it must be an integer from 4 to 20"),
         ("reach", {"worlds": 0}, "worlds is 0; it must be an integer of at least 1"),
-        ("reach", {"substeps": 4.5}, "substeps is 4.5; it must be from 4 to 20"),
+        ("reach", {"substeps": 4.5}, "substeps is 4.5; it must be an integer from 4 to 20"),
         ("reach", {"impl": "warp"}, "needs warp-lang and an NVIDIA GPU"),
         ("reach", {"impl": "cuda"}, f"choose from auto, {', '.join(ENGINES)}"),
     ],
@@ -38,6 +42,9 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
         "grasp": (12, 4, 4),
         "grasp-position": (11, 3, 4),
         "grasp-aperture": (12, 4, 4),
+        "push": (19, 4, 4),
+        "pick-and-place": (21, 4, 4),
+        "slide": (19, 4, 4),
     }
 
 

@@ -160,3 +160,36 @@ def test_misuse_is_refused():
     vector.reset(seed=0)
     with pytest.raises(ValueError, match=r"shape \(3,\)"):
         vector.step(np.zeros(3))
+
+
+def test_what_is_no_vector_environment_is_refused():
+    with pytest.raises(TypeError, match="num_envs is '3'; it must be an integer"):
+        GoalVectorEnv(TASK, "3")
+    with pytest.raises(TypeError, match="env is 'point'; it must be a GoalEnv"):
+        GoalVectorEnv("point", 3)
+
+
+@pytest.mark.parametrize("seed", [1.5, "012", [0, 1, 2.5], [True, 1, 2]])
+def test_seeds_are_integers(seed):
+    with pytest.raises(TypeError, match="it must be an integer, or one for each environment"):
+        GoalVectorEnv(TASK, NUM_ENVS).reset(seed=seed)
+
+
+def test_seeds_may_be_an_array():
+    first, second = GoalVectorEnv(TASK, NUM_ENVS), GoalVectorEnv(TASK, NUM_ENVS)
+    same(first.reset(seed=np.arange(4, 7))[0], second.reset(seed=np.int64(4))[0])
+
+
+def test_options_that_nobody_knows_are_not_ignored():
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    with pytest.raises(ValueError, match="options are 'reset_mask'; there are none"):
+        vector.reset(options={"reset_mask": np.array([True, False, False])})
+    vector.reset(options={})
+
+
+@pytest.mark.parametrize("action", [np.nan, np.inf, "up"])
+def test_actions_are_finite_numbers(action):
+    vector = GoalVectorEnv(TASK, NUM_ENVS)
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match="not all actions are finite numbers"):
+        vector.step(np.full((NUM_ENVS, 3), action))

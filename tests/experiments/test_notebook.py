@@ -1,6 +1,8 @@
+import sys
 from pathlib import Path
 
 import nbformat
+import pytest
 from nbclient import NotebookClient
 
 NOTEBOOK = Path(__file__).parent.parent.parent / "experiments" / "explore_train_step.ipynb"
@@ -8,8 +10,32 @@ NOTEBOOK = Path(__file__).parent.parent.parent / "experiments" / "explore_train_
 
 def test_the_notebook_runs_from_top_to_bottom():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOK.parent)}}).execute()
+    updates = []
+    client = NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOK.parent)}})
+    process = client.process_message
+
+    def watch(message, cell, cell_index):
+        if message["header"]["msg_type"] == "update_display_data":
+            updates.append(message["content"]["data"]["image/png"])
+        return process(message, cell, cell_index)
+
+    client.process_message = watch
+    client.execute()
     pictures = [
         output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})
     ]
-    assert len(pictures) == 1
+    assert len(pictures) == 2  # the curves, which are one figure however often it is drawn, and the trajectories
+    assert len(set(updates)) == 3  # after each round, and each time another
+
+
+@pytest.mark.parametrize("on_colab", [True, False])
+def test_the_package_is_installed_on_colab_alone(monkeypatch, on_colab):
+    first = next(cell for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
+    started = []
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.setattr("subprocess.run", lambda command, check: started.append(command))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    if on_colab:
+        monkeypatch.setitem(sys.modules, "google.colab", sys)
+    exec(first.source, {})
+    assert [command[1:4] for command in started] == [["-m", "pip", "install"]] * on_colab

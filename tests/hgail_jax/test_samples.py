@@ -50,8 +50,8 @@ class Line(GoalEnv):
     def sample_goal(self, rng, physics):
         return jnp.array([1.0, 0.0])
 
-    def sample_exploration_goal(self, rng, physics):
-        return jnp.array([-1.0, 1.0])
+    def plan_goals(self, rng, physics, exploring):
+        return jnp.where(exploring, jnp.array([-1.0, 1.0]), self.sample_goal(rng, physics))
 
     def goal_kind(self, goal):
         return goal[..., 1].astype(jnp.int32)
@@ -568,3 +568,31 @@ def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
     cumulative = jnp.array([[0.0, 0.0, 1.0, 1.0, 3.0], [2.0, 2.0, 2.0, 5.0, 9.0]])
     block, target = jnp.array([0, 0, 0, 0, 1, 1, 1]), jnp.array([0.0, 0.9, 1.0, 2.9, 0.0, 2.0, 5.0])
     np.testing.assert_array_equal(_first_above(cumulative, block, target), [2, 2, 4, 4, 0, 3, 4])
+
+
+def test_trivial_samples_count_less_and_kinds_keep_their_shares():
+    class Trivial(Line):
+        def is_trivial(self, features, goal):
+            return goal[..., 0] - features[..., 0] < 1.0  # the goal is what the step itself achieves
+
+    kind = np.broadcast_to(np.arange(LENGTH + 1)[:, None] % 2, (LENGTH + 1, 400)).astype(np.float32)
+    given, key = trajectory(400, kind=kind), jax.random.key(2)
+
+    def relabel(weight):
+        hyper = jax.tree.map(jnp.asarray, Hyperparameters(trivial_weight=weight))
+        return jax.jit(lambda: relabelled_samples(Trivial(), hyper, given, key))()
+
+    plain, weighted = relabel(1.0), relabel(0.25)
+    np.testing.assert_array_equal(plain.observation, weighted.observation)
+    features, goal, of_kind = np.asarray(plain.observation).T
+    trivial = goal - features < 1.0
+    for each, wanted in ((0, 0.75), (1, 0.25)):  # the shares among the desired goals
+        chosen = of_kind == each
+        for samples in (plain, weighted):
+            share = samples.weight[chosen].sum() / samples.weight.sum()
+            np.testing.assert_allclose(share, wanted, rtol=1e-3)
+        assert trivial[chosen].any()
+        assert not trivial[chosen].all()
+        light, heavy = (np.unique(np.asarray(weighted.weight)[chosen & mask]) for mask in (trivial, ~trivial))
+        np.testing.assert_allclose(light / heavy[0], 0.25, rtol=1e-4)
+        assert np.ptp(np.asarray(plain.weight)[chosen]) == 0.0

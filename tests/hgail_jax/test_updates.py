@@ -68,8 +68,8 @@ class Track(GoalEnv):
     def sample_goal(self, rng, physics):
         return jnp.array([-9.0, 0.0])
 
-    def sample_exploration_goal(self, rng, physics):
-        return jnp.array([9.0, 0.0])
+    def plan_goals(self, rng, physics, exploring):
+        return jnp.where(exploring, jnp.array([9.0, 0.0]), self.sample_goal(rng, physics))
 
     def overflow(self, physics):
         return physics[1] > 2.0
@@ -232,6 +232,16 @@ def test_observations_are_standardised_and_clipped_at_5():
     np.testing.assert_allclose(state.normalize(far), [[4.9, -4.9, 5.0, -5.0]], rtol=1e-5)
 
 
+@pytest.mark.parametrize("standard", [False, True])
+def test_observations_have_statistics_where_they_are_standardised(standard):
+    state = init(CONFIG, HYPER.replace(standardize_observation=standard), jax.random.key(0))
+    seen = (RNG.normal(size=(2000, 4)) * [1.0, 2.0, 0.5, 1.5] + [0.5, 0.0, -1.0, 2.0]).astype(np.float32)
+    state = state.observe(seen, np.ones(len(seen), np.float32))
+    expected = (seen - seen.mean(axis=0)) / seen.std(axis=0) if standard else seen
+    np.testing.assert_allclose(state.normalize(seen), np.clip(expected, -5, 5), atol=1e-3)
+    assert int(state.statistics.count) == (2000 if standard else 0)
+
+
 # The training state
 
 
@@ -296,7 +306,7 @@ def batch_by_hand(state, trajectory):
             np.average((array - np.average(array, weights=weight)) ** 2, weights=weight)
         )
 
-    scaled = (standard(reward) if hyper.standardize_reward else reward) / LENGTH
+    scaled = (standard(reward) if hyper.standardize_reward else reward) / LENGTH * float(hyper.reward_scale)
     gamma, lam = float(hyper.discount), float(hyper.gae_lambda)
     advantage = np.zeros((LENGTH, EPISODES))
     for start in range(LENGTH):
@@ -307,7 +317,7 @@ def batch_by_hand(state, trajectory):
         "observation": normalized(state, seen[:-1]),
         "action": trajectory.action,
         "log_prob": trajectory.log_prob,
-        "advantage": standard(advantage),
+        "advantage": standard(advantage) if hyper.standardize_advantage else advantage,
         "return": advantage + values[:-1],
         "weight": weight,
     }
@@ -325,7 +335,15 @@ def ppo_batch(state, trajectory):
 @pytest.mark.parametrize("standard", [False, True])
 def test_what_ppo_learns_from_is_as_by_hand(form, mixed, standard):
     sound = SOUND if form == R1 else np.ones(EPISODES, bool)
-    state = make_state(reward=form, environment_reward=mixed, standardize_reward=standard, discount=0.9, gae_lambda=0.7)
+    state = make_state(
+        reward=form,
+        environment_reward=mixed,
+        standardize_reward=standard,
+        standardize_advantage=mixed == 0.3 or not standard,
+        reward_scale=1.0 + mixed,
+        discount=0.9,
+        gae_lambda=0.7,
+    )
     state = state.replace(hyperparameters=jax.tree.map(jnp.asarray, state.hyperparameters))
     batch, metrics = ppo_batch(state, a_trajectory(sound))
     expected, reward = batch_by_hand(state, a_trajectory(sound))

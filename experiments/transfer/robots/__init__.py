@@ -16,13 +16,15 @@ ROBOTS: dict[str, type[Robot]] = {
 
 @functools.cache
 def make_robot(name: str, task: str, **options: Any) -> Robot:
-    """Makes a robot of `ROBOTS` for a task, `"reach"` or `"grasp"`; the same arguments return the same robot.
+    """Makes a robot of `ROBOTS` for a task, e.g. `"reach"`; the same arguments return the same robot.
 
     Raises:
-      ValueError: a package that it needs is not installed.
+      ValueError: it cannot do the task, or a package that it needs is not installed.
 
     """
     robot = ROBOTS[name]
+    if task not in robot.tasks:
+        raise ValueError(f"{name} cannot do {task!r}; it does {', '.join(robot.tasks)}")
     try:
         return robot(task, **options)
     except ModuleNotFoundError as error:

@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+import envs
+
 
 @dataclasses.dataclass(frozen=True)
 class OptionCurve:
@@ -30,12 +32,12 @@ class OptionCurve:
 
 
 class Robot(abc.ABC):
-    """A simulated robot in its scene, which can do the tasks `reach` and `grasp`.
+    """A simulated robot in its scene, which can do the tasks `reach` and `grasp`, or more.
 
     Positions are metres in the policy's frame, which is the world frame of the Fetch scenes.
 
     Args:
-      task: `"reach"` or `"grasp"`; a robot's further arguments, its options, have defaults.
+      task: one of `tasks`; a robot's further arguments, its options, have defaults.
 
     """
 
@@ -45,6 +47,8 @@ class Robot(abc.ABC):
     """Extra of this project, in `pyproject.toml`, with which pip installs what the robot needs."""
     packages: ClassVar[tuple[str, ...]]
     """Distributions behind the extra; results record their versions."""
+    tasks: ClassVar[tuple[str, ...]] = ("reach", "grasp")
+    """Tasks that it can do, by their names in `envs.TASKS`."""
     curves: ClassVar[tuple[OptionCurve, ...]] = ()
     """Curves over the robot's own options, for the robustness figure."""
 
@@ -54,7 +58,7 @@ class Robot(abc.ABC):
     """Whether the hand is closed at the start of an episode."""
 
     task: str
-    """`"reach"` or `"grasp"`."""
+    """One of `tasks`."""
     model: mujoco.MjModel
     """The scene."""
     data: mujoco.MjData
@@ -77,12 +81,20 @@ class Robot(abc.ABC):
     def features(self) -> np.ndarray:
         """Returns what the policy sees besides the goal, in the Fetch's units.
 
-        That is `[6]` as in `envs.fetch.reach.Reach`, or `[8]` as in `envs.fetch.grasp.Grasp`.
+        That is `[6]` as in `envs.fetch.reach.Reach`, `[8]` as in `envs.fetch.grasp.Grasp`, and so on.
         """
 
     @abc.abstractmethod
     def target(self) -> np.ndarray:
-        """Returns where the target is: the point to reach, or the cube's centre, `[3]`."""
+        """Returns the target's position, `[3]`: the point to reach, the cube's centre in grasp, the object's goal."""
+
+    def carried(self) -> np.ndarray:
+        """Returns the position of what is to come to the target, `[3]`; by default the gripper's."""
+        return self.features()[:3]
+
+    def reached(self) -> bool:
+        """Returns whether that is near enough to the target."""
+        return bool(np.linalg.norm(self.carried() - self.target()) <= envs.find_class(self.task).success_threshold)
 
     @abc.abstractmethod
     def step(self, action: np.ndarray) -> None:

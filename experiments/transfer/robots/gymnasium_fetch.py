@@ -14,30 +14,33 @@ _MOST_SEED = 2**31
 
 
 class GymnasiumFetch(Robot):
-    """FetchReach-v4 or FetchPickAndPlace-v4.
+    """The environment that a task is held to: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
 
     Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
-    FetchPickAndPlace wants the cube is ignored. The features are taken from the environment's observation, whose
-    velocities are already multiplied by `CONTROL_PERIOD`:
+    FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
+    environment's observation, whose velocities are already multiplied by `CONTROL_PERIOD`:
 
-    | feature | FetchReach | FetchPickAndPlace |
+    | feature | FetchReach | the others |
     |---|---|---|
     | gripper position | 0:3 | 0:3 |
     | gripper velocity × 0.04 s | 5:8 | 20:23 |
-    | gap between the fingers | not seen | the sum of 9:11 |
-    | holding | not seen | `envs.fetch.grasp.is_held` of the contacts and the gap |
-    | target position | the desired goal | 3:6, the cube |
+    | object position less gripper position, object position | not seen | 6:9, 3:6; not seen in grasp |
+    | object velocity × 0.04 s | not seen | the sum of 14:17 and 20:23; not seen in grasp |
+    | gap between the fingers | not seen | the sum of 9:11; not seen in push and slide |
+    | holding | not seen | `envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
+    | target position | the desired goal | the desired goal; in grasp 3:6, the cube |
 
     Actions are the same four numbers.
 
     Args:
-      task: `"reach"` or `"grasp"`.
+      task: one of `tasks`.
 
     """
 
     name = "Fetch, Gymnasium-Robotics on C MuJoCo"
     extra = "compare"
     packages = ("gymnasium-robotics",)
+    tasks = ("reach", "grasp", "push", "pick-and-place", "slide")
 
     offset = np.zeros(3)
     cube = "object0"
@@ -61,21 +64,37 @@ class GymnasiumFetch(Robot):
         self._env.reset(seed=int(rng.integers(_MOST_SEED)))
 
     def features(self) -> np.ndarray:
-        """Returns the features of `Reach`, `[6]`, or `Grasp`, `[8]`."""
-        observation = self._env._get_obs()["observation"]
+        """Returns the features of the task's class in `envs`."""
+        seen = self._observation()
         if self.task == "reach":
-            return np.concatenate([observation[:3], observation[5:8]])
-        gap = observation[9:11].sum()
-        return np.concatenate([observation[:3], observation[20:23], [gap, is_held(self._touching(), gap)]])
+            return np.concatenate([seen[:3], seen[5:8]])
+        gap = seen[9:11].sum()
+        arm, hand = np.concatenate([seen[:3], seen[20:23]]), [gap, is_held(self._touching(), gap)]
+        if self.task == "grasp":
+            return np.concatenate([arm, hand])
+        thing = np.concatenate([seen[6:9], seen[3:6], seen[14:17] + seen[20:23]])
+        return np.concatenate([arm, thing, hand if self.task == "pick-and-place" else []])
 
     def target(self) -> np.ndarray:
-        """Returns the desired goal of reach, or the cube's centre, `[3]`."""
-        seen = self._env._get_obs()
-        return seen["desired_goal"] if self.task == "reach" else seen["observation"][3:6]
+        """Returns the desired goal, or in grasp the cube's centre, `[3]`."""
+        return self._observation()[3:6] if self.task == "grasp" else self._env.goal.copy()
+
+    def carried(self) -> np.ndarray:
+        """Returns the gripper's position in reach and grasp, else the object's, `[3]`."""
+        return self._observation()[:3] if self.task in ("reach", "grasp") else self._observation()[3:6]
+
+    def reached(self) -> bool:
+        """Returns what the environment calls a success; in grasp whether the gripper is near the cube."""
+        return (
+            super().reached() if self.task == "grasp" else bool(self._env._is_success(self.carried(), self._env.goal))
+        )
 
     def step(self, action: np.ndarray) -> None:
         """Steps the environment by an action, `[4]`."""
         self._env.step(np.asarray(action, np.float64))
+
+    def _observation(self) -> np.ndarray:
+        return self._env._get_obs()["observation"]
 
     def _touching(self) -> bool:
         """Returns whether both fingers touch the cube."""

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from envs.fetch import grasp
-from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, TABLE_HEIGHT, settle
+from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, LEAST_DISTANCE, TABLE_HEIGHT, settle
 from envs.fetch.reach import GOAL_RANGE
 from envs.scenes import load_scene
 from experiments.transfer.robots.base import OptionCurve, Robot
@@ -112,7 +112,7 @@ class UR5e(Robot):
             self._goal = self._start + rng.uniform(-GOAL_RANGE, GOAL_RANGE, 3)
         else:
             shift = np.zeros(2)
-            while np.linalg.norm(shift) < grasp.LEAST_DISTANCE:
+            while np.linalg.norm(shift) < LEAST_DISTANCE:
                 shift = rng.uniform(-grasp.CUBE_RANGE, grasp.CUBE_RANGE, 2)
             self.data.joint("cube").qpos[:3] = [*(self._start[:2] + shift), grasp.CUBE_WIDTH / 2]
         mujoco.mj_forward(self.model, self.data)

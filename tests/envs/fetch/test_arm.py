@@ -54,7 +54,7 @@ def test_what_is_seen_of_the_gripper_is_where_mujoco_has_it():
         mujoco.mj_objectVelocity(env.model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
         np.testing.assert_allclose(state.obs[:3], data.site_xpos[site], atol=1e-5)
         np.testing.assert_allclose(state.obs[3:6], CONTROL_PERIOD * velocity[3:], atol=1e-5)
-    assert state.pipeline_state.steps == 5
+    assert state.info["step"] == 5
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])

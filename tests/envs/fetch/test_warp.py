@@ -22,18 +22,26 @@ pytestmark = [
 EPISODES = 256
 
 
-@pytest.mark.parametrize("name", ["from-above", "straight", "closed"])
-def test_controllers_score_as_on_c_mujoco(name):
+@pytest.mark.parametrize(
+    ("task", "name", "margin"),
+    [
+        ("grasp", "from-above", 0.03),
+        ("grasp", "straight", 0.03),
+        ("grasp", "closed", 0.03),
+        ("pick-and-place", "from-above", 0.03),
+        ("push", "from-behind", 0.03),
+        ("slide", "from-above", 0.1),
+    ],
+)
+def test_controllers_score_as_on_c_mujoco(task, name, margin):
     ours, theirs = (
         float(
-            run_controller(
-                envs.make("grasp", impl=impl, worlds=EPISODES), name, EPISODES, seed=0
-            ).outcome.success.mean()
+            run_controller(envs.make(task, impl=impl, worlds=EPISODES), name, EPISODES, seed=0).outcome.success.mean()
         )
         for impl in ("warp", "c")
     )
-    print(f"{name}: {ours:.3f} on MJX-Warp, {theirs:.3f} on C MuJoCo")
-    assert ours == pytest.approx(theirs, abs=0.03)
+    print(f"{task}, {name}: {ours:.3f} on MJX-Warp, {theirs:.3f} on C MuJoCo")
+    assert ours == pytest.approx(theirs, abs=margin)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +77,7 @@ def test_reach_moves_as_on_c_mujoco(impl, median_mm, percentile_mm, drift_mm):
     assert np.median(drift) <= drift_mm
 
 
-@pytest.mark.parametrize("task", ["grasp", "reach"])
+@pytest.mark.parametrize("task", ["grasp", "reach", "push", "pick-and-place", "slide"])
 def test_a_million_random_steps_stay_finite(task):
     env = envs.make(task, substeps=8, worlds=4096)
 

@@ -106,3 +106,13 @@ def test_every_section_runs(tmp_path, section):
     found = json.loads(path.read_text())["rows"]
     assert found
     assert all(row["made_by"]["command"] and row["quick"] for row in found)
+
+
+def test_a_folder_that_cannot_be_written_is_noticed_before_anything_is_measured(tmp_path, monkeypatch, capsys):
+    def refuse(*arguments, **options):
+        raise PermissionError(13, "Permission denied", str(tmp_path))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)  # root may write anywhere, so no mode of a folder would do
+    monkeypatch.setattr(bench, "measure", lambda options: pytest.fail("it measured"))
+    line = refusal(capsys, ["--section", "physics", "--out", str(tmp_path / "bench.json")])
+    assert line == f"bench: {tmp_path}: Permission denied"

@@ -10,10 +10,14 @@ import envs
 from experiments.paper import __main__ as paper
 from experiments.paper import work
 from experiments.paper.programs import group_by_program, make_program, train_program
-from experiments.paper.statistics import confidence_interval
-from experiments.paper.studies import STUDIES, SWEEP, Study
-from experiments.paper.tables import table_rows
+from experiments.paper.rows import table_rows
+from experiments.paper.seeds import REPORTED_SEEDS, TUNING_SEEDS, choose_seeds
+from experiments.paper.spread import carry_out
+from experiments.paper.studies import STUDIES, SWEEP, studies_of
+from experiments.paper.study import Study
+from experiments.paper.tables import write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
+from experiments.paper.work import Unfinished
 from hgail_jax import PRESETS, env_steps, schedule
 from hgail_jax.train import EVALUATE
 
@@ -22,7 +26,7 @@ BY_NAME = {study.name: study for study in STUDIES}
 
 
 def trials_of(study, task, platform="gpu"):
-    return [work_out(Scale(task, platform), setting, 8) for setting in study.settings]
+    return [work_out(Scale(task, platform), setting, range(8)) for setting in study.settings]
 
 
 def phases_of(trial):
@@ -40,7 +44,7 @@ def results_of(trials):
     for trial in trials:
         rng = np.random.default_rng(int(trial.key(), 16))
         steps = env_steps(envs.make("point"), trial.config, schedule(trial.config)).cumsum()
-        curve = {name: rng.uniform(size=(len(steps), trial.seeds)).tolist() for name in ("success", "distance_l1")}
+        curve = {name: rng.uniform(size=(len(steps), len(trial.seeds))).tolist() for name in ("success", "distance_l1")}
         names = ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
         seconds = {"compile": 1.0, "train": 6.0, "evaluation": 1.0}
         found.append(
@@ -48,13 +52,31 @@ def results_of(trials):
             | {
                 "rounds": list(range(len(steps))),
                 "env_steps": steps.tolist(),
-                "final": {name: rng.uniform(size=trial.seeds).tolist() for name in names},
+                "final": {name: rng.uniform(size=len(trial.seeds)).tolist() for name in names},
                 "evaluation_episodes": 8,
                 "diverged_seeds": 0,
                 "program": {"settings": len(trials), "seconds": seconds, "dropped": 0.0},
             }
         )
     return found
+
+
+def made(results, trials, commits=("c0ffee1",), dates=("2026-01-01",)):
+    """Results as they are kept: with what they are of and what made them."""
+    return [
+        result
+        | {"identity": trial.identity()}
+        | {
+            "made_by": {
+                "commit": commits[index % len(commits)],
+                "date": dates[index % len(dates)],
+                "command": "python -m experiments.paper --all",
+                "device": {"kind": "a chip"},
+                "versions": {"jax": "0.10.2", "warp-lang": None, "driver": "580.1"},
+            }
+        }
+        for index, (result, trial) in enumerate(zip(results, trials, strict=True))
+    ]
 
 
 @pytest.fixture
@@ -97,7 +119,7 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
 
 
 def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
-    planned = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
+    (planned,) = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
     trials = [planned.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
     env, stopped = envs.make("point"), threading.Event()
     (whole, *_) = train_program(env, trials, None, tmp_path / "whole", threading.Event())
@@ -112,7 +134,8 @@ def test_every_study_writes_its_files(tmp_path, trained):
     paper.main([*QUICK, "--all", "--out", str(tmp_path)])
     names = {path.name for path in tmp_path.iterdir()} - {"parts", "demonstrations"}
     tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations", "gasil", "standardization")
-    expected = {f"{name}-point.{ending}" for name in tables for ending in ("csv", "md", "json")}
+    endings = (".csv", "-seeds.csv", "-improvement.csv", ".md", ".json")
+    expected = {f"{name}-point{ending}" for name in tables for ending in endings}
     expected |= {f"figure{number}{ending}" for number in range(3, 8) for ending in ("-point.csv", ".png")}
     assert names == expected | {"figure3-longer-point.csv"}
     for number in range(3, 8):
@@ -121,7 +144,7 @@ def test_every_study_writes_its_files(tmp_path, trained):
 
 def test_a_figure_s_data_is_what_was_measured(tmp_path, trained):
     paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    planned = paper.plan(paper.Options(quick=True, seeds=3, table=(3,)), "cpu")
+    (planned,) = paper.plan(paper.Options(quick=True, seeds=3, table=(3,)), "cpu")
     rows = read(tmp_path / "figure5-point.csv")
     for trial in map(planned.trial, BY_NAME["table3"].settings):
         (result,) = results_of([trial])
@@ -134,17 +157,9 @@ def test_a_figure_s_data_is_what_was_measured(tmp_path, trained):
             assert float(row["distance"]) == pytest.approx(result["distance_l1"][index][seed])
 
 
-def test_intervals_are_student_s():
-    """Against a printed table of t: 2.365 for 7 degrees of freedom."""
-    values = np.array([0.9, 0.95, 1.0, 1.0, 0.85, 0.97, 0.99, 1.0])
-    expected = 2.3646 * np.sqrt(np.sum((values - values.mean()) ** 2) / 7) / np.sqrt(8)
-    assert confidence_interval(values) == pytest.approx(expected, rel=1e-4)
-    assert np.isnan(confidence_interval(np.array([1.0])))
-
-
 def test_a_table_has_the_paper_s_numbers_beside_ours():
-    made_by = {"made_by": {"device": {"kind": "a chip"}}}
-    results = [results_of([trial])[0] | made_by for trial in trials_of(BY_NAME["table1"], "reach")]
+    trials = trials_of(BY_NAME["table1"], "reach")
+    results = made([results_of([trial])[0] for trial in trials], trials)
     rows = table_rows("reach", BY_NAME["table1"], results)
     by_name = {row["setting"]: row for row in rows if not row["panel"]}
     assert (by_name["GASIL"]["paper_success"], by_name["GASIL"]["paper_distance_l1"]) == (".42 ± .08", ".20 ± .07")
@@ -192,14 +207,117 @@ def test_a_stopped_run_keeps_the_programs_that_it_has(tmp_path, trained, monkeyp
     assert (tmp_path / "figure4.png").exists()
 
 
-def test_results_of_other_settings_are_refused(tmp_path, trained, capsys):
+def test_results_of_other_settings_are_set_aside_as_older_once_there_are_new_ones(tmp_path, trained, capsys):
     paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
     before = (tmp_path / "table3-point.csv").read_bytes()
-    with pytest.raises(SystemExit) as exit_info:
-        paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
-    assert exit_info.value.code == 2
-    assert "future, with pre-training.seeds is 3 there and 4 here" in capsys.readouterr().err
-    assert (tmp_path / "table3-point.csv").read_bytes() == before
+    old = json.loads((tmp_path / "table3-point.json").read_text())
+    paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
+    assert "table3 of point is older, and made again" in capsys.readouterr().out
+    older = tmp_path / "older" / old["hash"]
+    names = ("table3-point.csv", "table3-point-seeds.csv", "table3-point-improvement.csv", "table3-point.md")
+    assert {path.name for path in older.iterdir()} == {*names, "table3-point.json", "figure5-point.csv"}
+    assert (older / "table3-point.csv").read_bytes() == before
+    assert (older / "table3-point.md").read_text().startswith("**Older:**")
+    assert {row["seeds"] for row in read(tmp_path / "table3-point.csv")} == {"4"}
+    assert "lder" not in (tmp_path / "table3-point.md").read_text()
+
+
+def test_results_of_other_settings_stay_until_there_are_new_ones(tmp_path, trained, monkeypatch):
+    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    monkeypatch.setattr(work, "train_program", lambda *arguments: None)
+    paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+
+
+def test_rows_of_another_commit_than_the_newest_are_marked_as_older(tmp_path):
+    study = Study("two", "two", tuple(BY_NAME["rewards"].settings[:3]))
+    trials = trials_of(study, "point", "cpu")
+    results = made(results_of(trials), trials, ("aaa1111", "bbb2222", "aaa1111"), ("2026-01-01", "2025-12-31"))
+    assert [row["older"] for row in table_rows("point", study, results)] == ["", "older", ""]
+    write_markdown(tmp_path / "two.md", "point", study, results)
+    text = (tmp_path / "two.md").read_text()
+    assert [*map(text.count, ("*older* (bbb2222)", "*older* (aaa1111)"))] == [1, 0]
+    assert "commit aaa1111, a chip; jax 0.10.2; driver 580.1" in text and "commit bbb2222" in text
+    same = made(results_of(trials), trials, ("bbb2222",), ("2026-01-01", "2025-12-31"))
+    assert not any(row["older"] for row in table_rows("point", study, same))
+
+
+def test_files_say_what_made_them(tmp_path, trained):
+    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
+    said = json.loads((tmp_path / "table3-point.json").read_text())
+    for label, of_setting in said["made"].items():
+        made_by = of_setting["made_by"]
+        assert {"command", "commit", "device", "versions", "date"} <= made_by.keys()
+        assert {"hgail-jax", "mujoco", "mujoco-mjx", "warp-lang", "jax", "driver"} <= made_by["versions"].keys()
+        assert said["settings"][label]["seeds"] == [0, 1, 2]
+    for row in read(tmp_path / "table3-point.csv"):
+        assert all(row[name] for name in ("command", "commit", "device", "versions", "seeds"))
+        assert row["versions"].startswith("python 3")
+
+
+def test_each_seed_s_end_is_in_a_file(tmp_path, trained):
+    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
+    said, rows = json.loads((tmp_path / "table3-point.json").read_text()), read(tmp_path / "table3-point-seeds.csv")
+    assert len(rows) == 4 * 3
+    for row in rows:
+        final = said["made"][f"{row['setting']}, {row['panel']}"]["final"]
+        assert float(row["success_rate"]) == final["success"][int(row["seed"])]
+        assert float(row["distance_l2"]) == final["distance_l2"][int(row["seed"])]
+
+
+def test_settings_are_compared_by_their_seeds(tmp_path, trained):
+    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
+    said = json.loads((tmp_path / "table3-point.json").read_text())["made"]
+    rows = read(tmp_path / "table3-point-improvement.csv")
+    assert len(rows) == 4 * 3 // 2
+    for row in rows:
+        pairs = [
+            (x, y) for x in said[row["setting"]]["final"]["success"] for y in said[row["than"]]["final"]["success"]
+        ]
+        assert float(row["probability"]) == pytest.approx(np.mean([(x > y) + 0.5 * (x == y) for x, y in pairs]))
+
+
+def test_each_setting_is_compared_with_the_one_of_its_panel():
+    for study in STUDIES:
+        for setting in study.settings:
+            reference = study.compared_with(setting)
+            if reference is None:
+                assert setting.name == (study.reference or study.settings[0].name)
+            else:
+                assert reference in study.settings and reference != setting
+    table3 = BY_NAME["table3"]
+    assert [table3.compared_with(setting) for setting in table3.settings[1::2]] == [*table3.settings[::2]]
+    assert BY_NAME["table1"].compared_with(BY_NAME["table1"].settings[-1]).name == "HGAIL"
+
+
+def test_several_tasks_are_one_command_and_their_seeds_one_mean(tmp_path, trained):
+    paper.main([*QUICK, "--table", "3", "--task", "point", "reach", "--out", str(tmp_path)])
+    rows = read(tmp_path / "table3-point-reach.csv")
+    seeds = [read(tmp_path / f"table3-{task}-seeds.csv") for task in ("point", "reach")]
+    assert len(rows) == 4
+    for row in rows:
+        values = sorted(
+            float(seed["success_rate"])
+            for of_task in seeds
+            for seed in of_task
+            if (seed["setting"], seed["panel"]) == (row["setting"], row["panel"])
+        )
+        assert float(row["success_iqm"]) == pytest.approx(np.mean(values[1:-1]))  # of six, one off either end
+
+
+def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_path, trained, capsys):
+    assert not set(REPORTED_SEEDS) & set(TUNING_SEEDS)
+    paper.main(["--quick", "--study", "rewards", "gail-demo-weight", "--out", str(tmp_path)])
+    for name, seeds, purpose in (
+        ("rewards", {"0", "1"}, "reporting"),
+        ("gail-demo-weight", {"1000", "1001"}, "choosing"),
+    ):
+        assert {row["seed"] for row in read(tmp_path / f"{name}-point-seeds.csv")} == seeds
+        assert f"Seeds {min(seeds)} to {max(seeds)} are for {purpose}" in (tmp_path / f"{name}-point.md").read_text()
+    with pytest.raises(ValueError, match="from 1000 on they are for choosing"):
+        choose_seeds(tuning=False, count=1001)
+    assert not any(study.tuning for task in ("reach", "grasp") for study in studies_of(task))
 
 
 def test_figures_are_drawn_again_from_their_data(tmp_path, trained, monkeypatch):
@@ -281,10 +399,68 @@ def test_likelihoods_are_weighed_as_their_names_say(task):
     assert trials["GAIL-demo (20), no likelihood"].config.likelihood_batch == 0
 
 
+def test_the_paper_s_sizes_have_one_change_each():
+    trials = trials_of(BY_NAME["paper-sizes"], "reach")
+    assert len({trial.key() for trial in trials}) == len(trials) >= 48
+    for trial in trials:
+        changes = {**trial.setting.config, **trial.setting.hyperparameters}
+        changes.pop("pretrain", None)
+        assert len(changes) <= 2 or trial.setting.name == "raw rewards and advantages"
+        assert trial.config.policy_phases == changes.get("policy_phases", 16)
+        assert float(trial.hyperparameters.action_std) == changes.get("action_std", 1.0)
+        assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
+        samples = trial.config.num_envs * 50 // trial.config.ppo_minibatches
+        assert samples == pytest.approx(128, abs=6) or set(changes) <= {"ppo_epochs", "ppo_minibatches"}
+    programs = group_by_program(trials)
+    assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
+
+
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
     assert Scale("reach", "gpu").preset("paper").config == dataclasses.replace(
         PRESETS["paper"].config, best_episodes=256
     )
+
+
+@pytest.mark.slow
+def test_several_processes_train_what_one_does(tmp_path, monkeypatch):
+    first, *_, last = BY_NAME["rewards"].settings  # with pre-training and without: two programs
+    settings = tuple(dataclasses.replace(setting, steps=1) for setting in (first, last))
+    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(BY_NAME["rewards"], settings=settings),))
+    for count in ("1", "2"):
+        paper.main(["--quick", "--figure", "7", "--processes", count, "--out", str(tmp_path / count)])
+    one, two = (json.loads((tmp_path / count / "rewards-point.json").read_text()) for count in ("1", "2"))
+    assert one["settings"] == two["settings"]
+    for label in one["made"]:
+        assert one["made"][label]["final"] == two["made"][label]["final"]
+        assert two["made"][label]["made_by"]["command"] == one["made"][label]["made_by"]["command"]
+    assert not [path for path in (tmp_path / "2" / "parts").iterdir() if path.is_dir()]
+
+
+@pytest.mark.slow
+def test_several_processes_stop_together(tmp_path):
+    stop = threading.Event()
+    stop.set()
+    (planned,) = paper.plan(paper.Options(quick=True, figure=(7,), out=tmp_path), "cpu")
+    (tmp_path / "parts").mkdir()
+    jobs = Unfinished(planned).jobs()
+    done = []
+    carry_out(jobs, ["0", "1"], stop, lambda: done.append(1))
+    assert len(done) == 2  # each process began one, and stopped
+    assert not list((tmp_path / "parts").glob("*.json"))
+
+
+@pytest.mark.slow
+def test_the_paper_s_sizes_are_trained(tmp_path, monkeypatch):
+    """One setting of each size and of each number, but for what takes long."""
+    study = BY_NAME["paper-sizes"]
+    settings = tuple(setting for setting in study.settings if setting.config.get("num_envs", 0) < 64)
+    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=settings[:18] + settings[-2:]),))
+    paper.main(["--quick", "--study", "paper-sizes", "--out", str(tmp_path)])
+    rows = read(tmp_path / "paper-sizes-point.csv")
+    assert len(rows) == 20 and {row["first_seed"] for row in rows} == {"1000"}
+    assert all(int(row["diverged_seeds"]) == 0 for row in rows)
+    ends = {row["setting"]: row["distance_l1"] for row in rows[:18]}
+    assert len(set(ends.values())) == len(ends)  # each change changes something
 
 
 @pytest.mark.slow

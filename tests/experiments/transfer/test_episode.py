@@ -27,6 +27,12 @@ class Dot:
     def target(self):
         return self.goal
 
+    def carried(self):
+        return self.position
+
+    def reached(self):
+        return np.linalg.norm(self.position - self.goal) <= 0.05
+
     def step(self, action):
         self.told.append(np.array(action))
         self.position = self.position + 0.03 * action[:3]

@@ -124,17 +124,24 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--task", "poke"], "unknown task 'poke'; choose from point, reach"),
         (["--seeds", "-1"], "seeds is -1; it must be at least 1"),
         (["--num-envs", "-4"], "num_envs is -4; it must be at least 1"),
-        (["--iterations", "-1"], "rounds is -1; it must be at least 0"),
+        (["--iterations", "-1"], "iterations is -1; it must be at least 0"),
         (["--p-ht", "1.5"], "p_ht is 1.5; it must be from 0 to 1"),
         (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
-        (["--substeps", "3"], "substeps is 3; it must be from 4 to 20"),
-        (["--substeps", "0"], "substeps is 0; it must be from 4 to 20"),
+        (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
+        (["--substeps", "0"], "substeps is 0; it must be an integer from 4 to 20"),
         (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
         (["--likelihood", "-1"], "likelihood_weight is -1.0; it must be at least 0"),
         (["--action-std", "0"], "action_std is 0.0; it must be positive"),
         (["--action-std", "1", "2"], "action_std is (1.0, 2.0); it must be one number or 4"),
         (["--task-options", "height"], "task option 'height' is not name=value"),
-        (["--task-options", "height=tall"], "task option 'height=tall' is not name=value"),
+        (["--task-options", "height=[1]"], "task option 'height=[1]' is not name=value"),
+        (["--task-options", "height=very tall"], "task option 'height=very tall' is not name=value"),
+        (["--task-options", "height=tall"], "no option 'height'; it takes impl, substeps, worlds"),
+        (
+            ["--task", "push", "--task-options", "observation=whole"],
+            "observation is 'whole'; choose from compact, official",
+        ),
+        (["--evaluate-every", "0"], "evaluate_every is 0; it must be at least 1"),
         (["--task-options", "substeps=5"], "has an option of its own here"),
         (["--task-options", "height=1.5"], "no option 'height'; it takes impl, substeps, worlds"),
         (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the Fetch tasks"),
@@ -145,6 +152,10 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--first-seed", "2147483640"], "first_seed is 2147483640; it must be at most 2147483639"),
         (["--checkpoint-every", "0"], "checkpoint_every is 0; it must be at least 1"),
         (["--task", ".a:B"], "cannot load task '.a:B'"),
+        (["--task", ":"], "unknown task ':'; choose from point, reach"),
+        (["--resume", ""], "resume is ''; it must be a run's folder, or auto"),
+        (["--logger", "csv,paper"], "logger is 'paper'; choose from csv, tensorboard, wandb"),
+        (["--method", "gail-demo", "--demos", "none"], "hgail train: there is no file none"),
         (["--resume", "missing"], "there is no folder missing to resume"),
         (["--resume", "file"], "there is no folder file to resume"),
         (["--resume", "there", "--out", "here"], "--resume and --out exclude each other"),
@@ -191,6 +202,8 @@ def test_every_option_has_a_help_line(capsys):
     for option in run.Command.__dataclass_fields__:
         assert f"--{option.replace('_', '-')}" in shown
     assert "(default: reach)" in shown
+    assert "None" not in shown
+    assert "(default: the task's)" in shown
 
 
 def test_a_wheel_finds_its_assets(tmp_path):
@@ -208,3 +221,58 @@ def test_a_wheel_finds_its_assets(tmp_path):
         text=True,
     )
     assert done.stdout.split() == [str(tmp_path / "site" / "envs" / "assets"), "13"]
+
+
+TASK_WITH_A_MISTAKE = """
+import numpy as np
+from envs.point import Point
+
+class Mistaken(Point):
+    def step_physics(self, physics, action):
+        return physics + np.asarray(action)
+
+class Greedy(Point):
+    training = {"cpu": {"num_envs": 4}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Mistaken", "Mistaken.step_physics fails ("),
+        ("Greedy", "Greedy.training['cpu'] is not TrainingDefaults of fields that there are"),
+    ],
+)
+def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_folder, capsys, monkeypatch, name, message):
+    Path("mistaken.py").write_text(TASK_WITH_A_MISTAKE)
+    monkeypatch.syspath_prepend(str(in_folder))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    with pytest.raises(SystemExit) as exit_info:
+        run.main(["--task", f"mistaken:{name}"])
+    assert exit_info.value.code == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert [path.name for path in in_folder.iterdir()] == ["mistaken.py"]
+
+
+WHILE_COMPILING = """
+import os, signal, sys, time
+from hgail_jax.cli import main
+from hgail_jax.trainer.loop import Program
+def compile(program):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+Program.compile = compile
+main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
+"""
+
+
+def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", WHILE_COMPILING]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert done.stderr.splitlines()[-1] == "hgail train: stopped between rounds; go on with --resume run"
+    assert "Traceback" not in done.stderr
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]

@@ -6,10 +6,15 @@ import os
 import socket
 import subprocess
 import sys
+import time
 
 import numpy as np
+import pytest
 
 from tests.support import ROOT, TINY_RUN
+
+JOB = 4096 * 7 + os.getpid() % 4096
+"""A Slurm job's number, from which JAX derives the port; another one in another process."""
 
 
 def free_port():
@@ -18,12 +23,36 @@ def free_port():
         return listener.getsockname()[1]
 
 
-def start(folder, *arguments):
-    command = [sys.executable, "-c", TINY_RUN, "--task", "point", "--seeds", "1", "--num-envs", "4"]
-    arguments = ["--iterations", "1", "--out", folder, *arguments]
-    return subprocess.Popen(
-        [*command, *arguments], env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=folder.parent, stdout=subprocess.PIPE
-    )
+def start(folder, *arguments, task="point", rounds=1, variables=None):
+    command = [sys.executable, "-c", TINY_RUN, "--task", task, "--seeds", "1", "--num-envs", "4"]
+    command += ["--iterations", str(rounds), *(() if "--resume" in arguments else ("--out", str(folder))), *arguments]
+    quickly = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": quickly} | (variables or {})
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, env=environment, cwd=folder.parent, **pipes)
+
+
+def start_pair(folder, **options):
+    coordinator = ["--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
+    return [start(folder, *coordinator, "--process-id", str(process), **options) for process in range(2)]
+
+
+def slurm(process):
+    """The variables that Slurm sets in a process of a job of two, as its documentation lists them."""
+    return {
+        "SLURM_JOB_ID": str(JOB),
+        "SLURM_STEP_NODELIST": "localhost",
+        "SLURM_NTASKS": "2",
+        "SLURM_PROCID": str(process),
+        "SLURM_LOCALID": str(process),
+    }
+
+
+def wait_for_rounds(folder, count):
+    end = time.monotonic() + 300
+    while not (folder / "metrics.csv").exists() or len(rows(folder)) < count:
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 def rows(folder):
@@ -33,14 +62,56 @@ def rows(folder):
 
 def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path):
     """The environments of one seed are split between them, so they exchange every trajectory."""
-    coordinator = ["--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
-    pair = [start(tmp_path / "pair", *coordinator, "--process-id", str(process)) for process in range(2)]
+    pair = start_pair(tmp_path / "pair")
     output = [process.communicate(timeout=300)[0] for process in pair]
     assert [process.returncode for process in pair] == [0, 0]
     assert b"success" in output[0] and b"success" not in output[1]
-    assert start(tmp_path / "single").wait(timeout=300) == 0
+    single = start(tmp_path / "single")
+    single.communicate(timeout=300)
+    assert single.returncode == 0
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
     pair, single = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("pair", "single"))
     np.testing.assert_allclose(pair["distance_l1"]["mean"], single["distance_l1"]["mean"], rtol=1e-3)
     assert sorted(path.name for path in (tmp_path / "pair" / "checkpoints").iterdir()) == ["1", "2"]
+
+
+@pytest.mark.slow
+def test_two_processes_train_reach_in_c_mujoco_as_one_does(tmp_path):
+    """Each process calls the engine for its own part of the environments."""
+    options = {"task": "reach", "rounds": 2}
+    pair = start_pair(tmp_path / "pair", **options)
+    assert [(process.communicate(timeout=600)[1][-500:], process.returncode)[1] for process in pair] == [0, 0]
+    single = start(tmp_path / "single", **options)
+    single.communicate(timeout=300)
+    said = json.loads((tmp_path / "pair" / "config.json").read_text())
+    assert said["physics"]["impl"] == "c"
+    np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [0, 1])
+def test_where_a_process_of_slurm_s_is_killed_the_other_ends_and_the_run_goes_on_alone(tmp_path, killed):
+    folder, rounds, heartbeat = tmp_path / "run", 30, 10
+    options = ["--distributed", "auto", "--heartbeat-timeout", str(heartbeat)]
+    pair = [start(folder, *options, rounds=rounds, variables=slurm(process)) for process in range(2)]
+    wait_for_rounds(folder, 5)
+    pair[killed].kill()
+    error = pair[1 - killed].communicate(timeout=300)[1].decode()
+    assert pair[1 - killed].returncode != 0
+    *progress, last = error.replace("\r", "\n").strip().splitlines()
+    assert last.startswith("hgail train: ") and "--resume" in last, error
+    assert all(not line or "training" in line for line in progress), error  # the progress bar alone
+    alone = start(folder, "--resume", str(folder), rounds=rounds)
+    output = alone.communicate(timeout=300)
+    assert alone.returncode == 0, output
+    assert len(rows(folder)) == rounds + 1
+    assert (folder / "summary.json").exists()
+
+
+def test_without_a_cluster_auto_says_so(tmp_path):
+    process = start(tmp_path / "run", "--distributed", "auto")
+    error = process.communicate(timeout=300)[1].decode()
+    assert process.returncode == 2
+    assert "cannot join the processes that Slurm, Open MPI or Kubernetes started" in error.splitlines()[-1]
+    assert not list(tmp_path.iterdir())

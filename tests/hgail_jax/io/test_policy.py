@@ -1,4 +1,5 @@
 import json
+import os
 import zipfile
 
 import jax
@@ -134,3 +135,12 @@ def test_a_truncated_or_altered_file_is_refused(tmp_path, shipped_policy):
 def test_a_missing_file_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError):
         load_policy(tmp_path / "p.npz")
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=f"there is no file {tmp_path}/none.npz"):
+        load_policy(tmp_path / "none.npz")
+    os.mkfifo(tmp_path / "pipe")  # to open it would wait for ever
+    for name in ("pipe", "."):
+        with pytest.raises(ValueError, match="does not hold a policy: it is no regular file"):
+            load_policy(tmp_path / name)

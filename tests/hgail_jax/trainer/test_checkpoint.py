@@ -11,7 +11,7 @@ import pytest
 
 from hgail_jax import Checkpoints
 from hgail_jax.trainer.checkpoint import KEPT, SCHEMA
-from tests.support import four_devices, small_files_only
+from tests.support import ROOT, four_devices, small_files_only
 
 RUN = {"task": "point", "config": {"num_envs": 4, "hidden": (8, 8)}}
 
@@ -264,3 +264,44 @@ def test_a_checkpoint_says_what_it_is(tmp_path):
     assert body["schema"] == SCHEMA
     assert body["run"] == json.loads(json.dumps(RUN))
     assert set(body["arrays"]) == {"weights", "noise", "count", "flag", "key"}
+
+
+def test_a_checkpoint_that_was_renamed_is_noticed(tmp_path):
+    save_small(tmp_path, 2)
+    (tmp_path / "2").rename(tmp_path / "99")
+    read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(small_state))
+    assert read.rounds == 1
+    (line,) = read.damaged
+    assert line.endswith("is damaged: it was renamed; it is checkpoint 2")
+
+
+@pytest.mark.parametrize("kind", ["file", "loop"])
+def test_what_is_no_folder_is_refused_at_once(tmp_path, kind):
+    path = tmp_path / "checkpoints"
+    if kind == "file":
+        path.write_text("")
+    else:
+        path.symlink_to(path)
+    with pytest.raises(ValueError, match="checkpoints is no folder"):
+        Checkpoints(path, RUN)
+
+
+ON_A_FULL_DISK = """
+import sys
+from tests.hgail_jax.trainer.test_checkpoint import *
+with small_files_only(2_000):
+    try:
+        save_small(sys.argv[1], 1)
+    except OSError as error:
+        print(error)
+"""
+
+
+def test_a_full_disk_is_said_once(tmp_path):
+    """Also by what is still on its way when the first array fails."""
+    done = subprocess.run(
+        [sys.executable, "-c", ON_A_FULL_DISK, tmp_path], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("\n") == 1
+    assert done.stdout.startswith(f"cannot write a checkpoint to {tmp_path}: ")
+    assert done.stderr == ""

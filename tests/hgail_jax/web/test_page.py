@@ -102,7 +102,7 @@ def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
         assert answer.status == 200
     process.send_signal(signal.SIGINT)
     printed, errors = process.communicate(timeout=60)
-    assert (process.returncode, printed, errors) == (130, "", "hgail play: interrupted\n")
+    assert (process.returncode, printed, errors) == (130, "", "hgail play: stopped by SIGINT\n")
     assert not list(tmp_path.iterdir())
 
 

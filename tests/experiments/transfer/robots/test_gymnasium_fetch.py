@@ -1,15 +1,18 @@
 """Policies trained in MJX, unchanged, in Gymnasium-Robotics; and what they are shown there."""
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
+import envs
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from hgail_jax.io.policy import load_policy
+from tests.envs.fetch.reference import joint_indices
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +74,27 @@ def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
         )
         assert outcome.success == outcome.achieved == float(name == "from above")
         assert (grasp.target()[2] - low > 0.2) == bool(outcome.success)
+
+
+@pytest.mark.parametrize("task", ["push", "pick-and-place", "slide"])
+def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task):
+    robot, env = GymnasiumFetch(task), envs.make(task, impl="c")
+    robot.reset(np.random.default_rng(1))
+    for action in np.random.default_rng(0).uniform(-1, 1, (6, 4)):
+        robot.step(action)
+    mujoco.mj_forward(robot.model, robot.data)
+    qpos, qvel = joint_indices(env.model, robot.model)
+    ours = np.asarray(env.features(env.place(robot.data.qpos[qpos], robot.data.qvel[qvel])))
+    np.testing.assert_allclose(robot.features(), ours, atol=2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "least"), [("push", 0.9), ("pick-and-place", 0.9), ("slide", 0.3)])
+def test_controllers_written_for_ours_succeed_there(task, least):
+    policy = jax.jit(next(iter(envs.find_class(task).controllers.values())))
+    outcomes = run_episodes(GymnasiumFetch(task), [lambda seen: np.asarray(policy(seen))], range(30))
+    success = np.mean([outcome.success for outcome in outcomes])
+    print(f"{task}: {success:.2f}")
+    assert success >= least
+    for outcome in outcomes:
+        assert outcome.success == (outcome.distance_l2 < 0.05)

@@ -9,7 +9,7 @@ from experiments.transfer.tasks import TASKS
 
 
 class NeedsMore:
-    extra = "compare"
+    extra, tasks = "compare", ("reach",)
 
     def __init__(self, task):
         import no_such_module  # noqa: F401
@@ -19,6 +19,11 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(ROBOTS, "new", NeedsMore)
     with pytest.raises(ValueError, match=r"new needs the package no_such_module; pip install -e .*compare"):
         make_robot("new", "reach")
+
+
+def test_a_task_that_a_robot_cannot_do_is_refused():
+    with pytest.raises(ValueError, match="ur5e cannot do 'push'; it does reach, grasp"):
+        make_robot("ur5e", "push")
 
 
 @pytest.mark.parametrize(("robot", "package"), [("gymnasium", "gymnasium_robotics"), ("ur5e", "mink")])

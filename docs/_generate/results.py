@@ -1,0 +1,211 @@
+"""Reads measured figures from `experiments/results`, and says them in the notation of the documentation."""
+
+import csv
+import functools
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent.parent
+RESULTS = ROOT / "experiments" / "results"
+
+Row = dict[str, Any]
+
+
+@functools.cache
+def read_json(name: str) -> Any:
+    """Returns the content of a JSON file, e.g. `"runs/grasp-hgail/summary"`."""
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+@functools.cache
+def read_csv(name: str) -> tuple[Row, ...]:
+    """Returns the rows of a CSV file, e.g. `"paper/table1-reach"`, with numbers where there are numbers."""
+    with (RESULTS / f"{name}.csv").open(newline="") as file:
+        return tuple({key: _parse(key, value) for key, value in row.items()} for row in csv.DictReader(file))
+
+
+def _parse(key: str, text: str) -> Any:
+    if key.startswith("paper_"):  # "0", ".98 ± .02" and "0.95" are all notations of the paper
+        return with_leading_zeros(text)
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def pick(rows: Iterable[Row], **wanted: Any) -> Row:
+    """Returns the one row that has these values.
+
+    Raises:
+      ValueError: there is none, or there are several.
+
+    >>> pick([{"a": 1, "b": 2}, {"a": 3, "b": 4}], a=3)
+    {'a': 3, 'b': 4}
+
+    """
+    found = [row for row in rows if all(row.get(key) == value for key, value in wanted.items())]
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} rows have {wanted}; there must be one")
+    return found[0]
+
+
+def trial(table: str, setting: str, panel: str | None = None) -> Row:
+    """Returns a setting's row of a table of `paper/`, e.g. `trial("table1-reach", "HGAIL")`."""
+    wanted = {"setting": setting} if panel is None else {"setting": setting, "panel": panel}
+    return pick(read_csv(f"paper/{table}"), **wanted)
+
+
+def curve(figure: str, steps: int, setting: str, panel: str = "") -> list[float]:
+    """Returns the success of each seed after `steps` steps, from the data of a figure of `paper/`."""
+    wanted = {"setting": setting, "panel": panel, "env_steps": steps}
+    rows = [row for row in read_csv(f"paper/{figure}") if all(row[key] == value for key, value in wanted.items())]
+    if not rows:
+        raise ValueError(f"{figure} has no rows with {wanted}")
+    return [row["success"] for row in rows]
+
+
+def halfway(figure: str, setting: str) -> str:
+    """Says the mean success after 307,200 steps without pre-training, a third of the way."""
+    return fixed(mean(curve(figure, 307_200, setting, "without pre-training")), 2)
+
+
+def reached(table: str, setting: str, panel: str | None = None) -> str:
+    """Says the success rate of a setting."""
+    return fixed(trial(table, setting, panel)["success_rate"], 3)
+
+
+def off(table: str, setting: str, panel: str | None = None) -> str:
+    """Says the L1 distance of a setting, in centimetres."""
+    return f"{fixed(100.0 * trial(table, setting, panel)['distance_l1'], 1)} cm"
+
+
+def hidden(target: str, cameras: int) -> str:
+    """Says in how many plain scenes no camera sees the target."""
+    rows = read_csv("localisation/evaluation/errors")
+    return percent(pick(rows, target=target, scenes="plain", cameras=cameras, detector="network")["hidden_rate"])
+
+
+def noisy(kind: str, value: float) -> str:
+    """Says the median error of the cube's position under noise."""
+    rows = read_csv("localisation/evaluation/noise")
+    return f"{fixed(pick(rows, target='cube', detector='network', noise=kind, value=value)['median_mm'], 0)} mm"
+
+
+def peak(figure: str, setting: str, panel: str = "") -> str:
+    """Says the highest mean success that a setting had in any round."""
+    rows = [row for row in read_csv(f"paper/{figure}") if (row["setting"], row["panel"]) == (setting, panel)]
+    return fixed(max(mean(curve(figure, steps, setting, panel)) for steps in {row["env_steps"] for row in rows}), 2)
+
+
+def bench(**wanted: Any) -> Row:
+    """Returns the row of the benchmarks that has these values; `platform`, `"gpu"` or `"cpu"`, and `commit` made it."""
+    made = [(row, row["made_by"]) for row in read_json("bench/bench")["rows"]]
+    rows = [row | {"platform": by["device"]["platform"], "commit": by.get("commit")} for row, by in made]
+    return pick(rows, **wanted)
+
+
+def transfer(robot: str, task: str, stage: str = "exact goal", hand: str = "closed", period: int = 40) -> Row:
+    """Returns a row of table 4; `robot` is the beginning of its name."""
+    rows = [row for row in read_csv("transfer/table4") if row["robot"].startswith(robot)]
+    return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
+
+
+def disturbed(robot: str, task: str, quantity: str, value: float) -> Row:
+    """Returns a point of the curves of success against disturbances."""
+    rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
+    return pick(rows, task=task, quantity=quantity, value=value)
+
+
+def mean(values: list[float]) -> float:
+    """Returns the mean.
+
+    >>> mean([1.0, 2.0])
+    1.5
+    """
+    return sum(values) / len(values)
+
+
+def with_leading_zeros(text: str) -> str:
+    """Writes decimals with a zero before the point.
+
+    >>> with_leading_zeros(".98 ± .02"), with_leading_zeros("0.95")
+    ('0.98 ± 0.02', '0.95')
+    """
+    return re.sub(r"(?<!\d)\.(?=\d)", "0.", text)
+
+
+def fixed(value: float, digits: int) -> str:
+    """Rounds to so many digits behind the point.
+
+    >>> fixed(0.1234, 2), fixed(1.0, 3)
+    ('0.12', '1.000')
+    """
+    return f"{value:.{digits}f}"
+
+
+def success(row: Row) -> str:
+    """Says a success rate with the interval of its mean, where there is one.
+
+    >>> success({"success_rate": 0.9, "success_ci95": 0.02})
+    '0.900 ± 0.020'
+    """
+    interval = row.get("success_ci95", "")
+    return fixed(row["success_rate"], 3) + (f" ± {fixed(interval, 3)}" if interval != "" else "")
+
+
+def rate(value: float) -> str:
+    """Says a number per second, or another large one, with three digits.
+
+    >>> rate(368_468.0), rate(12_254_835.4), rate(1304.3)
+    ('368 k', '12.3 M', '1.30 k')
+    """
+    factor, suffix = next((pair for pair in ((1e6, " M"), (1e3, " k"), (1.0, "")) if value >= pair[0]), (1.0, ""))
+    value /= factor
+    return fixed(value, 0 if value >= 99.95 else 1 if value >= 9.995 else 2) + suffix
+
+
+def count(value: float) -> str:
+    """Says a whole number with commas.
+
+    >>> count(10291200.0)
+    '10,291,200'
+    """
+    return f"{round(value):,}"
+
+
+def seconds(value: float) -> str:
+    """Says a duration: tenths below ten seconds.
+
+    >>> seconds(6.7975), seconds(178.2), seconds(40.57)
+    ('6.8 s', '178 s', '41 s')
+    """
+    return f"{fixed(value, 1 if value < 9.95 else 0)} s"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Says a share in per cent.
+
+    >>> percent(0.094), percent(0.00263, 1)
+    ('9 %', '0.3 %')
+    """
+    return f"{fixed(100.0 * share, digits)} %"
+
+
+def printed(run: str) -> str:
+    """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
+    summary = read_json(f"runs/{run}/summary")
+    rates, spent = summary["success_rate"], {what: fixed(time, 1) for what, time in summary["wall_seconds"].items()}
+    success_line = (
+        f"success {fixed(rates['mean'], 3)} ± {fixed(rates['std'], 3)} (worst seed {fixed(min(rates['per_seed']), 3)}),"
+        f" L1 distance {fixed(summary['distance_l1']['mean'], 3)} m,"
+        f" {count(summary['env_steps_per_seed'])} env steps per seed"
+    )
+    seconds_line = (
+        f"compile {spent['compile']} s, train {spent['train']} s at"
+        f" {count(summary['env_steps_per_second'])} env steps/s, evaluate {spent['evaluation']} s,"
+        f" total {spent['total']} s -> runs/{summary['task']}-{summary['method']}-1"
+    )
+    return f"\n\n```\n{success_line}\n{seconds_line}\n```\n\n"

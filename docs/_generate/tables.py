@@ -1,0 +1,335 @@
+"""Writes the tables of the documentation, as Markdown, from what was measured."""
+
+from typing import Any
+
+from docs._generate.results import (
+    Row,
+    bench,
+    count,
+    fixed,
+    pick,
+    rate,
+    read_csv,
+    read_json,
+    seconds,
+    success,
+    transfer,
+    trial,
+)
+
+_UNBROKEN = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+
+
+def markdown(header: list[str], rows: list[list[str]]) -> str:
+    """Returns a Markdown table, with blank lines around it: it must not stand on a comment's line.
+
+    >>> print(markdown(["a", "b"], [["1", "2"]]).strip())
+    | a | b |
+    |---|---|
+    | 1 | 2 |
+    """
+    lines = [header, *rows]
+    text = ["| " + " | ".join(line).replace(" ± ", _UNBROKEN) + " |" for line in lines]
+    return "\n\n" + "\n".join([text[0], "|" + "---|" * len(header), *text[1:]]) + "\n\n"
+
+
+def methods(task: str, *more: tuple[str, str, str]) -> str:
+    """Table 1 of a task, the runs of more steps, and `more` rows, each a table, a setting and a panel."""
+    rows = [*read_csv(f"paper/table1-{task}"), *read_csv(f"paper/table1-longer-{task}")]
+    rows += [trial(*each) for each in more]
+    return studied(rows)
+
+
+def study(table: str) -> str:
+    """Returns a whole table of `paper/`, e.g. `"table2-reach"`."""
+    return studied(list(read_csv(f"paper/{table}")))
+
+
+def studied(rows: list[Row]) -> str:
+    """Returns rows of `paper/` beside the paper's figures, HGAIL's first."""
+    rows = sorted(rows, key=lambda row: not row["setting"].startswith("HGAIL"))
+    header = ["setting", "success: paper", "here", "worst seed", "L1 (m): paper", "here", "env steps per seed"]
+    return markdown(
+        header,
+        [
+            [
+                ", ".join(filter(None, (row["setting"], row["panel"].replace("variants", "")))),
+                row["paper_success"],
+                success(row),
+                fixed(row["worst_seed"], 3),
+                row["paper_distance_l1"],
+                fixed(row["distance_l1"], 3),
+                count(row["env_steps_per_seed"]),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def tried() -> str:
+    """What was tried on grasp; the standard deviations are of x, y, z and of the hand."""
+    return markdown(
+        ["σ of x, y, z; hand", "weight of the likelihood", "PPO", "success of the two seeds", "L1 distance"],
+        [
+            [
+                "{}; {}".format(row["action_std"].split()[0], row["action_std"].split()[-1]),
+                f"{row['likelihood_weight']:g}",
+                "yes" if row["ppo_weight"] else "no",
+                ", ".join(fixed(row[f"success_seed_{seed}"], 2) for seed in (0, 1)),
+                f"{fixed(row['distance_l1'], 3)} m",
+            ]
+            for row in read_csv("paper/grasp-tried")
+        ],
+    )
+
+
+def older() -> str:
+    """Older runs of grasp, less or other than the default."""
+    return markdown(
+        ["what", "success of the seeds", "L1 distance"],
+        [
+            [
+                row["what"],
+                ", ".join(fixed(float(each), 2) for each in row["success_per_seed"].split()),
+                f"{fixed(row['distance_l1'], 3)} m",
+            ]
+            for row in read_csv("paper/grasp-older")
+        ],
+    )
+
+
+def time_to_success() -> str:
+    """How long eight seeds take on one H200."""
+    rows = [bench(section="time-to-success", task=task, platform="gpu") for task in ("reach", "grasp")]
+    header = ["task", "until every seed has", "this takes", "training in all", "compilation", "start to end"]
+    return markdown(
+        [*header, "success in the end"],
+        [
+            [
+                row["task"],
+                fixed(row["wanted"], 2),
+                seconds(row["seconds_until_every_seed"]),
+                *(seconds(row[f"{what}_seconds"]) for what in ("train", "compile", "total")),
+                fixed(row["final_success_mean"], 3),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def compilation() -> str:
+    """What caches save at the start of a run."""
+    row = bench(section="compile")
+    states = {"first": ("to be compiled",) * 2, "cold": ("in the cache", "to be compiled")}
+    states["cached"] = ("in the cache", "in the cache")
+    return markdown(
+        ["MuJoCo Warp's kernels", "the program that trains", "its compilation", "start to end"],
+        [
+            [*words, seconds(row[f"{state}_compile_seconds"]), seconds(row[f"{state}_total_seconds"])]
+            for state, words in states.items()
+        ],
+    )
+
+
+def stepping() -> str:
+    """Env steps per second of physics and of training, by MJX-Warp on one H200."""
+    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "speed" and row["impl"] == "warp"]
+    rows = [row for row in rows if "train_env_steps_per_second" in row]
+    rows.sort(key=lambda row: (row["task"] != "reach", row["task"], row["substeps"], row["num_envs"]))
+    return markdown(
+        ["task, physics steps per action", "environments", "raw", "raw / engine's own", "training", "training / raw"],
+        [
+            [
+                f"{row['task']}, {row['substeps']} × {40 // row['substeps']} ms",
+                count(row["num_envs"]),
+                rate(row["raw_env_steps_per_second"]),
+                fixed(row["raw_to_bare"], 3),
+                rate(row["train_env_steps_per_second"]),
+                fixed(row["train_to_raw"], 3),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def several_gpus() -> str:
+    """Training of reach on two and four H200s."""
+    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "devices"]
+    header = ["training of reach", "GPUs", "one GPU with all", "all GPUs", "speed-up, weak", "speed-up, strong"]
+    return markdown(header, [_on_gpus(row, rows) for row in rows if row["devices"] > 1])
+
+
+def _on_gpus(row: Row, rows: list[Row]) -> list[str]:
+    same: dict[str, Any] = {name: row[name] for name in ("seeds", "num_envs_per_seed")}
+    seeds = "one seed" if row["seeds"] == 1 else f"{row['seeds']} seeds"
+    return [
+        f"{seeds} of {count(row['num_envs_per_seed'])} environments",
+        str(row["devices"]),
+        rate(pick(rows, **same, devices=1)["train_env_steps_per_second"]),
+        rate(row["train_env_steps_per_second"]),
+        fixed(row["weak_speed_up"], 2),
+        fixed(row["strong_speed_up"], 2),
+    ]
+
+
+def on_a_cpu() -> str:
+    """Env steps per second on two CPU cores: C MuJoCo in the program, its bare loop, and MJX-JAX."""
+    rows = [
+        row for row in read_json("bench/bench")["rows"] if row["section"] == "speed" and row["impl"] in ("c", "jax")
+    ]
+    rows = [row for row in rows if row["made_by"]["device"]["platform"] == "cpu"]
+    return markdown(
+        ["task", "engine", "environments", "physics steps", "raw", "its bare loop", "ratio", "training"],
+        [
+            [
+                row["task"],
+                {"c": "C MuJoCo", "jax": "MJX-JAX"}[row["impl"]],
+                count(row["num_envs"]),
+                str(row["substeps"]),
+                rate(row["raw_env_steps_per_second"]),
+                rate(row.get("bare_rollout_env_steps_per_second", row.get("bare_mjx_env_steps_per_second"))),
+                fixed(row["raw_to_bare"], 2),
+                rate(row["train_env_steps_per_second"]) if "train_env_steps_per_second" in row else "",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def peers() -> str:
+    """How fast others step, on the same two CPU cores and on an H200."""
+    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "peers" and "success" not in row]
+    return markdown(
+        ["what", "where", "environments", "physics steps", "env steps per second"],
+        [
+            [
+                f"{row['what']}, {row['task']}",
+                "2 CPU cores" if row["made_by"]["device"]["platform"] == "cpu" else "one H200",
+                count(row["num_envs"]) if "num_envs" in row else "",
+                str(row["substeps"]),
+                rate(row["env_steps_per_second"]),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def robots() -> str:
+    """Table 4: policies run unchanged on other robots."""
+    rows = read_csv("transfer/table4")
+    header = ["robot", "task", "hand at the start, action", "goal from", "success", "95 % interval", "L1 distance"]
+    return markdown(
+        header,
+        [
+            [
+                row["robot"].removesuffix(" on C MuJoCo").removesuffix(", C MuJoCo"),
+                row["task"],
+                f"{row['hand_at_start']}, {row['milliseconds_per_action']:.0f} ms",
+                row["stage"].removesuffix(" goal").replace("exact", "simulator"),
+                fixed(row["success_rate"], 3),
+                f"{fixed(row['success_low'], 3)} to {fixed(row['success_high'], 3)}",
+                f"{fixed(row['distance_l1'], 3)} m",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def localised() -> str:
+    """Errors of the target's position with two cameras and no noise."""
+    rows = [row for row in read_csv("localisation/evaluation/errors") if row["cameras"] == 2]
+    return markdown(
+        ["target, scenes", "detector", "median", "95 % below", "not found", "more than 5 cm off"],
+        [
+            [
+                f"{'ball' if row['target'] == 'marker' else row['target']}, {row['scenes']}",
+                "largest red patch" if row["detector"] == "colour" else row["detector"],
+                *(f"{fixed(row[name], 1)} mm" for name in ("median_mm", "p95_mm")),
+                fixed(row["not_found_rate"], 3),
+                fixed(row["far_rate"], 3),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def headline() -> str:
+    """The four figures of the front page, an unflattering one among them."""
+    reach, grasp = trial("table1-reach", "HGAIL"), trial("table1-grasp", "HGAIL")
+    ur5e = transfer("UR5e", "grasp", hand="open", period=160)
+    sizes = trial("ablations-reach", "the paper's sizes", "with pre-training")
+    return markdown(
+        ["what", "paper", "here"],
+        [
+            ["reach", reach["paper_success"], success(reach)],
+            ["grasp, lifted", grasp["paper_success"], success(grasp)],
+            ["the same policy picks with a UR5e", "0.93 ± 0.04", fixed(ur5e["success_rate"], 3)],
+            ["reach with the paper's own sizes", reach["paper_success"], success(sizes)],
+        ],
+    )
+
+
+def suite() -> str:
+    """Eight seeds of each task of the Fetch suite on one H200."""
+    rows = [read_json(f"runs/{task}-hgail/summary") for task in ("reach", "grasp", "push", "pick-and-place")]
+    header = ["task", "success", "worst seed", "L1 distance", "env steps per seed", "training", "start to end"]
+    return markdown(
+        header,
+        [
+            [
+                row["task"],
+                f"{fixed(row['success_rate']['mean'], 3)} ± {fixed(row['success_rate']['std'], 3)}",
+                fixed(min(row["success_rate"]["per_seed"]), 3),
+                f"{fixed(row['distance_l1']['mean'], 3)} m",
+                count(row["env_steps_per_seed"]),
+                *(seconds(row["wall_seconds"][what]) for what in ("train", "total")),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def official() -> str:
+    """Policies run unchanged in Gymnasium-Robotics' environments."""
+    return markdown(
+        ["task", "success", "95 % interval", "episodes"],
+        [
+            [
+                row["task"],
+                fixed(row["success_rate"], 3),
+                f"{fixed(row['success_low'], 3)} to {fixed(row['success_high'], 3)}",
+                str(row["episodes"]),
+            ]
+            for row in read_json("suite/gymnasium")["rows"]
+        ],
+    )
+
+
+def each_seed(table: str) -> str:
+    """Returns a table of `suite/`: settings, and the success of each of their seeds."""
+    return markdown(
+        ["setting", "success", "of each seed"],
+        [
+            [
+                row["setting"],
+                fixed(row["success_rate"], 2),
+                ", ".join(fixed(value, 2) for value in row["success_per_seed"]),
+            ]
+            for row in read_json(f"suite/{table}")["rows"]
+        ],
+    )
+
+
+def grasp_on_two_cores() -> str:
+    """One seed of grasp at a time on two cores."""
+    return markdown(
+        ["seed", "success", "training", "start to end"],
+        [
+            [
+                str(row["seed"]),
+                fixed(row["success_rate"], 3),
+                *(seconds(row[f"{what}_seconds"]) for what in ("train", "total")),
+            ]
+            for row in read_json("suite/grasp-on-two-cores")["rows"]
+        ],
+    )

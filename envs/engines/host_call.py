@@ -1,0 +1,177 @@
+"""Calls a function of NumPy arrays from within a compiled program on a CPU.
+
+`jax.pure_callback` does so too. But there the program holds the function's address, so that JAX cannot keep the program
+in its compilation cache, and each call makes JAX arrays. Here XLA finds the function by its name, through its foreign
+function interface, and hands over its own buffers. The structures below are those of jaxlib's
+`xla/ffi/api/c_api.h`; XLA refuses a function that was written for another major version of them.
+"""
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+HostFunction = Callable[..., Sequence[np.ndarray]]
+"""Arrays in single precision to arrays in single precision. JAX must not be used in it, not even to convert an array:
+it may wait for the very program that waits for it."""
+
+_MAJOR_VERSION = 0
+_METADATA = 1  # kind of extension by which XLA asks for the version
+_INTERNAL = 13  # code of an error
+_PREFIX = "hgail_jax."
+
+
+class _Version(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.c_void_p),
+        ("major", ctypes.c_int),
+        ("minor", ctypes.c_int),
+    )
+
+
+class _ErrorArguments(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.c_void_p),
+        ("message", ctypes.c_char_p),
+        ("code", ctypes.c_int),
+    )
+
+
+class _Api(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.c_void_p),
+        ("version", _Version),
+        ("internal", ctypes.c_void_p),
+        ("create_error", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_ErrorArguments))),
+    )
+
+
+class _Metadata(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("version", _Version),
+        ("traits", ctypes.c_uint32),
+    )
+
+
+class _Extension(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("kind", ctypes.c_int),
+        ("next", ctypes.c_void_p),
+        ("metadata", ctypes.POINTER(_Metadata)),
+    )
+
+
+class _Buffer(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.c_void_p),
+        ("dtype", ctypes.c_int),
+        ("data", ctypes.c_void_p),
+        ("rank", ctypes.c_int64),
+        ("dims", ctypes.POINTER(ctypes.c_int64)),
+    )
+
+    def array(self) -> np.ndarray:
+        """Returns the buffer as an array, without a copy."""
+        shape = tuple(self.dims[: self.rank])
+        floats = ctypes.cast(self.data, ctypes.POINTER(ctypes.c_float))
+        return np.ctypeslib.as_array(floats, shape)
+
+
+class _Buffers(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.c_void_p),
+        ("count", ctypes.c_int64),
+        ("kinds", ctypes.c_void_p),
+        ("items", ctypes.POINTER(ctypes.POINTER(_Buffer))),
+    )
+
+    def arrays(self) -> list[np.ndarray]:
+        return [self.items[index].contents.array() for index in range(self.count)]
+
+
+class _Frame(ctypes.Structure):
+    _fields_ = (
+        ("struct_size", ctypes.c_size_t),
+        ("extension_start", ctypes.POINTER(_Extension)),
+        ("api", ctypes.POINTER(_Api)),
+        ("context", ctypes.c_void_p),
+        ("stage", ctypes.c_int),
+        ("arguments", _Buffers),
+        ("results", _Buffers),
+    )
+
+
+_Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
+_registered: dict[str, Any] = {}  # for good: a compiled program may call at any time
+
+
+def host_call(
+    name: str, function: HostFunction, results: Sequence[jax.ShapeDtypeStruct], *arguments: jax.Array
+) -> tuple[jax.Array, ...]:
+    """Calls `function` when the program runs; under `jax.vmap` once for the whole batch.
+
+    The function must be pure: its calls may be repeated or left out.
+
+    Args:
+      name: of the function, which must be the same in another process exactly where the function is. The first function
+        of a name is the one that is called.
+      function: takes arrays `[..., n]` and returns arrays `[..., m]`, with all the batch's axes in front.
+      results: what it returns for a single element of the batch, in single precision.
+      *arguments: what it is given, in single precision.
+
+    Returns:
+      The results.
+
+    """
+    if name not in _registered:
+        handler = _Handler(_make_handler(function))
+        capsule = _new_capsule(ctypes.cast(handler, ctypes.c_void_p), None, None)
+        jax.ffi.register_ffi_target(_PREFIX + name, capsule, platform="cpu")
+        _registered[name] = handler
+    return tuple(jax.ffi.ffi_call(_PREFIX + name, tuple(results), vmap_method="broadcast_all")(*arguments))
+
+
+_new_capsule = ctypes.pythonapi.PyCapsule_New
+_new_capsule.restype = ctypes.py_object
+_new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+
+
+def _make_handler(function: HostFunction) -> Callable[[Any], int | None]:
+    """Returns what XLA calls: it returns the address of an error, or None."""
+
+    def handle(pointer: Any) -> int | None:
+        frame = pointer.contents
+        extension = frame.extension_start
+        if extension and extension.contents.kind == _METADATA:
+            _answer(extension.contents.metadata.contents, frame.api)
+            return None
+        try:
+            results = function(*frame.arguments.arrays())
+            for buffer, result in zip(frame.results.arrays(), results, strict=True):
+                buffer[...] = result
+        except BaseException as error:  # also what a signal raised: nothing may pass through XLA
+            return _make_error(frame.api.contents, f"{type(error).__name__}: {error}")
+        return None
+
+    return handle
+
+
+def _answer(metadata: _Metadata, api: Any) -> None:
+    """Tells XLA the version that the function was written for."""
+    metadata.version.major = _MAJOR_VERSION
+    metadata.version.minor = api.contents.version.minor if api else 0  # minor versions only add to the structures
+    metadata.traits = 0
+
+
+def _make_error(api: _Api, message: str) -> int:
+    arguments = _ErrorArguments(ctypes.sizeof(_ErrorArguments), None, message.encode(), _INTERNAL)
+    return api.create_error(ctypes.byref(arguments))

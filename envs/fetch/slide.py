@@ -1,0 +1,55 @@
+"""FetchSlide: hit a puck so that it slides to a place out of reach."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from envs.base import Controller, TrainingDefaults
+from envs.engines import resolve_impl
+from envs.fetch import controllers
+from envs.fetch.arm import ACCURATE_SUBSTEPS
+from envs.fetch.objects import OBSERVATIONS
+from envs.fetch.push import Push
+from envs.fetch.training import training_defaults
+
+
+class Slide(Push):
+    """FetchSlide: hit a puck so that it slides over a long table to a place out of the hand's reach.
+
+    The observation is that of `Push`, with the puck in the cube's place, and so are the goals to learn from.
+
+    An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
+    uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
+    0.40 m before the gripper's start, on the table. It is a success if after the last step the puck's centre is within
+    5 cm of the target.
+
+    See `ObjectEnv` for the arguments. MJX-JAX cannot collide a puck with a table that has edges.
+
+    Raises:
+      ValueError: the engine is MJX-JAX.
+
+    """
+
+    base_x = 0.05
+    start_height = -0.02
+    object_name = "puck"
+    object_range = 0.1
+    target_range = 0.3
+    target_offset = 0.4
+
+    scene = "fetch/slide"
+    reference = "FetchSlide-v4"
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
+    training: ClassVar[Mapping[str, TrainingDefaults]] = {
+        platform: training_defaults(num_envs=1024, rounds=150, trivial_weight=0.3) for platform in ("cpu", "gpu")
+    }
+
+    def __init__(
+        self,
+        impl: str = "auto",
+        substeps: int = ACCURATE_SUBSTEPS,
+        worlds: int = 4096,
+        observation: str = OBSERVATIONS[0],
+    ) -> None:
+        if resolve_impl(impl) == "jax":
+            raise ValueError("slide cannot run on impl 'jax', which collides no cylinder with a box; use 'c' or 'warp'")
+        super().__init__(impl, substeps, worlds, observation)

@@ -1,0 +1,59 @@
+"""What a study is: settings that one table or figure compares."""
+
+import dataclasses
+from typing import Any
+
+PAPER_DEMONSTRATIONS = 20
+"""Demonstrations of GAIL-demo; the paper does not say how many it has."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """One line of a figure and row of a table."""
+
+    name: str
+    panel: str = ""
+    """The row of a figure that the line is in."""
+    method: str = "hgail"
+    config: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Changes to the method's config."""
+    hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
+    steps: int = 1
+    """Environment steps, as a multiple of those that HGAIL takes by default."""
+    preset: str = "parallel"
+    demonstrations: int = 0
+    paper: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
+    """By task, the paper's success rate and L1 distance (m)."""
+
+    @property
+    def label(self) -> str:
+        """Name and panel: what tells it from the others of its study."""
+        return ", ".join(filter(None, (self.name, self.panel)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """What one training serves: a table, a figure, or both."""
+
+    name: str
+    """Of its files: `<name>-<task>.csv` and so on."""
+    title: str
+    settings: tuple[Setting, ...]
+    table: int | None = None
+    """The paper's number; more than one study may belong to it."""
+    figure: int | None = None
+    """The paper's number."""
+    reference: str = ""
+    """Name of the setting that the others are compared with; by default the first."""
+    tuning: bool = False
+    """Whether settings are chosen by it: it then has seeds of its own, see `experiments.paper.seeds`."""
+
+    def compared_with(self, setting: Setting) -> Setting | None:
+        """Returns the setting to compare one with: the reference of its panel, else the first of that name.
+
+        None for the reference itself.
+        """
+        name = self.reference or self.settings[0].name
+        named = [other for other in self.settings if other.name == name]
+        found = next((other for other in named if other.panel == setting.panel), named[0])
+        return None if found.label == setting.label else found

@@ -1,0 +1,72 @@
+"""The studies that settings are chosen by, on seeds that nothing is reported of."""
+
+import dataclasses
+from typing import Any
+
+from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
+from hgail_jax.config import REWARDS
+
+
+def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
+    return Setting(name, preset="paper", config=config or {}, hyperparameters=hyperparameters, steps=3)
+
+
+# The paper's preset has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each,
+# and 50 of 64 for the discriminator. All that differs in numbers alone is one program.
+_OF_NUMBERS = (
+    _change("as they are"),
+    *(_change(f"σ {std:g}", action_std=std) for std in (0.1, 0.2, 0.3, 0.5)),
+    *(_change(f"policy's learning rate {rate:g}", policy_learning_rate=rate) for rate in (1e-4, 3e-4)),
+    *(
+        _change(f"discriminator's learning rate {rate:g}", discriminator_learning_rate=rate)
+        for rate in (1e-4, 1e-3, 3e-3)
+    ),
+    _change("raw rewards / 50", standardize_reward=False),
+    _change("raw rewards", standardize_reward=False, reward_scale=50.0),
+    _change("standardised rewards, not / 50", reward_scale=50.0),
+    *(_change(name, reward=REWARDS[name]) for name in ("r2", "r3")),
+    _change("raw observations", standardize_observation=False),
+    _change("raw advantages", standardize_advantage=False),
+    _change("raw rewards and advantages", standardize_advantage=False, standardize_reward=False, reward_scale=50.0),
+)
+_OF_COUNTS = (
+    _change("policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}),
+    _change("policy: 1 update of 3,200", {"ppo_minibatches": 1}),
+    _change("policy: 5 updates of 640", {"ppo_minibatches": 5}),
+    _change("policy: 2 × 4 updates of 800", {"ppo_epochs": 2, "ppo_minibatches": 4}),
+    _change("policy: 4 × 25 updates of 128", {"ppo_epochs": 4}),
+    *(_change(f"discriminator: {count} updates", {"discriminator_minibatches": count}) for count in (1, 10, 200, 500)),
+    *(
+        _change(f"phases {policy} + {discriminator}", {"policy_phases": policy, "discriminator_phases": discriminator})
+        for policy, discriminator in ((1, 3), (3, 3), (16, 16))
+    ),
+    *(
+        _change(f"{episodes} episodes in a phase", {"num_envs": episodes, "ppo_minibatches": minibatches})
+        for episodes, minibatches in ((5, 2), (16, 6), (256, 100))  # of 125 to 133 samples each
+    ),
+)
+_PAPER_SIZES = Study(
+    "paper-sizes",
+    "the paper's sizes with one change",
+    tuple(
+        dataclasses.replace(setting, panel=panel, config=setting.config | pretrain)
+        for panel, pretrain in (("with pre-training", {}), ("without pre-training", {"pretrain": False}))
+        for setting in _OF_NUMBERS + _OF_COUNTS
+    ),
+    tuning=True,
+)
+_GAIL_DEMO_WEIGHT = Study(
+    "gail-demo-weight",
+    "weights of GAIL-demo's likelihood",
+    tuple(
+        Setting(
+            f"likelihood × {weight:g}",
+            method="gail-demo",
+            hyperparameters={"likelihood_weight": weight},
+            demonstrations=PAPER_DEMONSTRATIONS,
+        )
+        for weight in (1.0, 0.3, 3.0, 10.0)
+    ),
+    tuning=True,
+)
+TUNING_STUDIES = (_PAPER_SIZES, _GAIL_DEMO_WEIGHT)

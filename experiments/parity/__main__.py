@@ -1,0 +1,77 @@
+"""Compares the Fetch tasks with Gymnasium-Robotics' on the same machine, and writes the table of it.
+
+python -m experiments.parity
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import envs
+from envs.fetch.arm import ACCURATE_SUBSTEPS, FAST_SUBSTEPS
+from experiments.parity.moves import one_step_errors, open_loop_drift, open_loop_ends, random_moves
+from experiments.parity.reference import make_reference
+from hgail_jax.cli.command_line import parse
+from hgail_jax.io.files import write_json
+from hgail_jax.trainer.provenance import provenance
+
+PROGRAM = "parity.py"
+_ROWS = (
+    ("reach", "c", ACCURATE_SUBSTEPS),
+    ("reach", "c", FAST_SUBSTEPS),
+    ("reach", "jax", ACCURATE_SUBSTEPS),
+    ("reach", "jax", FAST_SUBSTEPS),
+    ("grasp", "c", ACCURATE_SUBSTEPS),
+    ("grasp", "c", 8),
+    ("push", "c", ACCURATE_SUBSTEPS),
+    ("pick-and-place", "c", ACCURATE_SUBSTEPS),
+    ("slide", "c", ACCURATE_SUBSTEPS),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Measures how far the gripper goes another way than the reference's, for each engine that runs on a CPU."""
+
+    out: Path = Path("runs/parity/parity.json")
+    """The file to write."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line."""
+    command = parse(Command, PROGRAM, __doc__, arguments)
+    rows = []
+    for task, impl, substeps in _ROWS:
+        rows.append(measure(task, impl, substeps))
+        print(
+            "  ".join(
+                f"{name} {value:.3g}" if isinstance(value, float) else f"{value}" for name, value in rows[-1].items()
+            )
+        )
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    write_json(command.out, {"rows": rows, "made_by": provenance()})
+
+
+def measure(task: str, impl: str, substeps: int) -> dict[str, str | int | float]:
+    """Returns a row of the table: errors of the gripper in one action and drifts without feedback, millimetres."""
+    env = envs.make(task, impl=impl, substeps=substeps)
+    reference = make_reference(env)
+    errors = 1000 * one_step_errors(env, reference, random_moves(reference))
+    drift = 1000 * open_loop_drift(env, *open_loop_ends(reference))
+    return {
+        "task": task,
+        "reference": str(env.reference),
+        "impl": impl,
+        "substeps": substeps,
+        "moves": len(errors),
+        "one_step_median_mm": float(np.median(errors)),
+        "one_step_p99_mm": float(np.percentile(errors, 99)),
+        "episodes": len(drift),
+        "drift_median_mm": float(np.median(drift)),
+        "drift_worst_mm": float(drift.max()),
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""Where a run's measurements go: a table, TensorBoard, Weights & Biases; each is a class and an entry of `LOGGERS`."""
+
+import abc
+import importlib
+import itertools
+import json
+import os
+import uuid
+from pathlib import Path
+from typing import Any, ClassVar
+
+import imageio
+import numpy as np
+
+from hgail_jax.io.files import replace_file, write_csv
+from hgail_jax.statistics import confidence_interval
+from hgail_jax.trainer.run import Run
+from hgail_jax.validation import check_name
+
+_PROJECT = "hgail_jax"
+_FILM_STEP = 4  # of a film's frames, and of its rows and columns, TensorBoard is given one in so many
+
+Record = dict[str, Any]
+"""What a round measured, see `hgail_jax.trainer.loop.round_record`."""
+
+
+class Logger(abc.ABC):
+    """Takes what a run measures to one place.
+
+    Args:
+      folder: the run's folder.
+      run: what is trained.
+      settings: what else is to be known of it: config.json's content.
+      history: the records of the rounds that are done already, where a run goes on.
+
+    Raises:
+      OSError: it cannot be opened.
+
+    """
+
+    library: ClassVar[str | None] = None
+    """The module that it needs; the extra which installs it has the logger's name."""
+
+    def __init__(self, folder: Path, run: Run, settings: dict[str, Any], history: list[Record]) -> None:
+        del settings, history
+        self.folder, self.run = folder, run
+
+    @classmethod  # noqa: B027  (not all have something to do, here and below)
+    def check(cls) -> None:
+        """Raises a ValueError if it cannot be used here, apart from what it needs as a library."""
+
+    @abc.abstractmethod
+    def rounds(self, history: list[Record]) -> None:
+        """Takes the records of all rounds so far, after each round."""
+
+    def finish(self, summary: dict[str, Any], curves: Path) -> None:  # noqa: B027
+        """Takes what came of the run: summary.json's content, and the picture of its curves."""
+
+    def film(self, path: Path) -> None:  # noqa: B027
+        """Takes a film of the trained policy."""
+
+    def close(self) -> None:  # noqa: B027
+        """Ends the log, for this process."""
+
+
+class CsvLogger(Logger):
+    """metrics.csv, a row per round and seed; what a round did not measure is left empty."""
+
+    def rounds(self, history: list[Record]) -> None:
+        """See `Logger`; the table is written anew, so that it has each round once."""
+        rows = [
+            {"seed": self.run.first_seed + seed}
+            | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
+            for record in history
+            for seed in range(self.run.seeds)
+        ]
+        write_csv(self.folder / "metrics.csv", rows)
+
+
+class TensorboardLogger(Logger):
+    """TensorBoard's event files in `tensorboard/`, over environment steps per seed."""
+
+    library = "tensorboardX"
+
+    def __init__(self, folder: Path, run: Run, settings: dict[str, Any], history: list[Record]) -> None:
+        from tensorboardX import SummaryWriter
+
+        super().__init__(folder, run, settings, history)
+        goes_on = (folder / "tensorboard").is_dir()
+        self._done = len(history) if goes_on else 0
+        # What was measured after the checkpoint that a run goes on from is measured again.
+        purge = (history[-1]["env_steps"] + 1 if history else 0) if goes_on else None
+        self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge)
+        if not goes_on:
+            self._writer.add_text("settings", f"```json\n{json.dumps(settings, indent=2, default=str)}\n```")
+
+    def rounds(self, history: list[Record]) -> None:
+        """See `Logger`."""
+        for record in history[self._done :]:
+            for name, value in scalars(record, self.run.first_seed).items():
+                self._writer.add_scalar(name, value, record["env_steps"])
+        self._done = len(history)
+        self._writer.flush()
+
+    def finish(self, summary: dict[str, Any], curves: Path) -> None:
+        """See `Logger`."""
+        self._writer.add_image("curves", imageio.v3.imread(curves), dataformats="HWC")
+        settings = {name: value for name, value in _flat(self.run.identity()).items() if value is not None}
+        plain = {
+            name: value if isinstance(value, bool | int | float) else str(value) for name, value in settings.items()
+        }
+        self._writer.add_hparams(plain, _final(summary), name="summary")
+
+    def film(self, path: Path) -> None:
+        """See `Logger`; TensorBoard shows a film as a GIF, and this one is small and coarse."""
+        from tensorboardX.proto.summary_pb2 import Summary
+
+        reader: Any  # which iterates, and is not typed so
+        with imageio.get_reader(path) as reader:
+            rate = reader.get_meta_data()["fps"] / _FILM_STEP
+            frames = itertools.islice(reader, 0, None, _FILM_STEP)
+            pictures = [np.asarray(frame)[::_FILM_STEP, ::_FILM_STEP] for frame in frames]
+        gif = imageio.v3.imwrite("<bytes>", np.stack(pictures), extension=".gif", duration=1000 / rate, loop=0)
+        height, width, _ = pictures[0].shape
+        image = Summary.Image(encoded_image_string=gif, height=height, width=width, colorspace=3)
+        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag="film", image=image)]))
+
+    def close(self) -> None:
+        """See `Logger`."""
+        self._writer.close()
+
+
+class WandbLogger(Logger):
+    """A run of Weights & Biases, kept in `wandb/` where `WANDB_MODE` is offline."""
+
+    library = "wandb"
+
+    def __init__(self, folder: Path, run: Run, settings: dict[str, Any], history: list[Record]) -> None:
+        import wandb
+
+        super().__init__(folder, run, settings, history)
+        name = folder / "wandb" / "run-id"
+        goes_on = name.exists()
+        self._done = len(history) if goes_on else 0
+        if not goes_on:
+            name.parent.mkdir(exist_ok=True)
+            with replace_file(name) as file:
+                file.write(uuid.uuid4().hex[:8])
+        try:
+            self._run = wandb.init(
+                project=os.environ.get("WANDB_PROJECT", _PROJECT),
+                name=folder.name,
+                id=name.read_text(),
+                resume="allow",
+                dir=folder.resolve(),
+                config=json.loads(json.dumps(settings, default=str)),
+                settings=wandb.Settings(console="off", silent=True),
+            )
+        except Exception as error:  # wandb raises what it likes
+            raise OSError(f"wandb cannot begin: {error}") from error
+        self._run.define_metric("env_steps")
+        self._run.define_metric("*", step_metric="env_steps")
+
+    @classmethod
+    def check(cls) -> None:
+        """See `Logger`."""
+        import wandb
+
+        if wandb.setup().settings.mode == "online" and not wandb.login(prompt=False):
+            raise ValueError("the logger wandb has no account here; call wandb login, or set WANDB_MODE=offline")
+
+    def rounds(self, history: list[Record]) -> None:
+        """See `Logger`."""
+        for record in history[self._done :]:
+            self._run.log(scalars(record, self.run.first_seed))
+        self._done = len(history)
+
+    def finish(self, summary: dict[str, Any], curves: Path) -> None:
+        """See `Logger`."""
+        import wandb
+
+        self._run.summary.update(_final(summary))
+        self._run.log({"curves": wandb.Image(str(curves))})
+
+    def film(self, path: Path) -> None:
+        """See `Logger`."""
+        import wandb
+
+        self._run.log({"film": wandb.Video(str(path), format="mp4")})
+
+    def close(self) -> None:
+        """See `Logger`."""
+        self._run.finish()
+
+
+LOGGERS: dict[str, type[Logger]] = {"csv": CsvLogger, "tensorboard": TensorboardLogger, "wandb": WandbLogger}
+"""Loggers by name."""
+
+
+def check_loggers(names: str) -> tuple[str, ...]:
+    """Returns the loggers in a list of names with commas between them.
+
+    Raises:
+      ValueError: there is no such logger, or it cannot be used here.
+
+    """
+    chosen = tuple(dict.fromkeys(names.split(",")))
+    for name in chosen:
+        check_name("logger", name, LOGGERS)
+        library = LOGGERS[name].library
+        try:
+            if library is not None:
+                importlib.import_module(library)
+        except ImportError as error:
+            raise ValueError(f"the logger {name} needs {library}: pip install 'hgail-jax[{name}]' ({error})") from None
+        LOGGERS[name].check()
+    return chosen
+
+
+def scalars(record: Record, first_seed: int) -> dict[str, float]:
+    """Returns the numbers of a round by name, as dashboards group them: what was not measured is absent.
+
+    What there is of each seed is `name/seed-0` and so on, with `name/mean` and, of several seeds, `name/interval_low`
+    and `name/interval_high`: the 95 % interval of the mean by Student's t.
+    """
+    found: dict[str, float] = {}
+    for name, values in record.items():
+        if not isinstance(values, list):
+            found[name] = values
+            continue
+        known = np.array([value for value in values if value is not None])
+        found |= {f"{name}/seed-{first_seed + seed}": value for seed, value in enumerate(values) if value is not None}
+        if known.size:
+            found[f"{name}/mean"] = float(known.mean())
+        if known.size > 1:
+            half = float(confidence_interval(known))
+            found |= {f"{name}/interval_low": found[f"{name}/mean"] - half}
+            found |= {f"{name}/interval_high": found[f"{name}/mean"] + half}
+    return found
+
+
+def _final(summary: dict[str, Any]) -> dict[str, float]:
+    """Returns the means over the seeds of what the final evaluation measured."""
+    measured = {name: value["mean"] for name, value in summary.items() if isinstance(value, dict) and "mean" in value}
+    return {f"final/{name}": float(value) for name, value in measured.items() if np.isfinite(value)}
+
+
+def _flat(content: dict[str, Any], name: str = "") -> dict[str, Any]:
+    """Returns the entries of nested dicts, their names joined by dots."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        path = f"{name}.{key}" if name else key
+        found |= _flat(value, path) if isinstance(value, dict) else {path: value}
+    return found

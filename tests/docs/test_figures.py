@@ -1,0 +1,82 @@
+"""Figures in README and pages: filled in from the results, or typed and listed with their source."""
+
+import csv
+import re
+import tomllib
+
+import pytest
+
+from docs._generate import pages, results, tables
+from tests.support import ROOT
+
+# A decimal, a power of ten, or a count with the unit of a measurement; versions and Python's are none.
+_UNIT = r"(?:k|M|s|seconds|minutes|%|(?:env )?steps/s)"
+_FIGURE = re.compile(rf"(?<![\w.,-])\d*\.\d+(?![\w.])|\b\d+e-\d+\b|(?<![\w.,])\d[\d,.]* {_UNIT}(?!\w)")
+_NO_FIGURE = re.compile(r"\]\([^)]*\)|https?://\S+|Python 3\.\d+( (or|and) 3\.\d+)?|\d+\.\d+\.\d+(\.\d+)?")
+SOURCES = tomllib.loads((ROOT / "docs" / "_generate" / "typed.toml").read_text())
+
+
+def typed_figures(page):
+    return set(_FIGURE.findall(_NO_FIGURE.sub("", pages.typed(page))))
+
+
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_pages_have_the_figures_of_today_s_results(path):
+    page = path.read_text()
+    assert pages.refresh(page) == page, "run `make docs`"
+
+
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_a_typed_figure_is_listed_with_its_source(path):
+    listed = SOURCES.get(path.relative_to(ROOT).as_posix(), {})
+    assert typed_figures(path.read_text()) == {figure for figures in listed.values() for figure in figures}
+
+
+def test_the_list_of_typed_figures_names_pages():
+    assert SOURCES.keys() <= {path.relative_to(ROOT).as_posix() for path in pages.pages()}
+
+
+@pytest.mark.parametrize("text", ["0.98", ".98", "1.8 s", "23,781 env steps/s", "1.19 M", "3e-4", "13 minutes", "97 %"])
+def test_what_counts_as_a_figure(text):
+    found = typed_figures(f"it was {text} in the end")
+    assert found, text
+    assert not typed_figures(
+        f"it was <!--= x -->{text}<!----> and `{text}`, with MuJoCo 3.11.0 and Python 3.11 or 3.12"
+    )
+
+
+def test_a_figure_is_never_the_first_of_a_line():
+    """There Markdown would take its comment for a block of HTML, to which the whole line belongs."""
+    for path in pages.pages():
+        for line in path.read_text().splitlines():
+            assert not re.match(r"\s*<!--= .*<!---->|\s*<!--% .* -->.", line), f"{path.name}: {line}"
+
+
+def test_an_unknown_row_or_name_is_an_error():
+    with pytest.raises(ValueError, match="0 rows"):
+        pages.publish('<!--= reached("table1-reach", "no such setting") --><!---->')
+    with pytest.raises(Exception, match="undefined"):
+        pages.publish("<!--= no_such_name --><!---->")
+
+
+def test_a_table_says_what_its_file_says():
+    """Each row, read by other means: the last columns of a line are the file's."""
+    with (ROOT / "experiments/results/paper/table2-reach.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    lines = tables.study("table2-reach").strip().splitlines()[2:]
+    assert len(lines) == len(rows) == 4
+    for line, row in zip(lines, rows, strict=True):
+        cells = [cell.strip() for cell in line.replace("\N{NO-BREAK SPACE}", " ").strip("|").split("|")]
+        assert cells[0] == f"{row['setting']}, {row['panel']}"
+        assert cells[1].replace("0.", ".") == row["paper_success"]
+        mean, interval = map(float, cells[2].split(" ± "))
+        assert mean == pytest.approx(float(row["success_rate"]), abs=5e-4)
+        assert interval == pytest.approx(float(row["success_ci95"]), abs=5e-4)
+        assert int(cells[6].replace(",", "")) == int(row["env_steps_per_seed"])
+
+
+def test_curves_are_the_seeds_of_one_setting():
+    with (ROOT / "experiments/results/paper/figure3-reach.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["setting"] == "HGAIL" and row["env_steps"] == "166400"]
+    assert sorted(results.curve("figure3-reach", 166_400, "HGAIL")) == sorted(float(row["success"]) for row in rows)
+    assert len(rows) == 8

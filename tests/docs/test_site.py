@@ -1,0 +1,97 @@
+"""The pages as a whole: the site builds, names what is public, and its pictures and examples are current."""
+
+import ast
+import re
+import subprocess
+import sys
+
+import pytest
+
+import envs
+import hgail_jax
+from docs._generate import diagrams, pages
+from tests.support import ROOT
+
+_PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_LINK = re.compile(r"(?:\]\(|src=\")([^)\"#{]+)")
+
+
+def build(folder, source=ROOT):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
+    return subprocess.run(command, cwd=source, capture_output=True, text=True)
+
+
+def test_a_broken_link_is_an_error(tmp_path):
+    """`make docs` builds the pages as they are; here the same settings meet a fault."""
+    (tmp_path / "docs").mkdir()
+    settings = (ROOT / "mkdocs.yml").read_text()
+    settings = re.sub(r"(?ms)^(nav|hooks|plugins|extra_css|exclude_docs):.*?(?=^\S|\Z)", "", settings)
+    (tmp_path / "mkdocs.yml").write_text(settings)
+    page = tmp_path / "docs" / "index.md"
+    page.write_text("# Title\n\n[here](#title)\n")
+    assert build(tmp_path / "good", tmp_path).returncode == 0
+    page.write_text("# Title\n\n[nowhere](nowhere.md)\n")
+    assert build(tmp_path / "bad", tmp_path).returncode != 0
+    page.write_text("# Title\n\n[nowhere](#nowhere)\n")
+    assert build(tmp_path / "bad", tmp_path).returncode != 0
+
+
+def test_a_page_fetches_nothing(tmp_path):
+    done = build(tmp_path)
+    assert done.returncode == 0, done.stderr
+    loaded = re.compile(r"<(?:script|img|iframe|link)[^>]+(?:src|href)=\"?(https?:[^\s\">]+)")
+    for path in tmp_path.rglob("*.html"):
+        assert not loaded.findall(path.read_text()), path.name
+
+
+@pytest.mark.parametrize("path", [ROOT / "CONTRIBUTING.md", *pages.pages()], ids=lambda path: path.name)
+def test_links_lead_somewhere_in_the_repository_too(path):
+    for target in _LINK.findall(re.sub(r"```.*?```|`[^`]*`", "", path.read_text(), flags=re.DOTALL)):
+        assert target.startswith("http") or (path.parent / target).exists(), target
+
+
+def test_public_names_are_documented():
+    written = " ".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
+    for package in (hgail_jax, envs):
+        for name in package.__all__:
+            assert re.search(rf"\b(hgail_jax|envs)\.{name}\b", written), name
+
+
+def test_diagrams_are_as_drawn():
+    for name, draw in diagrams.DIAGRAMS.items():
+        assert (diagrams.IMAGES / name).read_text() == draw(), "run `python -m docs._generate.diagrams`"
+
+
+QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder"]
+TRAINING = ["README", "index", "getting-started", "sweeps"]
+
+
+def blocks(page):
+    """Returns the Python blocks of a page, parsed."""
+    path = ROOT / ("README.md" if page == "README" else f"docs/{page}.md")
+    return [ast.parse(block, str(path)) for block in _PYTHON.findall(path.read_text())]
+
+
+def test_all_examples_are_among_those_that_run():
+    have = {path.stem for path in pages.pages() if _PYTHON.search(path.read_text())}
+    assert have == {*QUICK, *TRAINING}
+
+
+@pytest.mark.parametrize("page", [*QUICK, *(pytest.param(page, marks=pytest.mark.slow) for page in TRAINING)])
+def test_examples_run(page, tmp_path, monkeypatch):
+    """The blocks of a page run one after another, in a folder where they may write."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("experiments", "assets"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.setitem(hgail_jax.METHODS, "mine", None)  # whatever the page sets is undone
+    names = {"__name__": "example"}
+    for block in blocks(page):
+        exec(compile(block, page, "exec"), names)
+
+
+@pytest.mark.parametrize("page", TRAINING)
+def test_examples_import_what_there_is(page):
+    for block in blocks(page):
+        imports = [node for node in block.body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert imports
+        exec(compile(ast.Module(imports, []), page, "exec"), {})

@@ -1,0 +1,84 @@
+"""The status line as a terminal and as a log file get it."""
+
+import dataclasses
+import io
+import re
+import time
+
+import pytest
+
+import envs
+from hgail_jax import Hyperparameters
+from hgail_jax.trainer import status
+from hgail_jax.trainer.loop import Program, train
+from hgail_jax.trainer.status import StatusLine
+from tests.hgail_jax.trainer.test_loop import measured, start, told
+from tests.support import TINY
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+    def frames(self):
+        """What the line was, one after another, and nothing that was there before is left behind it."""
+        return [frame.rstrip() for frame in re.split("[\r\n]", self.getvalue()) if frame.strip()]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that moves a second each time it is looked at, and a terminal that is drawn all the time."""
+    seconds = iter(range(10**9))
+    monkeypatch.setattr(status, "_TICK", 0.001)
+    monkeypatch.setattr(status.time, "monotonic", lambda: float(next(seconds)))
+
+
+def wait_for(terminal, frame):
+    for _ in range(10_000):
+        if any(frame in shown for shown in terminal.frames()):
+            return
+        time.sleep(0.001)
+    raise AssertionError(f"{frame!r} never came: {terminal.frames()[-3:]}")
+
+
+def test_a_terminal_s_line_counts_the_seconds(clock):
+    terminal = Terminal()
+    with StatusLine("compiling the training program", terminal) as line:
+        wait_for(terminal, "compiling the training program, 0:09 elapsed")
+        line.show("round 1/7, success 0.500", left=50.0)
+        wait_for(terminal, "left")
+    assert "\n" not in terminal.getvalue()
+    (lefts := [int(left) for left in re.findall(r"0:(\d\d) left", terminal.getvalue())]).sort(reverse=True)
+    assert lefts[0] < 50
+
+
+def test_no_line_wraps(clock):
+    terminal = Terminal()
+    with StatusLine("x" * 200, terminal) as line:
+        line.show("round 100/100, success 0.812, 2 diverged, 1.23M env steps/s", left=9e3)
+        wait_for(terminal, "1.23M env steps/s")
+    assert max(map(len, terminal.frames())) <= 79
+
+
+def test_a_log_file_has_plain_lines_and_only_those_worth_it():
+    log = io.StringIO()
+    with StatusLine("compiling", log) as line:
+        line.show("one", log=False)
+        line.show("two", left=61.0)
+    first, second = log.getvalue().splitlines()
+    assert first == "compiling ..."
+    assert re.fullmatch(r"two, 0:0\d elapsed, 1:0\d left", second)
+    assert "\r" not in log.getvalue()
+
+
+def test_a_training_says_what_came_of_each_evaluation(capsys):
+    program = Program(envs.make("point"), dataclasses.replace(TINY, rounds=4), (Hyperparameters(),), 2)
+    program = dataclasses.replace(program, evaluate_every=2)
+    rounds = [measured([0.25, 0.75], [0.1, 0.2])] * 5
+    train(program, told(*rounds), start(program))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "round 1/5 ..."
+    assert [line.split(",")[0] for line in lines[1:]] == ["round 1/5", "round 3/5", "round 5/5"]
+    for line in lines[1:]:
+        assert re.fullmatch(r"round ./5, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", line)
+        assert len(line) < 80
