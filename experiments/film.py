@@ -44,8 +44,7 @@ def _pictures(task: str, policy: Path) -> Iterator[np.ndarray]:
     playback = Playback(envs.make(task), load_policy(policy), seed=0)
     height, width = _SIZE
     font = ImageFont.load_default(_TEXT_SIZE)
-    episodes = frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width)
-    for frame in itertools.islice(episodes, None, None, _EVERY):
+    for frame in frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):
         picture = Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS)
         ImageDraw.Draw(picture).text(_TEXT_PLACE, task, _TEXT_COLOUR, font)
         yield np.asarray(picture)

@@ -76,8 +76,10 @@ class Playback:
         mujoco.mj_camlight(self.model, self.data)
 
 
-def frames(playback: Playback, episodes: int, height: int, width: int) -> Iterator[np.ndarray]:
-    """Renders a playback: a picture, `[height, width, 3]` and uint8, for each frame; one episode fades into the next.
+def frames(playback: Playback, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
+    """Renders every so-many-th frame of a playback as a picture, `[height, width, 3]`, uint8.
+
+    One episode fades into the next, so that nothing jumps.
 
     Raises:
       RenderingError: MuJoCo cannot render here.
@@ -88,11 +90,13 @@ def frames(playback: Playback, episodes: int, height: int, width: int) -> Iterat
     camera.distance = _CAMERA_DISTANCE
     with open_renderer(playback.model, height, width) as renderer:
         picture: np.ndarray | None = None
-        for first in playback.play(episodes):
+        for index, first in enumerate(playback.play(episodes)):
+            if index % every and not first:
+                continue
             renderer.update_scene(playback.data, camera)
             before, picture = picture, renderer.render()
             if first and before is not None:
-                for share in np.linspace(0.0, 1.0, _FADE + 2)[1:-1]:
+                for share in np.linspace(0.0, 1.0, _FADE // every + 2)[1:-1]:
                     yield ((1.0 - share) * before + share * picture).astype(np.uint8)
             yield picture
 

@@ -1,10 +1,12 @@
 """A session, held to what MuJoCo's own kinematics say of the scene that it poses."""
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
 import envs
+from envs.scenes import assets_directory
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.web.session import Phase, Session
 
@@ -180,6 +182,27 @@ def test_a_simulation_that_breaks_down_starts_anew(reach):
     assert reach.status.episodes == 0
     finish(reach)
     assert reach.status.success
+
+
+OTHERS = [path.stem for path in (assets_directory() / "policies").glob("*.npz") if path.stem not in ("reach", "grasp")]
+
+
+@pytest.mark.parametrize("task", OTHERS)
+def test_a_policy_that_is_shipped_follows_a_target_that_is_moved(task):
+    """Of three targets it comes to two at least, by where MuJoCo has the body that the goal is about."""
+    session = Session(envs.make(task, impl="c"), load_policy(assets_directory() / "policies" / f"{task}.npz"))
+    generator, reached = np.random.default_rng(0), 0
+    for _ in range(3):
+        session.restart()
+        place = generator.uniform(*session.bounds)
+        session.move_target(place)
+        finish(session)
+        np.testing.assert_allclose(session.target, place, atol=1e-6)
+        free = session.model.joint(np.flatnonzero(session.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0]).bodyid[0]
+        near = np.linalg.norm(session.data.xpos[free] - place) < session.env.success_threshold
+        assert near == session.status.success
+        reached += near
+    assert reached >= 2
 
 
 def test_a_task_without_a_scene_is_refused():
