@@ -9,7 +9,7 @@ from flax import struct
 
 from envs.base import Controller, TrainingDefaults
 from envs.fetch import controllers
-from envs.fetch.grasp import is_held
+from envs.fetch.grasp import CUBE_WIDTH, is_held
 from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
 from envs.fetch.training import training_defaults
 
@@ -68,7 +68,8 @@ class PickAndPlace(ObjectEnv):
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics))
+        width = CUBE_WIDTH * self.object_factor(physics)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])
