@@ -7,7 +7,10 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "observation": {"features": 6, "goal": 3, "clip": 5.0},   # features first, then the goal; clipped once normalised
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
      "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
+     "randomization": {},                                      # what it was trained under: fields of `Randomization`
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
+
+Where `randomization` has a `history`, the features begin with so many actions and observations; see `RandomizedEnv`.
 """
 
 import dataclasses
@@ -20,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from envs import GoalEnv
+from envs.randomization import Randomization
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
 from hgail_jax.io.versions import installed
@@ -50,6 +54,8 @@ class MeanPolicy:
     """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""
+    randomization: Randomization = Randomization()  # noqa: RUF009  (frozen)
+    """What its episodes were disturbed by in training."""
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
@@ -106,6 +112,7 @@ def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
         std=np.asarray(state.statistics.std),
         layers=tuple((np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in layers),
         versions=installed("hgail-jax", "jax", "mujoco-mjx"),
+        randomization=getattr(env, "randomization", Randomization()),
     )
 
 
@@ -122,6 +129,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "action": {"size": policy.action_size, **_ACTION},
         "layers": len(policy.layers),
         "activation": _ACTIVATION,
+        "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
         "versions": policy.versions,
     }
     arrays = {"mean": policy.mean, "std": policy.std}
@@ -154,7 +162,13 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
         raise ValueError(f"it has no {header['layers']} layers")
     layers = tuple((file[f"weights_{index}"], file[f"biases_{index}"]) for index in range(header["layers"]))
     policy = MeanPolicy(
-        header["task"], observation["goal"], file["mean"], file["std"], layers, dict(header["versions"])
+        header["task"],
+        observation["goal"],
+        file["mean"],
+        file["std"],
+        layers,
+        dict(header["versions"]),
+        Randomization.from_json(header.get("randomization", {})),  # older files have none
     )
     if (policy.observation_size, policy.action_size) != (observation["features"] + observation["goal"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")
