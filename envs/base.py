@@ -216,7 +216,7 @@ class GoalEnv(Env):
         """Returns a start with another model from now on; `envs.randomization` needs it for what belongs to a model."""
         raise NotImplementedError
 
-    def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: float) -> Any:
+    def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: jax.Array | float) -> Any:
         """Returns a start with the robot elsewhere; `envs.randomization` needs it for another posture.
 
         Args:

@@ -10,8 +10,9 @@ Range = tuple[float, float]
 
 MOST_DELAY = 50
 """Steps."""
-_MODEL = ("friction", "object_mass", "object_size", "finger_force", "finger_speed")
-_FACTORS = ("step_size", *_MODEL)
+MODEL_FACTORS = ("friction", "object_mass", "object_size", "finger_force", "finger_speed")
+"""Fields of `Randomization` that are ranges of those of `ModelFactors`."""
+_FACTORS = ("step_size", *MODEL_FACTORS)
 _NOT_NEGATIVE = (
     "robot_noise",
     "robot_offset",
@@ -82,7 +83,7 @@ class Randomization:
     @property
     def varies_model(self) -> bool:
         """Whether the model differs from one episode to the next."""
-        return any(getattr(self, name) != (1.0, 1.0) for name in _MODEL)
+        return any(getattr(self, name) != (1.0, 1.0) for name in MODEL_FACTORS)
 
     @property
     def varies_start(self) -> bool:

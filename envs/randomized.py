@@ -1,5 +1,7 @@
 """Wraps a task so that each of its episodes is disturbed in its own way."""
 
+import copy
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -7,10 +9,11 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs.base import Controller, EpisodeMetrics, GoalEnv, State
-from envs.randomization import LEVELS, Randomization, Range
+from envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from envs.variation import ModelFactors, SensorErrors
 
-_ROBOT, _OBJECT, _GOAL = range(3)  # whose position is observed with an error
+_SOURCES = ("robot", "object", "goal")  # whose position is observed with an error
+_ROBOT, _OBJECT, _GOAL = range(len(_SOURCES))
 _SAME = (
     *("episode_length", "goal_size", "action_size", "success_threshold", "goal_kinds", "probe_length"),
     *("observation_limit", "max_worlds", "control_period", "scene", "target_body", "reference", "training"),
@@ -99,6 +102,7 @@ class RandomizedEnv(GoalEnv):
                     " randomisation that needs none"
                 )
         self.task, self.randomization = task, randomization
+        self._sizes = dict(vars(randomization))
         for name in _SAME:
             if hasattr(task, name):
                 setattr(self, name, getattr(task, name))
@@ -112,15 +116,16 @@ class RandomizedEnv(GoalEnv):
     def reset_physics(self, rng: jax.Array) -> DisturbedPhysics:
         """See `GoalEnv`."""
         sizes, task = self.randomization, self.task
-        task_rng, start_rng, model_rng, drawn_rng, noise_rng = jax.random.split(rng, 5)
+        task_rng, start_rng, drawn_rng, offset_rng, noise_rng = jax.random.split(rng, 5)
+        shares = jax.random.uniform(drawn_rng, (3 + len(MODEL_FACTORS),))  # all at once, which compiles the quickest
         true = task.reset_physics(task_rng)
         if sizes.varies_start:
-            true = task.vary_start(start_rng, true, sizes.posture, sizes.hand_opening)
+            true = task.vary_start(start_rng, true, sizes.posture, self._sizes["hand_opening"])
         if sizes.varies_model:
-            true = task.vary_model(true, self._draw_model(model_rng))
+            true = task.vary_model(true, self._factors(shares[3:]))
         physics = DisturbedPhysics(
             true=true,
-            drawn=self._draw(drawn_rng),
+            drawn=self._drawn(shares[:3], jax.random.normal(offset_rng, (3, 3))),
             rng=jax.random.key_data(noise_rng),
             noise=jnp.zeros((3, 3)),
             noise_before=jnp.zeros((3, 3)),
@@ -132,30 +137,28 @@ class RandomizedEnv(GoalEnv):
         first = jnp.concatenate([jnp.zeros(task.action_size), self._seen(physics)])
         return physics.replace(history=jnp.broadcast_to(first, physics.history.shape))
 
-    def _draw_model(self, rng: jax.Array) -> ModelFactors:
-        names = ("friction", "object_mass", "object_size", "finger_force", "finger_speed")
-        rngs = jax.random.split(rng, len(names))
+    def _factors(self, shares: jax.Array) -> ModelFactors:
+        """Returns the factors at these shares of their ranges, in [0, 1)."""
         return ModelFactors(
-            **{name: _uniform(rng, getattr(self.randomization, name)) for name, rng in zip(names, rngs, strict=True)}
+            **{name: _between(self._sizes[name], share) for name, share in zip(MODEL_FACTORS, shares, strict=True)}
         )
 
-    def _draw(self, rng: jax.Array) -> Drawn:
-        sizes = self.randomization
-        delay_rng, step_rng, sag_rng, offset_rng = jax.random.split(rng, 4)
-        least, most = sizes.delay
-        deviations = jnp.array([sizes.robot_offset, sizes.object_offset, sizes.goal_offset])
+    def _drawn(self, shares: jax.Array, offsets: jax.Array) -> Drawn:
+        """Returns what is drawn: shares, `[3]` in [0, 1), of ranges, and offsets, `[3, 3]`, in deviations."""
+        least, most = self._sizes["delay"]
+        delay = jnp.floor(_between((least, most + 1), shares[0])).astype(jnp.int32)
+        deviations = jnp.array([self._sizes[f"{source}_offset"] for source in _SOURCES])
         return Drawn(
-            delay=jax.random.randint(delay_rng, (), least, most + 1),
-            step_size=_uniform(step_rng, sizes.step_size),
-            sag=_uniform(sag_rng, sizes.sag),
-            offset=deviations[:, None] * jax.random.normal(offset_rng, (3, 3)),
+            delay=jnp.minimum(delay, most),
+            step_size=_between(self._sizes["step_size"], shares[1]),
+            sag=_between(self._sizes["sag"], shares[2]),
+            offset=deviations[:, None] * offsets,
         )
 
     def _observe_anew(self, physics: DisturbedPhysics) -> DisturbedPhysics:
         """Returns the physics with the noise of another step."""
-        sizes = self.randomization
         following_rng, rng = jax.random.split(jax.random.wrap_key_data(physics.rng))
-        deviations = jnp.array([sizes.robot_noise, sizes.object_noise, sizes.goal_noise])
+        deviations = jnp.array([self._sizes[f"{source}_noise"] for source in _SOURCES])
         return physics.replace(
             rng=jax.random.key_data(following_rng),
             noise=deviations[:, None] * jax.random.normal(rng, (3, 3)),
@@ -265,6 +268,16 @@ class RandomizedEnv(GoalEnv):
         """See `GoalEnv`."""
         return RandomizedEnv(self.task.accurate(), self.randomization)
 
+    def with_sizes(self, sizes: Mapping[str, Any]) -> "RandomizedEnv":
+        """Returns the task with other sizes, by the fields of `Randomization`, which may be traced.
+
+        So one program measures many sizes. What the program is made for stays: no delay may be longer than
+        `randomization` has it, what it leaves alone is left alone, and `posture` and `history` are its own.
+        """
+        env = copy.copy(self)
+        env._sizes = self._sizes | dict(sizes)
+        return env
+
     def undisturbed(self) -> "RandomizedEnv":
         """Returns the task without disturbances, whose observations are as long."""
         return RandomizedEnv(self.task, self.randomization.undisturbed())
@@ -289,6 +302,6 @@ def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
     return task if randomization == Randomization() else RandomizedEnv(task, randomization)
 
 
-def _uniform(rng: jax.Array, limits: Range) -> jax.Array:
+def _between(limits: Range, share: jax.Array) -> jax.Array:
     least, most = limits
-    return least + (most - least) * jax.random.uniform(rng)
+    return least + (most - least) * share

@@ -174,20 +174,20 @@ class FetchEnv(GoalEnv):
             qpos = qpos.at[self._scene_model.object_qpos[2]].add(rise)
         return physics.replace(qpos=qpos, factors=factors)
 
-    def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: float) -> PhysicsT:
+    def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: jax.Array | float) -> PhysicsT:
         """See `GoalEnv`; the gripper keeps `LEAST_DISTANCE` from an object, and a hand without servos stays closed."""
-        order_rng, opening_rng = jax.random.split(rng)
-        postures = self._postures(shift)
-        order = jax.random.permutation(order_rng, _POSTURES)
-        model, chosen = self._scene_model, order[0]
+        drawn = jax.random.uniform(rng, (_POSTURES + 1,))  # at once, which compiles the quickest
+        order, opened = drawn[1:], drawn[0]
+        postures, model = self._postures(shift), self._scene_model
         if model.has_object:
-            away = postures.gripper_position[order, :2] - physics.qpos[model.object_qpos[:2]]
-            chosen = order[jnp.argmax(jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)]
+            away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]]
+            order = order + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)
+        chosen = jnp.argmax(order)
         qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
         qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)
         if self.model.nu:
             widest = self.model.jnt_range[[self.model.joint(name).id for name in _FINGERS], 1]
-            qpos = qpos.at[self._finger_qpos].set(widest * jax.random.uniform(opening_rng, maxval=opening))
+            qpos = qpos.at[self._finger_qpos].set(widest * opening * opened)
         return self._see(physics.replace(qpos=qpos, qvel=qvel))
 
     def _postures(self, shift: float) -> FetchPhysics:

@@ -94,11 +94,16 @@ class MeanPolicy:
         """
         if np.shape(observation)[-1:] != self.mean.shape:
             raise ValueError(f"an observation of {self.task} has {self.observation_size} numbers")
-        hidden = xp.clip((observation - self.mean) / self.std, -_CLIP, _CLIP)
-        for weights, biases in self.layers[:-1]:
-            hidden = xp.tanh(hidden @ weights + biases)
-        weights, biases = self.layers[-1]
-        return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
+        return mean_action(self.mean, self.std, self.layers, observation, xp)
+
+
+def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np) -> Any:
+    """Returns what `MeanPolicy` does, of its arrays, which JAX may trace or batch."""
+    hidden = xp.clip((observation - mean) / std, -_CLIP, _CLIP)
+    for weights, biases in layers[:-1]:
+        hidden = xp.tanh(hidden @ weights + biases)
+    weights, biases = layers[-1]
+    return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
 
 
 def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
