@@ -282,11 +282,6 @@ class RandomizedEnv(GoalEnv):
         """Returns the task without disturbances, whose observations are as long."""
         return RandomizedEnv(self.task, self.randomization.undisturbed())
 
-    @property
-    def backend(self) -> str:
-        """Brax's name for the physics."""
-        return self.task.backend
-
 
 def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
     """Returns a task under a randomisation, or a level of `LEVELS`; the task itself where that changes nothing.

@@ -1,7 +1,6 @@
 """What a task can be told to differ in from one episode to the next, besides its start and its goal."""
 
 import jax
-import jax.numpy as jnp
 from flax import struct
 
 
@@ -30,8 +29,3 @@ class SensorErrors(struct.PyTreeNode):
     """Of the object's position, metres."""
     object_motion: jax.Array
     """Of the distance that it moved in the last action, metres."""
-
-
-def no_errors() -> SensorErrors:
-    """Returns the errors of exact sensors."""
-    return SensorErrors(*(jnp.zeros(3) for _ in range(4)))

@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-_HAND = "hand_"  # prefix of all names in a hand that is attached
+HAND = "hand_"
+"""Prefix of all names in a hand that is attached."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,10 +124,10 @@ UR5E = Arm(
     top_speed=(np.pi,) * 6,
     workspace=(0.5, 0.0),
     hand=Hand(
-        drive=f"{_HAND}right_driver_joint",  # its twin on the left follows
+        drive=f"{HAND}right_driver_joint",  # its twin on the left follows
         drive_range=(0.0, 0.8),
         control_range=(0.0, 255.0),
-        pads=(f"{_HAND}right_pad", f"{_HAND}left_pad"),
+        pads=(f"{HAND}right_pad", f"{HAND}left_pad"),
         widest_gap=0.085,
         lag=0.1,
     ),

@@ -3,7 +3,7 @@
 import mujoco
 
 from envs.scenes import assets_directory
-from experiments.transfer.robots.arms import _HAND, Arm
+from experiments.transfer.robots.arms import HAND, Arm
 
 TOOL_CENTRE = "tool_centre"
 """Name of the site between the finger pads, which stands for the Fetch's `grip`."""
@@ -29,7 +29,7 @@ def load_cell(arm: Arm, cube: bool) -> mujoco.MjModel:
     cell = mujoco.MjSpec.from_file(str(assets_directory() / "arms" / "cell.xml"))
     cell.attach(_arm(arm), frame=cell.frame("base"), prefix="")
     if arm.load_hand is not None:
-        cell.attach(arm.load_hand(), site=cell.site(arm.flange), prefix=_HAND)
+        cell.attach(arm.load_hand(), site=cell.site(arm.flange), prefix=HAND)
     for name, stiffness in arm.stiffness.items():
         servo = cell.actuator(name)
         servo.gainprm[0], servo.biasprm[1] = stiffness, -stiffness
