@@ -40,7 +40,8 @@ class Slide(Push):
     reference = "FetchSlide-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training_defaults(num_envs=1024, rounds=150, trivial_weight=0.3) for platform in ("cpu", "gpu")
+        platform: training_defaults(num_envs=1024, rounds=120, evaluate_every=5, hidden=256, trivial_weight=0.3)
+        for platform in ("cpu", "gpu")
     }
 
     def __init__(

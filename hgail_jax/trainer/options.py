@@ -76,7 +76,7 @@ class TrainOptions:
     """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
-    evaluate_every: int = 1
+    evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds from one evaluation to the next; the last round always has one. What is learnt does not depend on it."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
@@ -111,7 +111,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hyperparameters=preset.hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
-        evaluate_every=options.evaluate_every,
+        evaluate_every=options.evaluate_every or task_class.training[platform].evaluate_every,
         mesh=mesh,
         demonstrations=demonstrations,
         loggers=check_loggers(options.logger),
@@ -123,7 +123,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
     check_count("checkpoint_every", options.checkpoint_every)
-    check_count("evaluate_every", options.evaluate_every)
+    if options.evaluate_every is not None:
+        check_count("evaluate_every", options.evaluate_every)
     if options.iterations is not None:
         check_count("iterations", options.iterations, least=0)
     check_name("method", options.method, METHODS)
