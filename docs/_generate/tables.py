@@ -320,6 +320,23 @@ def each_seed(table: str) -> str:
     )
 
 
+def networks() -> str:
+    """Rounds until each seed first reached a success, for two widths of the networks."""
+    return markdown(
+        ["task", "width", "seeds", "success", "rounds"],
+        [
+            [
+                row["task"],
+                str(row["width"]),
+                "{} to {}".format(*row["seeds"]),
+                fixed(row["success"], 2),
+                ", ".join("never" if rounds is None else str(rounds) for rounds in row["rounds_until"]),
+            ]
+            for row in read_json("suite/networks")["rows"]
+        ],
+    )
+
+
 def grasp_on_two_cores() -> str:
     """One seed of grasp at a time on two cores."""
     return markdown(

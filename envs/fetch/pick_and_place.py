@@ -64,7 +64,7 @@ class PickAndPlace(ObjectEnv):
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         platform: training_defaults(num_envs=1024, rounds=rounds, evaluate_every=5, hidden=256)
-        for platform, rounds in (("cpu", 34), ("gpu", 60))
+        for platform, rounds in (("cpu", 26), ("gpu", 60))
     }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
