@@ -172,6 +172,8 @@ def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
             following = answer  # Python 3.11 takes a jump back to the first line of a `try` for one to before it
             while True:
                 following = _call(function, (yield following))
+        except GeneratorExit:  # the thread ends
+            return
         except BaseException as error:  # also what a signal raised: nothing may pass through XLA
             answer = _make_error(f"{type(error).__name__}: {error}")
 

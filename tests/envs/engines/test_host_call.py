@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -99,6 +100,16 @@ def test_another_process_takes_the_program_from_the_cache(tmp_path):
     ]
     assert [output[1:4] for output in outputs] == [["0.5"] * 3] * 2
     assert int(outputs[1][-1]) > int(outputs[0][-1])
+
+
+def test_a_thread_that_called_ends_in_silence(monkeypatch):
+    complaints, found, vectors = [], [], random_vectors(5)
+    monkeypatch.setattr(sys, "unraisablehook", lambda complaint: complaints.append(complaint.exc_value))
+    thread = threading.Thread(target=lambda: found.extend(jax.jit(jax.vmap(spun))(*vectors)))
+    thread.start()
+    thread.join()
+    np.testing.assert_array_equal(found[0], spin(*vectors)[0])
+    assert not complaints
 
 
 INTERRUPTED = """

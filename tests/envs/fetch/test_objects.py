@@ -112,6 +112,7 @@ def test_a_puck_that_moves_achieves_nothing(tasks, starts):
         np.testing.assert_array_equal(env.achieved_goal(sliding), expected.astype(np.float32))
         assert env.reached(sliding, jnp.append(env.object_position(physics), 1.0))  # which is by position alone
 
+
 def test_kinds_and_success_of_goals(tasks):
     env = tasks["pick-and-place"]
     goals = jnp.array(
