@@ -333,3 +333,23 @@ def grasp_on_two_cores() -> str:
             for row in read_json("suite/grasp-on-two-cores")["rows"]
         ],
     )
+
+
+def parity() -> str:
+    """How far the gripper goes another way than the reference's, on a CPU."""
+    engines = {"c": "C MuJoCo", "jax": "MJX-JAX"}
+    return markdown(
+        ["task", "reference", "engine", "physics steps", "one action, median (99 %)", "50 actions, median", "worst"],
+        [
+            [
+                row["task"],
+                row["reference"],
+                engines[row["impl"]],
+                str(row["substeps"]),
+                f"{fixed(row['one_step_median_mm'], 2)} mm ({fixed(row['one_step_p99_mm'], 2)})",
+                f"{fixed(row['drift_median_mm'], 1)} mm",
+                f"{fixed(row['drift_worst_mm'], 0)} mm",
+            ]
+            for row in read_json("parity/parity")["rows"]
+        ],
+    )
