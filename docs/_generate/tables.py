@@ -256,14 +256,14 @@ def localised() -> str:
 def headline() -> str:
     """The four figures of the front page, an unflattering one among them."""
     reach, grasp = trial("table1-reach", "HGAIL"), trial("table1-grasp", "HGAIL")
-    ur5e = transfer("UR5e", "grasp", hand="open", period=160)
+    placed = read_json("runs/pick-and-place-hgail/summary")["success_rate"]
     sizes = trial("ablations-reach", "the paper's sizes", "with pre-training")
     return markdown(
         ["what", "paper", "here"],
         [
             ["reach", reach["paper_success"], success(reach)],
             ["grasp, lifted", grasp["paper_success"], success(grasp)],
-            ["the same policy picks with a UR5e", "0.93 ± 0.04", fixed(ur5e["success_rate"], 3)],
+            ["pick and place", "", f"{fixed(placed['mean'], 3)} ± {fixed(placed['std'], 3)}"],
             ["reach with the paper's own sizes", reach["paper_success"], success(sizes)],
         ],
     )
@@ -348,5 +348,25 @@ def grasp_on_two_cores() -> str:
                 *(seconds(row[f"{what}_seconds"]) for what in ("train", "total")),
             ]
             for row in read_json("suite/grasp-on-two-cores")["rows"]
+        ],
+    )
+
+
+def parity() -> str:
+    """How far the gripper goes another way than the reference's, on a CPU."""
+    engines = {"c": "C MuJoCo", "jax": "MJX-JAX"}
+    return markdown(
+        ["task", "reference", "engine", "physics steps", "one action, median (99 %)", "50 actions, median", "worst"],
+        [
+            [
+                row["task"],
+                row["reference"],
+                engines[row["impl"]],
+                str(row["substeps"]),
+                f"{fixed(row['one_step_median_mm'], 2)} mm ({fixed(row['one_step_p99_mm'], 2)})",
+                f"{fixed(row['drift_median_mm'], 1)} mm",
+                f"{fixed(row['drift_worst_mm'], 0)} mm",
+            ]
+            for row in read_json("parity/parity")["rows"]
         ],
     )

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
+from typing import Annotated
 
 import jax
 
@@ -13,6 +14,7 @@ from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_pro
 from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.validation import MOST_SEED, check_count
 
 PROGRAM = "hgail play"
@@ -26,19 +28,18 @@ class Options:
 
     task: str = "grasp"
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Path | None = None
-    """The policy's file; by default the one that comes with the package."""
+    policy: Annotated[Path | None, unless_given("the one that comes with the package", "FILE")] = None
+    """The policy's file."""
     episodes: int = 3
     """Episodes to play; the page goes on until it is stopped."""
     seed: int = 0
     """Of the episodes."""
-    out: Path | None = None
-    """Film to write instead of opening the viewer, .mp4, .gif or .webp, which must not exist; without a display
-    <task>.mp4 by default."""
+    out: Annotated[Path | None, unless_given("the viewer; <task>.mp4 without a display", "FILE")] = None
+    """Film to write, .mp4, .gif or .webp, which must not exist."""
     web: bool = False
     """Serve a page on which the target can be dragged while the policy acts (extra `web`)."""
-    port: int | None = None
-    """The page's port; by default the first that is free from 8080 on."""
+    port: Annotated[int | None, unless_given("the first that is free from 8080 on", "INT")] = None
+    """The page's port."""
     host: str = "127.0.0.1"
     """The network address to serve the page on; by default it is for this machine alone."""
 

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 import envs
@@ -81,6 +82,28 @@ class TrainOptions:
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
+def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[str, Any]:
+    """Returns the values of the options that are None by default because a task, or a method, has its own.
+
+    Raises:
+      ValueError: there is no such task, method or preset.
+
+    """
+    check_name("method", method, METHODS)
+    task_class = _find(task)
+    whole = METHODS[method].apply(task_preset(task_class, platform, preset))
+    config, hyperparameters = whole.config, whole.hyperparameters
+    own = task_class.training[platform].options
+    return {
+        "num_envs": config.num_envs,
+        "iterations": config.rounds,
+        **({"substeps": own["substeps"]} if "substeps" in own else {}),
+        "p_ht": hyperparameters.p_ht,
+        "likelihood": hyperparameters.likelihood_weight if config.likelihood_batch else 0,
+        "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
+    }
+
+
 def plan(options: TrainOptions, platform: str) -> Run:
     """Works out what the options ask for on `platform`, `"cpu"` or `"gpu"`.
 
@@ -130,6 +153,11 @@ def _check(options: TrainOptions) -> None:
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
+    for name in ("out", "resume", "demos"):
+        if not isinstance(getattr(options, name), str | Path | None):
+            raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")
+    if not isinstance(options.logger, str):
+        raise ValueError(f"logger is {options.logger!r}; it must be names with commas between them")
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:

@@ -68,7 +68,9 @@ def test_a_command_has_help_of_its_own(capsys, prepared):
         with pytest.raises(SystemExit) as exit_info:
             main([command, "--help"])
         assert exit_info.value.code == 0
-        assert f"usage: hgail {command}" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert f"usage: hgail {command}" in shown
+        assert "None" not in shown
 
 
 TASK_OF_ONE_S_OWN = """
