@@ -44,7 +44,7 @@ def resolve_impl(impl: str) -> str:
 
 def _platform() -> str:
     """Returns what programs run on unless they are told otherwise: `"cpu"`, `"gpu"` or another."""
-    chosen = jax.config.jax_default_device  # a device, a platform's name or None
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
     return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
 
 

@@ -166,16 +166,17 @@ class _Entry(threading.local):
 
 def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
     """Takes addresses of frames and calls the function for each; yields what `_Entry` returns."""
-    answer = None
+    error = None
     while True:
         try:
-            following = answer  # Python 3.11 takes a jump back to the first line of a `try` for one to before it
-            while True:
-                following = _call(function, (yield following))
+            pointer = yield error
+            while True:  # not at the head of the `try`: Python 3.11 takes the jump back for one to before it
+                _call(function, pointer)
+                pointer = yield None
         except GeneratorExit:  # the thread ends
             return
-        except BaseException as error:  # also what a signal raised: nothing may pass through XLA
-            answer = _make_error(f"{type(error).__name__}: {error}")
+        except BaseException as raised:  # also what a signal raised: nothing may pass through XLA
+            error = _make_error(f"{type(raised).__name__}: {raised}")
 
 
 def _call(function: HostFunction, pointer: Any) -> None:
