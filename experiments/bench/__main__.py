@@ -21,6 +21,7 @@ from experiments.bench.whole_runs import measure_compilation, measure_time_to_su
 from experiments.bench.workload import Workload, default_preset, default_substeps
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.presets import platform_name
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.provenance import provenance
 from hgail_jax.validation import check_count, check_name, check_positive
 
@@ -46,10 +47,10 @@ class Options:
     task: tuple[str, ...] = ("reach",)
     """Tasks, one after the other."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
-    num_envs: tuple[int, ...] | None = None
-    """Environments, one row for each; for seeds and devices the first is the number per seed. Default by platform."""
-    substeps: tuple[int, ...] | None = None
-    """Physics steps per action, one row for each; by default what the task is trained with."""
+    num_envs: Annotated[tuple[int, ...] | None, unless_given("by platform", "INT [INT ...]")] = None
+    """Environments, one row for each; for seeds and devices the first is the number per seed."""
+    substeps: Annotated[tuple[int, ...] | None, unless_given("what the task is trained with", "INT [INT ...]")] = None
+    """Physics steps per action, one row for each."""
     seeds: tuple[int, ...] = (1, 8)
     """Numbers of seeds to compare, the first of them 1."""
     run: tuple[str, ...] = ()
@@ -58,8 +59,8 @@ class Options:
     """Seconds after which a peer that learns is stopped, successful or not."""
     quick: bool = False
     """Takes sizes that show that everything runs, and measure nothing."""
-    out: Path | None = None
-    """File to add to, by default runs/bench/bench.json, or runs/quick/bench.json with --quick; its folder is made."""
+    out: Annotated[Path | None, unless_given(f"{_OUT}; {_QUICK_OUT} with --quick", "FILE")] = None
+    """File to add to; its folder is made."""
 
 
 def main(arguments: list[str] | None = None) -> None:
