@@ -42,6 +42,8 @@ class TrainingDefaults:
     """Changes to the fields of `hgail_jax.Hyperparameters`."""
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's own class, e.g. `substeps` of the Fetch tasks."""
+    evaluate_every: int = 1
+    """Rounds from one evaluation to the next."""
 
 
 class GoalEnv(Env):

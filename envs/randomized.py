@@ -201,7 +201,7 @@ class RandomizedEnv(GoalEnv):
         return self._shown + self.task.observation_size
 
     def achieved_goal(self, physics: DisturbedPhysics) -> jax.Array:
-        """Returns the goal that is achieved as it is observed, `[goal_size]`."""
+        """See `GoalEnv`; as it is observed."""
         return self._add(self.task.achieved_goal(physics.true), physics.goal_error)
 
     def sample_goal(self, rng: jax.Array, physics: DisturbedPhysics) -> jax.Array:

@@ -89,7 +89,8 @@ class GoalVectorEnv(VectorEnv):
             return self._start(self._keys)
         if seed is None or _is_integer(seed):
             chosen: Any = seed  # an integer of any kind
-            super().reset(seed=None if seed is None else int(chosen))
+            if seed is not None and int(chosen) >= 0:  # what is less is refused below
+                super().reset(seed=int(chosen))
             first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(chosen)
             seed = [first + index for index in range(self.num_envs)]
         seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import envs
 from envs.scenes import assets_directory
-from hgail_jax.cli.command_line import prepare_process
+from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.io.film import open_film
 from hgail_jax.io.policy import load_policy
 from hgail_jax.playback import Playback, frames
@@ -62,5 +62,6 @@ def _tile(pictures: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    prepare_process()
-    main()
+    with one_line_errors("film"):
+        prepare_process()
+        main()

@@ -94,8 +94,10 @@ def stop_in_one_line(program: str) -> Iterator[None]:
     except BaseException as error:
         if not received and not isinstance(error, KeyboardInterrupt):
             raise
-    if received:
-        raise SystemExit(128 + received[0])
+    if received:  # not by SystemExit: threads of XLA may compute yet, and call a Python that would be going away
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+        exit_at_once(received[0])
 
 
 def _say(line: str) -> None:

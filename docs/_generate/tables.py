@@ -16,7 +16,6 @@ from docs._generate.results import (
     read_json,
     seconds,
     success,
-    transfer,
     trial,
 )
 from envs.randomization import LEVELS, Randomization
@@ -260,81 +259,35 @@ def localised() -> str:
 def headline() -> str:
     """The four figures of the front page, an unflattering one among them."""
     reach, grasp = trial("table1-reach", "HGAIL"), trial("table1-grasp", "HGAIL")
-    ur5e = transfer("UR5e", "grasp", hand="open", period=160)
+    placed = read_json("runs/pick-and-place-hgail/summary")["success_rate"]
     sizes = trial("ablations-reach", "the paper's sizes", "with pre-training")
     return markdown(
         ["what", "paper", "here"],
         [
             ["reach", reach["paper_success"], success(reach)],
             ["grasp, lifted", grasp["paper_success"], success(grasp)],
-            ["the same policy picks with a UR5e", "0.93 ± 0.04", fixed(ur5e["success_rate"], 3)],
+            ["pick and place", "", f"{fixed(placed['mean'], 3)} ± {fixed(placed['std'], 3)}"],
             ["reach with the paper's own sizes", reach["paper_success"], success(sizes)],
         ],
     )
 
 
-def suite() -> str:
-    """Eight seeds of each task of the Fetch suite on one H200."""
-    rows = [read_json(f"runs/{task}-hgail/summary") for task in ("reach", "grasp", "push", "pick-and-place")]
-    header = ["task", "success", "worst seed", "L1 distance", "env steps per seed", "training", "start to end"]
+def parity() -> str:
+    """How far the gripper goes another way than the reference's, on a CPU."""
+    engines = {"c": "C MuJoCo", "jax": "MJX-JAX"}
     return markdown(
-        header,
+        ["task", "reference", "engine", "physics steps", "one action, median (99 %)", "50 actions, median", "worst"],
         [
             [
                 row["task"],
-                f"{fixed(row['success_rate']['mean'], 3)} ± {fixed(row['success_rate']['std'], 3)}",
-                fixed(min(row["success_rate"]["per_seed"]), 3),
-                f"{fixed(row['distance_l1']['mean'], 3)} m",
-                count(row["env_steps_per_seed"]),
-                *(seconds(row["wall_seconds"][what]) for what in ("train", "total")),
+                row["reference"],
+                engines[row["impl"]],
+                str(row["substeps"]),
+                f"{fixed(row['one_step_median_mm'], 2)} mm ({fixed(row['one_step_p99_mm'], 2)})",
+                f"{fixed(row['drift_median_mm'], 1)} mm",
+                f"{fixed(row['drift_worst_mm'], 0)} mm",
             ]
-            for row in rows
-        ],
-    )
-
-
-def official() -> str:
-    """Policies run unchanged in Gymnasium-Robotics' environments."""
-    return markdown(
-        ["task", "success", "95 % interval", "episodes"],
-        [
-            [
-                row["task"],
-                fixed(row["success_rate"], 3),
-                f"{fixed(row['success_low'], 3)} to {fixed(row['success_high'], 3)}",
-                str(row["episodes"]),
-            ]
-            for row in read_json("suite/gymnasium")["rows"]
-        ],
-    )
-
-
-def each_seed(table: str) -> str:
-    """Returns a table of `suite/`: settings, and the success of each of their seeds."""
-    return markdown(
-        ["setting", "success", "of each seed"],
-        [
-            [
-                row["setting"],
-                fixed(row["success_rate"], 2),
-                ", ".join(fixed(value, 2) for value in row["success_per_seed"]),
-            ]
-            for row in read_json(f"suite/{table}")["rows"]
-        ],
-    )
-
-
-def grasp_on_two_cores() -> str:
-    """One seed of grasp at a time on two cores."""
-    return markdown(
-        ["seed", "success", "training", "start to end"],
-        [
-            [
-                str(row["seed"]),
-                fixed(row["success_rate"], 3),
-                *(seconds(row[f"{what}_seconds"]) for what in ("train", "total")),
-            ]
-            for row in read_json("suite/grasp-on-two-cores")["rows"]
+            for row in read_json("parity/parity")["rows"]
         ],
     )
 

@@ -29,14 +29,23 @@ def resolve_impl(impl: str) -> str:
     """
     if impl != "auto" and impl not in ENGINES:
         raise ValueError(f"unknown impl {impl!r}; choose from auto, {', '.join(ENGINES)}")
-    has_warp = importlib.util.find_spec("warp") is not None and jax.default_backend() == "gpu"
+    platform = _platform()
+    has_warp = importlib.util.find_spec("warp") is not None and platform == "gpu"
     if impl == "warp" and not has_warp:
         raise ValueError("impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'")
+    if impl == "c" and platform != "cpu":
+        raise ValueError("impl 'c' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
     if impl != "auto":
         return impl
     if has_warp:
         return "warp"
-    return "c" if jax.default_backend() == "cpu" else "jax"
+    return "c" if platform == "cpu" else "jax"
+
+
+def _platform() -> str:
+    """Returns what programs run on unless they are told otherwise: `"cpu"`, `"gpu"` or another."""
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
+    return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
 
 
 def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:

@@ -7,7 +7,9 @@ function interface, and hands over its own buffers. The structures below are tho
 """
 
 import ctypes
-from collections.abc import Callable, Sequence
+import operator
+import threading
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 import jax
@@ -112,6 +114,7 @@ class _Frame(ctypes.Structure):
 
 _Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
 _registered: dict[str, Any] = {}  # for good: a compiled program may call at any time
+_api: _Api | None = None  # XLA's, one for the whole process
 
 
 def host_call(
@@ -133,7 +136,7 @@ def host_call(
 
     """
     if name not in _registered:
-        handler = _Handler(_make_handler(function))
+        handler = _Handler(_Entry(function))
         capsule = _new_capsule(ctypes.cast(handler, ctypes.c_void_p), None, None)
         jax.ffi.register_ffi_target(_PREFIX + name, capsule, platform="cpu")
         _registered[name] = handler
@@ -145,33 +148,59 @@ _new_capsule.restype = ctypes.py_object
 _new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 
 
-def _make_handler(function: HostFunction) -> Callable[[Any], int | None]:
-    """Returns what XLA calls: it returns the address of an error, or None."""
+class _Entry(threading.local):
+    """What XLA calls with the address of a frame. It returns the address of an error, or None; it raises nothing.
 
-    def handle(pointer: Any) -> int | None:
-        frame = pointer.contents
-        extension = frame.extension_start
-        if extension and extension.contents.kind == _METADATA:
-            _answer(extension.contents.metadata.contents, frame.api)
-            return None
+    What a signal is to raise, as Ctrl-C a KeyboardInterrupt, Python raises at the next line that it runs. In a function
+    that C calls this is before any `try`; ctypes would print it and go on, with results that nobody wrote. A generator
+    goes on within its `try`, and on the way to it no line of Python runs. Each thread has one of its own.
+    """
+
+    def __init__(self, function: HostFunction) -> None:
+        calls = _answer_calls(function)
+        next(calls)
+        self.answer = calls.send
+
+    __call__ = property(operator.attrgetter("answer"))
+
+
+def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
+    """Takes addresses of frames and calls the function for each; yields what `_Entry` returns."""
+    error = None
+    while True:
         try:
-            results = function(*frame.arguments.arrays())
-            for buffer, result in zip(frame.results.arrays(), results, strict=True):
-                buffer[...] = result
-        except BaseException as error:  # also what a signal raised: nothing may pass through XLA
-            return _make_error(frame.api.contents, f"{type(error).__name__}: {error}")
-        return None
+            pointer = yield error
+            while True:  # not at the head of the `try`: Python 3.11 takes the jump back for one to before it
+                _call(function, pointer)
+                pointer = yield None
+        except GeneratorExit:  # the thread ends
+            return
+        except BaseException as raised:  # also what a signal raised: nothing may pass through XLA
+            error = _make_error(f"{type(raised).__name__}: {raised}")
 
-    return handle
+
+def _call(function: HostFunction, pointer: Any) -> None:
+    """Calls the function with the arguments in a frame, and puts its results there; or tells XLA the version."""
+    frame = pointer.contents
+    extension = frame.extension_start
+    if extension and extension.contents.kind == _METADATA:
+        _describe(extension.contents.metadata.contents, frame.api.contents)
+        return
+    results = function(*frame.arguments.arrays())
+    for buffer, result in zip(frame.results.arrays(), results, strict=True):
+        buffer[...] = result
 
 
-def _answer(metadata: _Metadata, api: Any) -> None:
-    """Tells XLA the version that the function was written for."""
+def _describe(metadata: _Metadata, api: _Api) -> None:
+    """Tells XLA the version that the function was written for, and keeps what errors are made with."""
+    global _api
+    _api = api
     metadata.version.major = _MAJOR_VERSION
-    metadata.version.minor = api.contents.version.minor if api else 0  # minor versions only add to the structures
+    metadata.version.minor = api.version.minor  # minor versions only add to the structures
     metadata.traits = 0
 
 
-def _make_error(api: _Api, message: str) -> int:
+def _make_error(message: str) -> int:
+    assert _api is not None, "XLA asks for the version first"
     arguments = _ErrorArguments(ctypes.sizeof(_ErrorArguments), None, message.encode(), _INTERNAL)
-    return api.create_error(ctypes.byref(arguments))
+    return _api.create_error(ctypes.byref(arguments))

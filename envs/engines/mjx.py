@@ -101,12 +101,14 @@ class WarpEngine(MjxEngine):
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
     """Returns the most contacts of all worlds together and the most constraint rows of one: `make_data`'s arguments.
 
-    A plane and a box meet in at most four points, two boxes in eight. A contact takes two rows per direction of its
-    friction pyramid, a weld six rows, a limited joint one for each limit. There is a quarter to spare: more rows than
-    that have been asked for when a hand was pressed into the cube.
+    A sphere meets anything in one point, a plane a box in at most four, two boxes meet in eight. A contact takes two
+    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit. There is a quarter
+    to spare: more rows than that have been asked for when a hand was pressed into the cube.
     """
-    planes = model.geom_type[model.pair_geom1] == mujoco.mjtGeom.mjGEOM_PLANE
-    points = np.where(planes, 4, 8)
+    kinds = model.geom_type[np.stack([model.pair_geom1, model.pair_geom2])]
+    spheres = (kinds == mujoco.mjtGeom.mjGEOM_SPHERE).any(axis=0)
+    planes = (kinds == mujoco.mjtGeom.mjGEOM_PLANE).any(axis=0)
+    points = np.where(spheres, 1, np.where(planes, 4, 8))
     rows = 6 * model.neq + 2 * int(model.jnt_limited.sum()) + int(np.sum(points * 2 * (model.pair_dim - 1)))
     return {"naconmax": int(points.sum()) * worlds, "njmax": rows + rows // 4}
 

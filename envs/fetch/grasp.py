@@ -78,7 +78,7 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": training_defaults(num_envs=1024, rounds=16),
+        "cpu": training_defaults(num_envs=1024, rounds=14, evaluate_every=3, hidden=256),
         "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 

@@ -65,7 +65,8 @@ class PickAndPlace(ObjectEnv):
     reference = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training_defaults(num_envs=1024, rounds=rounds) for platform, rounds in (("cpu", 34), ("gpu", 60))
+        platform: training_defaults(num_envs=1024, rounds=rounds, evaluate_every=5, hidden=256)
+        for platform, rounds in (("cpu", 26), ("gpu", 60))
     }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:

@@ -63,7 +63,8 @@ class Push(ObjectEnv):
     reference = "FetchPush-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-behind": controllers.push}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training_defaults(num_envs=1024, rounds=150, trivial_weight=0.3) for platform in ("cpu", "gpu")
+        platform: training_defaults(num_envs=1024, rounds=120, evaluate_every=5, hidden=256, trivial_weight=0.3)
+        for platform in ("cpu", "gpu")
     }
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, exploring: jax.Array | bool) -> PushPlan:

@@ -5,15 +5,27 @@ from typing import Any
 from envs.base import TrainingDefaults
 
 
-def training_defaults(num_envs: int, rounds: int, **hyperparameters: Any) -> TrainingDefaults:
+def training_defaults(
+    num_envs: int, rounds: int, evaluate_every: int = 1, hidden: int | None = None, **hyperparameters: Any
+) -> TrainingDefaults:
     """Returns the settings of a task with an object, with changes to them.
 
     A touch that teaches something is found by chance, so it takes wide roll-outs and many rounds. The likelihood of
     expert samples beside PPO teaches the hand, and a wide deviation of its command alone finds the order of opening and
     closing.
+
+    Args:
+      num_envs: episodes in a roll-out.
+      rounds: rounds of the training.
+      evaluate_every: rounds from one evaluation to the next.
+      hidden: width of the hidden layers of all networks; None leaves `Config`'s.
+      hyperparameters: changes to the hyperparameters below.
+
     """
+    widths = {} if hidden is None else {"policy_hidden": (hidden, hidden), "discriminator_hidden": (hidden, hidden)}
     return TrainingDefaults(
-        config={
+        config=widths
+        | {
             "num_envs": num_envs,
             "rounds": rounds,
             "policy_phases": 4,
@@ -31,4 +43,5 @@ def training_defaults(num_envs: int, rounds: int, **hyperparameters: Any) -> Tra
         }
         | hyperparameters,
         options={"substeps": 8},
+        evaluate_every=evaluate_every,
     )

@@ -14,15 +14,16 @@ import envs
 from envs.engines import ENGINES
 from envs.fetch.arm import FetchEnv
 from experiments.bench import speed
-from experiments.bench.peers import peer_rows
+from experiments.bench.peers import PACKAGES, peer_rows
 from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
 from experiments.bench.whole_runs import measure_compilation, measure_time_to_success
 from experiments.bench.workload import Workload, default_preset, default_substeps
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.presets import platform_name
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.provenance import provenance
-from hgail_jax.validation import check_count, check_name
+from hgail_jax.validation import check_count, check_name, check_positive
 
 PROGRAM = "bench"
 
@@ -43,21 +44,23 @@ class Options:
         ...,
     ] = ("physics", "rollout", "train", "shares")
     """What to measure. The first four are columns of one row for each size."""
-    task: str = "reach"
-    """The task."""
+    task: tuple[str, ...] = ("reach",)
+    """Tasks, one after the other."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
-    num_envs: tuple[int, ...] | None = None
-    """Environments, one row for each; for seeds and devices the first is the number per seed. Default by platform."""
-    substeps: tuple[int, ...] | None = None
-    """Physics steps per action, one row for each; by default what the task is trained with."""
+    num_envs: Annotated[tuple[int, ...] | None, unless_given("by platform", "INT [INT ...]")] = None
+    """Environments, one row for each; for seeds and devices the first is the number per seed."""
+    substeps: Annotated[tuple[int, ...] | None, unless_given("what the task is trained with", "INT [INT ...]")] = None
+    """Physics steps per action, one row for each."""
     seeds: tuple[int, ...] = (1, 8)
     """Numbers of seeds to compare, the first of them 1."""
     run: tuple[str, ...] = ()
     """Further options of hgail train for compile and time-to-success, as one word each: --run=--num-envs=64."""
+    time_limit: float = 900.0
+    """Seconds after which a peer that learns is stopped, successful or not."""
     quick: bool = False
     """Takes sizes that show that everything runs, and measure nothing."""
-    out: Path | None = None
-    """File to add to, by default runs/bench/bench.json, or runs/quick/bench.json with --quick; its folder is made."""
+    out: Annotated[Path | None, unless_given(f"{_OUT}; {_QUICK_OUT} with --quick", "FILE")] = None
+    """File to add to; its folder is made."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -81,12 +84,14 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _check(options: Options) -> None:
     """Raises a ValueError if a list of options is empty or holds what it cannot have."""
-    for name in ("section", "impl", "seeds"):
+    for name in ("section", "task", "impl", "seeds"):
         if not getattr(options, name):
             raise ValueError(f"--{name} names nothing")
-    check_name("task", options.task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
+    for task in options.task:
+        check_name("task", task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
+    check_positive("time_limit", options.time_limit)
     for name in ("seeds", "num_envs", "substeps"):
         for count in getattr(options, name) or ():
             check_count(name, count)
@@ -98,21 +103,22 @@ def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
     """Yields rows and what made them."""
     # The runs in processes of their own come first: until JAX's backend starts here, they have the GPU to themselves.
     for section, call in (("compile", measure_compilation), ("time-to-success", measure_time_to_success)):
-        if section in options.section:
-            row, made_by = call(options.task, options.run, options.quick)
+        for task in options.task if section in options.section else ():
+            row, made_by = call(task, options.run, options.quick)
             yield {"section": section, **row}, made_by
-    for row in _rows(options):
-        yield row, provenance()
+    for task in options.task:
+        for row in _rows(options, task):
+            yield row, provenance(*(PACKAGES if row["section"] == "peers" else ()))
 
 
-def _rows(options: Options) -> Iterator[dict[str, Any]]:
-    """Yields the rows that are measured in this process."""
+def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
+    """Yields a task's rows that are measured in this process."""
     columns = [name for name in speed.COLUMNS if name in options.section]
     if columns:
-        for workload in _workloads(options, options.num_envs or _NUM_ENVS[platform_name()]):
+        for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
             yield {"section": "speed", **speed.speed_row(workload, columns)}
-    per_seed = options.num_envs or (default_preset(options.task).config.num_envs,)
-    for workload in _workloads(options, per_seed[:1]):
+    per_seed = options.num_envs or (default_preset(task).config.num_envs,)
+    for workload in _workloads(options, task, per_seed[:1]):
         if "seeds" in options.section:
             for row in measure_seeds(workload, _QUICK_SEEDS if options.quick else options.seeds):
                 yield {"section": "seeds", **row}
@@ -120,16 +126,16 @@ def _rows(options: Options) -> Iterator[dict[str, Any]]:
             for row in measure_devices(workload):
                 yield {"section": "devices", **row}
     if "peers" in options.section:
-        for row in peer_rows(options.task, options.quick):
+        for row in peer_rows(task, options.quick, options.time_limit):
             yield {"section": "peers", **row}
 
 
-def _workloads(options: Options, num_envs: Sequence[int]) -> Iterator[Workload]:
+def _workloads(options: Options, task: str, num_envs: Sequence[int]) -> Iterator[Workload]:
     """Yields what the options name, for each engine, number of physics steps and number of environments."""
-    substeps = options.substeps or (default_substeps(options.task, platform_name()),)
+    substeps = options.substeps or (default_substeps(task, platform_name()),)
     counts = _QUICK_NUM_ENVS if options.quick else num_envs
     for impl, steps, count in itertools.product(options.impl, substeps, counts):
-        yield Workload(options.task, impl, count, steps, options.quick)
+        yield Workload(task, impl, count, steps, options.quick)
 
 
 if __name__ == "__main__":

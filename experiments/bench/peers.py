@@ -1,4 +1,4 @@
-"""Measures other projects on the same machine; each that is not installed is left out with one line."""
+"""Measures other projects beside this one's stepping; each that is not installed is left out with one line."""
 
 import contextlib
 import functools
@@ -20,13 +20,18 @@ import envs
 from envs.engines.c import usable_cores
 from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, settle
 from envs.scenes import load_scene
+from experiments.bench.stepping import time_steps
 from experiments.bench.timing import compile_timed, seconds_per_call
-from experiments.bench.workload import default_substeps
+from experiments.bench.workload import Workload, default_substeps
+from hgail_jax.presets import platform_name
+
+PACKAGES = ("gymnasium", "gymnasium-robotics", "envpool", "stable-baselines3", "torch")
+"""What the peers are made of, beside this project's own packages."""
 
 _SECONDS, _QUICK_SECONDS = 10.0, 0.2
 _SUCCESS = 0.98  # rate at which stable-baselines3 is stopped
 _MOST_STEPS = 60_000
-_POOLED = 64  # environments of EnvPool
+_POOLED = 64  # environments of EnvPool, and of ours beside it
 
 _TIME_ENVPOOL = """
 import json, sys, time
@@ -45,21 +50,50 @@ print(json.dumps({"version": envpool.__version__, "env_steps_per_second": taken 
 """
 
 
-def peer_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
-    """Yields a row for each peer that is installed; but for JaxGCRL they run on the CPU, on any machine."""
-    cpu_peers: list[Callable[[str, bool], Iterator[dict[str, Any]]]] = [
-        rollout_rows,
-        gymnasium_rows,
-        envpool_rows,
-        stable_baselines_rows,
-    ]
-    for peer in (jaxgcrl_rows, *cpu_peers):
-        cores = {"cpu_cores": usable_cores()} if peer in cpu_peers else {}
+def peer_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict[str, Any]]:
+    """Yields a row for each peer that is installed; but for JaxGCRL they run on the CPU, on any machine.
+
+    Args:
+      task: which, beside its counterparts.
+      quick: whether to take sizes that show that everything runs.
+      time_limit: seconds for a peer that learns.
+
+    """
+    cpu_peers: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {
+        "ours": lambda: own_rows(task, quick),
+        "mujoco.rollout": lambda: rollout_rows(task, quick),
+        "gymnasium-robotics": lambda: gymnasium_rows(task, quick),
+        "envpool": lambda: envpool_rows(task, quick),
+        "stable-baselines3": lambda: stable_baselines_rows(task, quick, time_limit),
+    }
+    for name, peer in {"jaxgcrl": lambda: jaxgcrl_rows(task, quick), **cpu_peers}.items():
+        cores = {"cpu_cores": usable_cores()} if name in cpu_peers else {}
         try:
-            for row in peer(task, quick):
+            for row in peer():
                 yield {"task": task, **row, **cores}
         except ImportError as error:
-            print(f"left out: {peer.__name__.removesuffix('_rows')} ({error})")
+            print(f"left out: {name} ({error})")
+
+
+def own_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
+    """Times this project's task on a CPU with random actions: with the peers' physics steps, and as it is trained."""
+    if platform_name() != "cpu":
+        return
+    trained = default_substeps(task, "cpu")
+    for impl, name, substeps in (
+        ("c", "C MuJoCo", ACCURATE_SUBSTEPS),
+        ("c", "C MuJoCo", trained),
+        ("jax", "MJX-JAX", ACCURATE_SUBSTEPS),
+    ):
+        workload = Workload(task, impl, 4 if quick else _POOLED, substeps, quick)
+        _, measured = time_steps(workload, workload.reset(), workload.actions())
+        rate = measured["raw_env_steps_per_second"]
+        yield {
+            "what": f"hgail_jax, {name}",
+            "num_envs": workload.num_envs,
+            "substeps": substeps,
+            "env_steps_per_second": rate,
+        }
 
 
 def rollout_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
@@ -137,8 +171,11 @@ def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     }
 
 
-def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
-    """Times stable-baselines3's SAC with HER on the reference, to a success rate of .98 in 100 episodes; reach only."""
+def stable_baselines_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict[str, Any]]:
+    """Times stable-baselines3's SAC with HER on the reference, to a success rate of .98 in 100 episodes; reach only.
+
+    It is stopped after `time_limit` seconds, tests included, once the steps until the next test are done.
+    """
     if task != "reach":
         return
     import gymnasium
@@ -159,7 +196,8 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
         device="cpu",
     )
     step, seconds, success = 150 if quick else 1000, 0.0, 0.0
-    while success < _SUCCESS and learner.num_timesteps < (step if quick else _MOST_STEPS):
+    most_steps, deadline = step if quick else _MOST_STEPS, time.perf_counter() + time_limit
+    while success < _SUCCESS and learner.num_timesteps < most_steps and time.perf_counter() < deadline:
         started = time.perf_counter()
         learner.learn(step, reset_num_timesteps=False)
         seconds += time.perf_counter() - started
@@ -174,9 +212,14 @@ def stable_baselines_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
 
 
 def _evaluate(learner: Any, env: Any, episodes: int) -> float:
-    """Returns the share of episodes whose last step is a success, with the mean action."""
-    successes = []
+    """Returns the share of episodes whose last step is a success, with the mean action.
+
+    The test ends early where the rest could no longer make it `_SUCCESS`.
+    """
+    successes: list[float] = []
     for seed in range(episodes):
+        if len(successes) - sum(successes) > episodes * (1.0 - _SUCCESS):
+            break
         observation, _ = env.reset(seed=1000 + seed)
         over = False
         while not over:

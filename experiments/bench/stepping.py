@@ -1,6 +1,7 @@
 """Measures stepping: the task's step in a compiled program, and beside it the engine alone on the same work."""
 
 import functools
+from collections.abc import Callable
 
 import jax
 
@@ -18,17 +19,18 @@ def measure_stepping(workload: Workload) -> dict[str, float]:
     `raw_to_bare` compares with the fastest of these.
     """
     states, actions = workload.reset(), workload.actions()
-    step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), states, actions)
-    raw = workload.env_steps / seconds_per_call(lambda: step(states, actions))
+    step, raw = time_steps(workload, states, actions)
     _, controls = step(states, actions)
     bare = measure_bare_loops(workload.env, states.pipeline_state, controls)
     fastest = max(value for name, value in bare.items() if name.startswith("bare"))
-    return {
-        "raw_env_steps_per_second": raw,
-        "raw_compile_seconds": compile_seconds,
-        **bare,
-        "raw_to_bare": raw / fastest,
-    }
+    return {**raw, **bare, "raw_to_bare": raw["raw_env_steps_per_second"] / fastest}
+
+
+def time_steps(workload: Workload, states: envs.State, actions: jax.Array) -> tuple[Callable, dict[str, float]]:
+    """Compiles and times `step_task`; returns the program, its speed and the seconds that its compilation took."""
+    step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), states, actions)
+    raw = workload.env_steps / seconds_per_call(lambda: step(states, actions))
+    return step, {"raw_env_steps_per_second": raw, "raw_compile_seconds": compile_seconds}
 
 
 def step_task(env: FetchEnv, states: envs.State, actions: jax.Array) -> tuple[envs.State, Control]:

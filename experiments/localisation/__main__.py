@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
 from experiments.localisation.error import measure
 from experiments.localisation.figures import draw_examples, draw_sweeps
@@ -12,6 +13,7 @@ from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import write_csv, write_json
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.provenance import provenance
 from hgail_jax.trainer.run_folder import create_folder, next_folder
 from hgail_jax.validation import check_count
@@ -25,8 +27,8 @@ _LEAST_PICTURES = 64  # one batch
 class _Options:
     seed: int = 0
     """Of the scenes and of the training; an evaluation never has the scenes of a training."""
-    out: Path | None = None
-    """Folder to write, which must not exist yet; by default runs/localisation-<number>."""
+    out: Annotated[Path | None, unless_given("runs/localisation-<number>", "FOLDER")] = None
+    """Folder to write, which must not exist yet."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +47,8 @@ class Evaluate(_Options):
 
     scenes: int = 500
     """Scenes of each kind."""
-    weights: Path | None = None
-    """The network's weights; by default those that come with the repository."""
+    weights: Annotated[Path | None, unless_given("those that come with the repository", "FILE")] = None
+    """The network's weights."""
 
 
 def main(arguments: list[str] | None = None) -> None:

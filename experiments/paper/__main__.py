@@ -5,7 +5,7 @@ import dataclasses
 import os
 import threading
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import envs
 from experiments.paper.aggregate import write_aggregates
@@ -18,6 +18,7 @@ from experiments.paper.trials import Scale
 from experiments.paper.work import Unfinished, Work, redraw, time_one_program
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.presets import platform_name
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.run_folder import sole_user
 from hgail_jax.trainer.signals import stop_on_signal
 from hgail_jax.validation import check_count, check_name
@@ -48,14 +49,14 @@ class Options:
     """Draw every figure again from the data in the folder; nothing is trained."""
     task: tuple[str, ...] = ()
     """Tasks by name; by default reach, or point with --quick."""
-    seeds: int | None = None
-    """Number of seeds: 8, of studies that settings are chosen by 4; 2 with --quick."""
-    processes: int | None = None
-    """Programs to train at a time, each on a GPU of its own where there are any; by default as many as GPUs."""
+    seeds: Annotated[int | None, unless_given("8; 4 where settings are chosen; 2 with --quick", "INT")] = None
+    """Number of seeds."""
+    processes: Annotated[int | None, unless_given("as many as GPUs", "INT")] = None
+    """Programs to train at a time, each on a GPU of its own where there are any."""
     quick: bool = False
     """Sizes that show in a minute or two that everything runs, and nothing else."""
-    out: Path | None = None
-    """Folder to write to: runs/paper, or runs/quick with --quick; the published one is experiments/results/paper."""
+    out: Annotated[Path | None, unless_given("runs/paper; runs/quick with --quick", "FOLDER")] = None
+    """Folder to write to; the published one is experiments/results/paper."""
 
 
 def plan(options: Options, platform: str) -> list[Work]:

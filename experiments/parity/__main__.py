@@ -12,11 +12,12 @@ import envs
 from envs.fetch.arm import ACCURATE_SUBSTEPS, FAST_SUBSTEPS
 from experiments.parity.moves import one_step_errors, open_loop_drift, open_loop_ends, random_moves
 from experiments.parity.reference import make_reference
-from hgail_jax.cli.command_line import parse
-from hgail_jax.io.files import write_json
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.io.files import check_writable, write_json
 from hgail_jax.trainer.provenance import provenance
 
-PROGRAM = "parity.py"
+PROGRAM = "parity"
+
 _ROWS = (
     ("reach", "c", ACCURATE_SUBSTEPS),
     ("reach", "c", FAST_SUBSTEPS),
@@ -41,6 +42,10 @@ class Command:
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line."""
     command = parse(Command, PROGRAM, __doc__, arguments)
+    try:
+        check_writable(command.out)
+    except OSError as error:
+        fail(PROGRAM, error, 2)
     rows = []
     for task, impl, substeps in _ROWS:
         rows.append(measure(task, impl, substeps))
@@ -74,4 +79,6 @@ def measure(task: str, impl: str, substeps: int) -> dict[str, str | int | float]
 
 
 if __name__ == "__main__":
-    main()
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()

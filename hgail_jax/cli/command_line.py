@@ -71,6 +71,10 @@ def one_line_errors(program: str) -> Iterator[None]:
     with stop_in_one_line(program):
         try:
             yield
+            sys.stdout.flush()
+        except BrokenPipeError:  # whoever read the output has gone, as `head` does
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
+            raise SystemExit(1) from None
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             if not is_out_of_memory(error):
                 raise

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.demonstrations import save_demonstrations
+from hgail_jax.io.files import check_writable
 from hgail_jax.recording import make_for_demonstrations, record
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.status import StatusLine
@@ -37,6 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
         check_count("seed", options.seed, least=0, most=MOST_SEED)
         if path.exists():
             raise ValueError(f"{path} exists already; name another file")
+        check_writable(path)
         env = make_for_demonstrations(options.task, options.episodes)
         with StatusLine(f"compiling and running {options.episodes} episodes of {options.task}"):
             demonstrations = record(env, options.task, options.episodes, options.seed)

@@ -30,21 +30,20 @@ class Options:
 
     task: str = "grasp"
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Path | None = None
-    """The policy's file; by default the one that comes with the package."""
+    policy: Annotated[Path | None, unless_given("the one that comes with the package", "FILE")] = None
+    """The policy's file."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is disturbed; see docs/robust.md."""
     episodes: int = 3
     """Episodes to play; the page goes on until it is stopped."""
     seed: int = 0
     """Of the episodes."""
-    out: Path | None = None
-    """Film to write instead of opening the viewer, .mp4, .gif or .webp, which must not exist; without a display
-    <task>.mp4 by default."""
+    out: Annotated[Path | None, unless_given("the viewer; <task>.mp4 without a display", "FILE")] = None
+    """Film to write, .mp4, .gif or .webp, which must not exist."""
     web: bool = False
     """Serve a page on which the target can be dragged while the policy acts (extra `web`)."""
-    port: int | None = None
-    """The page's port; by default the first that is free from 8080 on."""
+    port: Annotated[int | None, unless_given("the first that is free from 8080 on", "INT")] = None
+    """The page's port."""
     host: str = "127.0.0.1"
     """The network address to serve the page on; by default it is for this machine alone."""
 

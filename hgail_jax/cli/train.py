@@ -1,5 +1,6 @@
 """Trains several seeds of a method on a task, side by side, and writes what came of it to a folder."""
 
+import argparse
 import contextlib
 import dataclasses
 import sys
@@ -11,8 +12,9 @@ from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, 
 from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.playback import film
+from hgail_jax.presets import platform_name
 from hgail_jax.trainer import Trainer, TrainOptions
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.options import task_defaults, unless_given
 from hgail_jax.trainer.signals import stop_on_signal
 
 PROGRAM = "hgail train"
@@ -38,7 +40,7 @@ class Command(TrainOptions):
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
-    command = parse(Command, PROGRAM, __doc__, arguments)
+    command = parse(Command, PROGRAM, _description(arguments), arguments)
     with contextlib.ExitStack() as held:
         try:
             auto = command.distributed == "auto"
@@ -61,6 +63,23 @@ def main(arguments: list[str] | None = None) -> None:
         _report(summary, trainer)
         if command.video:
             _film(trainer)
+
+
+def _description(arguments: list[str] | None) -> str:
+    """Returns what stands above the options: in the help also the numbers of the task that is named."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for name in ("task", "method", "preset"):
+        parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
+    words = sys.argv[1:] if arguments is None else arguments
+    if not {"-h", "--help"} & set(words):
+        return __doc__ or ""
+    try:
+        named, _ = parser.parse_known_args(words)
+        numbers = task_defaults(named.task, named.method, named.preset, platform_name())
+    except (ValueError, argparse.ArgumentError):  # there is no such task, method or preset
+        return __doc__ or ""
+    said = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in numbers.items())
+    return f"{__doc__}\n\n{named.method} on {named.task} has {said}."
 
 
 def _train(trainer: Trainer) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import errno
 import json
 import os
 from collections.abc import Iterator
@@ -35,6 +36,23 @@ def replace_path(path: Path | str) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def check_writable(path: Path) -> None:
+    """Refuses a file that could not be written once it is needed, with the folders that are missing.
+
+    Raises:
+      OSError: it is a folder, or the nearest folder above it that exists is none, or cannot be written to.
+
+    """
+    nearest = next(folder for folder in path.absolute().parents if folder.exists())
+    for place, refused, number in (
+        (path, path.is_dir(), errno.EISDIR),
+        (nearest, not nearest.is_dir(), errno.ENOTDIR),
+        (nearest, not os.access(nearest, os.W_OK | os.X_OK), errno.EACCES),
+    ):
+        if refused:
+            raise OSError(number, os.strerror(number), str(place))
 
 
 def remove_partial_files(folder: Path) -> None:

@@ -3,15 +3,12 @@
 import contextlib
 import hashlib
 import json
-import logging
 import os
 import re
 import shutil
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import jax
@@ -21,15 +18,12 @@ import orbax.checkpoint as ocp
 
 from hgail_jax.distributed.sharding import is_first_process
 from hgail_jax.trainer.identity import AnotherRunError, as_json, refuse_another_run
+from hgail_jax.trainer.quiet_orbax import quiet_late_failures
 
 SCHEMA = 1
 """Version of what a checkpoint holds; one of another schema is refused."""
 KEPT = 3
 """The last checkpoints that are kept, besides the best."""
-
-
-# Orbax logs, over hundreds of lines, each error that it then raises, and which here is said in one.
-logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
 
 
 class Checkpoint(NamedTuple):
@@ -70,6 +64,7 @@ class Checkpoints:
         self._run = as_json(run)
         self._scores: dict[str, list[float]] = {}  # by rounds done
         self._manager: ocp.CheckpointManager | None = None
+        self._end_quiet: Callable[[], None] = lambda: None
 
     def __enter__(self) -> "Checkpoints":
         return self
@@ -78,6 +73,7 @@ class Checkpoints:
         if self._manager is not None:
             with self._one_error():
                 self._manager.close()
+        self._end_quiet()
 
     def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole.
@@ -169,6 +165,7 @@ class Checkpoints:
             multiprocessing_options=_alone(),
         )
         self.folder.mkdir(parents=True, exist_ok=True)
+        self._end_quiet = quiet_late_failures()
         return ocp.CheckpointManager(self.folder, options=options)
 
     def _read_body(self, rounds: int) -> dict:
@@ -212,7 +209,7 @@ class Checkpoints:
         try:
             yield
         except Exception as error:
-            _ignore_late_failures()
+            self._end_quiet = lambda: None  # other arrays fail when this is long over
             self._remove_unfinished()
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 
@@ -227,27 +224,6 @@ class Checkpoints:
             if quiet == 10:
                 break
             time.sleep(0.05)
-
-
-_LATE = "Event loop is closed"  # what they say
-
-
-def _ignore_late_failures() -> None:
-    """Keeps arrays whose write fails once another has failed from complaining, each over many lines.
-
-    They do so from threads that are not Python's, by either of the hooks.
-    """
-    unraisable, uncaught = sys.unraisablehook, sys.excepthook
-
-    def on_unraisable(event: Any) -> None:
-        if _LATE not in str(event.exc_value):
-            unraisable(event)
-
-    def on_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        if _LATE not in str(error):
-            uncaught(kind, error, trace)
-
-    sys.unraisablehook, sys.excepthook = on_unraisable, on_uncaught
 
 
 def _alone() -> ocp.options.MultiprocessingOptions:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 import envs
@@ -79,9 +80,31 @@ class TrainOptions:
     """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
-    evaluate_every: int = 1
+    evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds from one evaluation to the next; the last round always has one. What is learnt does not depend on it."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
+
+
+def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[str, Any]:
+    """Returns the values of the options that are None by default because a task, or a method, has its own.
+
+    Raises:
+      ValueError: there is no such task, method or preset.
+
+    """
+    check_name("method", method, METHODS)
+    task_class = _find(task)
+    whole = METHODS[method].apply(task_preset(task_class, platform, preset))
+    config, hyperparameters = whole.config, whole.hyperparameters
+    own = task_class.training[platform].options
+    return {
+        "num_envs": config.num_envs,
+        "iterations": config.rounds,
+        **({"substeps": own["substeps"]} if "substeps" in own else {}),
+        "p_ht": hyperparameters.p_ht,
+        "likelihood": hyperparameters.likelihood_weight if config.likelihood_batch else 0,
+        "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
+    }
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -115,7 +138,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hyperparameters=preset.hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
-        evaluate_every=options.evaluate_every,
+        evaluate_every=options.evaluate_every or task_class.training[platform].evaluate_every,
         mesh=mesh,
         demonstrations=demonstrations,
         loggers=check_loggers(options.logger),
@@ -127,13 +150,19 @@ def plan(options: TrainOptions, platform: str) -> Run:
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
     check_count("checkpoint_every", options.checkpoint_every)
-    check_count("evaluate_every", options.evaluate_every)
+    if options.evaluate_every is not None:
+        check_count("evaluate_every", options.evaluate_every)
     if options.iterations is not None:
         check_count("iterations", options.iterations, least=0)
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     check_name("randomize", options.randomize, LEVELS)
+    for name in ("out", "resume", "demos"):
+        if not isinstance(getattr(options, name), str | Path | None):
+            raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")
+    if not isinstance(options.logger, str):
+        raise ValueError(f"logger is {options.logger!r}; it must be names with commas between them")
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:

@@ -58,14 +58,19 @@ def _commit() -> str | None:
         return None
 
 
-def provenance() -> dict:
-    """Returns what made a result: command, commit, device and versions."""
+def provenance(*packages: str) -> dict:
+    """Returns what made a result: command, commit, device and versions.
+
+    Args:
+      *packages: further ones whose versions are told, where they are installed.
+
+    """
     device = jax.devices()[0]
     name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind
     return {
         "command": own_command(),
         "commit": _commit(),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
-        "versions": {"python": platform.python_version()} | installed(*_PACKAGES),
+        "versions": {"python": platform.python_version()} | installed(*_PACKAGES, *packages),
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
     }

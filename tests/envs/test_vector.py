@@ -175,6 +175,12 @@ def test_seeds_are_integers(seed):
         GoalVectorEnv(TASK, NUM_ENVS).reset(seed=seed)
 
 
+@pytest.mark.parametrize("seed", [-1, 2**32, [0, 1, -1]])
+def test_seeds_have_a_range(seed):
+    with pytest.raises(ValueError, match="they must be from 0 to 4294967295"):
+        GoalVectorEnv(TASK, NUM_ENVS).reset(seed=seed)
+
+
 def test_seeds_may_be_an_array():
     first, second = GoalVectorEnv(TASK, NUM_ENVS), GoalVectorEnv(TASK, NUM_ENVS)
     same(first.reset(seed=np.arange(4, 7))[0], second.reset(seed=np.int64(4))[0])

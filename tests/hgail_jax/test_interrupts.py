@@ -89,6 +89,24 @@ def test_a_signal_is_one_line_and_leaves_no_file(tmp_path, code, name):
     assert not list(tmp_path.iterdir())
 
 
+AT_THE_END = """
+import atexit
+atexit.register(Path("late").touch)
+with one_line_errors("it"):
+    print("before")
+    interrupt()
+    time.sleep(60)
+"""
+
+
+def test_a_stopped_process_does_not_take_python_away_from_what_still_computes(tmp_path):
+    """Threads of XLA call the C engine's functions until the very end."""
+    process = ended(tmp_path, AT_THE_END)
+    assert process.returncode == 130
+    assert process.stdout == "before\n"
+    assert not list(tmp_path.iterdir())
+
+
 OUT_OF_MEMORY = """
 with one_line_errors("it"):
     raise MemoryError
@@ -116,7 +134,14 @@ except BaseException:
 
 @pytest.mark.parametrize(
     "module",
-    ["hgail_jax.cli.demos", "hgail_jax.cli.train", "experiments.bench", "experiments.paper", "experiments.transfer"],
+    [
+        "hgail_jax.cli.demos",
+        "hgail_jax.cli.train",
+        "experiments.bench",
+        "experiments.paper",
+        "experiments.parity",
+        "experiments.transfer",
+    ],
 )
 def test_an_interrupt_during_imports_is_one_line(tmp_path, module):
     (tmp_path / "jax.py").write_text(IMPATIENT)

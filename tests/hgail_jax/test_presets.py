@@ -8,17 +8,19 @@ from hgail_jax.trainer.options import plan
 
 
 @pytest.mark.parametrize(
-    ("task", "platform", "num_envs", "rounds", "substeps", "episodes"),
+    ("task", "platform", "num_envs", "rounds", "substeps", "episodes", "evaluate_every"),
     [
-        ("reach", "cpu", 64, 6, 4, 128),
-        ("reach", "gpu", 256, 4, 4, 512),
-        ("grasp", "cpu", 1024, 16, 8, 1024),
-        ("grasp", "gpu", 1024, 40, 8, 1024),
+        ("reach", "cpu", 64, 6, 4, 128, 1),
+        ("reach", "gpu", 256, 4, 4, 512, 1),
+        ("grasp", "cpu", 1024, 14, 8, 1024, 3),
+        ("grasp", "gpu", 1024, 40, 8, 1024, 1),
     ],
 )
-def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, substeps, episodes):
+def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, substeps, episodes, evaluate_every):
     run = plan(TrainOptions(task=task), platform)
     assert (run.config.num_envs, run.config.rounds, run.env.substeps) == (num_envs, rounds, substeps)
+    assert run.evaluate_every == evaluate_every
+    assert plan(TrainOptions(task=task, evaluate_every=3), platform).evaluate_every == 3
     assert evaluation_episodes(run.config, run.evaluation_episodes) == episodes
     assert run.seeds == 8
 

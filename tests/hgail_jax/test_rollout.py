@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from envs.fetch.reach import Reach
 from envs.point import Point
 from hgail_jax import rollout
 
@@ -108,3 +109,34 @@ def test_an_episode_whose_simulation_breaks_down_in_the_probe_is_not_sound(probe
     else:
         assert episodes.sound.all()
         assert 0 < far.sum() < NUM_ENVS
+
+
+class Refused(Reach):
+    """Reach, where MuJoCo is given a velocity that it warns of once the gripper is left of its start."""
+
+    episode_length = 6
+
+    def step_physics(self, physics, action):
+        left = physics.gripper_position[1] > self.initial_gripper_position[1] + 0.01
+        velocity = physics.qvel.at[0].add(jnp.where(left, 1e12, 0.0))
+        return super().step_physics(physics.replace(qvel=velocity), action)
+
+
+def test_an_episode_that_mujoco_warns_of_is_not_sound_and_leaves_the_others_alone():
+    def straight(observation, rng):
+        action = jnp.pad(10.0 * (observation[:, -3:] - observation[:, :3]), ((0, 0), (0, 1)))
+        return action, jnp.zeros(len(action))
+
+    plain = type("Plain", (Reach,), {"episode_length": Refused.episode_length})
+    whole, broken = (
+        jax.jit(lambda rng, env=env: rollout(env, straight, rng, NUM_ENVS))(jax.random.key(0))
+        for env in (plain(impl="c", substeps=4), Refused(impl="c", substeps=4))
+    )
+    assert whole.sound.all()
+    farthest = np.asarray(whole.achieved)[:-1, :, 1].max(axis=0)
+    np.testing.assert_array_equal(broken.sound, farthest <= np.asarray(whole.achieved)[0, :, 1] + 0.01)
+    assert 0 < broken.sound.sum() < NUM_ENVS
+    for name in ("features", "achieved", "action", "reward"):
+        ours, theirs = (np.asarray(getattr(episodes, name)) for episodes in (broken, whole))
+        np.testing.assert_array_equal(ours[:, broken.sound], theirs[:, broken.sound])
+        assert (ours[:, ~broken.sound] == 0.0).all()

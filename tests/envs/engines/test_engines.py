@@ -114,13 +114,24 @@ def test_auto_is_the_fastest_that_is_there(monkeypatch, backend, has_warp, chose
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object() if has_warp and name == "warp" else None)
     assert resolve_impl("auto") == chosen
-    for name in TOLERANCES:
-        assert resolve_impl(name) == name
+    assert resolve_impl("jax") == "jax"
+    if backend == "cpu":
+        assert resolve_impl("c") == "c"
+    else:
+        with pytest.raises(ValueError, match="impl 'c' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu"):
+            resolve_impl("c")
     if chosen == "warp":
         assert resolve_impl("warp") == "warp"
     else:
         with pytest.raises(ValueError, match="impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'"):
             resolve_impl("warp")
+
+
+@pytest.mark.parametrize("device", ["cpu", jax.devices("cpu")[0]])
+def test_beside_a_gpu_programs_that_run_on_the_cpu_have_c_mujoco(monkeypatch, device):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with jax.default_device(device):
+        assert resolve_impl("c") == resolve_impl("auto") == "c"
 
 
 def test_an_unknown_engine_is_refused():

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -99,3 +100,53 @@ def test_another_process_takes_the_program_from_the_cache(tmp_path):
     ]
     assert [output[1:4] for output in outputs] == [["0.5"] * 3] * 2
     assert int(outputs[1][-1]) > int(outputs[0][-1])
+
+
+def test_a_thread_that_called_ends_in_silence(monkeypatch):
+    complaints, found, vectors = [], [], random_vectors(5)
+    monkeypatch.setattr(sys, "unraisablehook", lambda complaint: complaints.append(complaint.exc_value))
+    thread = threading.Thread(target=lambda: found.extend(jax.jit(jax.vmap(spun))(*vectors)))
+    thread.start()
+    thread.join()
+    np.testing.assert_array_equal(found[0], spin(*vectors)[0])
+    assert not complaints
+
+
+INTERRUPTED = """
+import os, signal, threading
+import jax, jax.numpy as jnp
+from envs.engines.host_call import host_call
+
+def count(values):
+    if values[0] == 3.0:
+        threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()
+    return (values + 1.0,)
+
+def step(values, _):
+    busy = jax.lax.fori_loop(0, 100, lambda _, matrix: jnp.tanh(matrix @ matrix), jnp.ones((200, 200)) * values[0])
+    return host_call("count", count, [jax.ShapeDtypeStruct((3,), jnp.float32)], values + 0.0 * busy[0, :3])[0], None
+
+@jax.jit
+def run(values, length):
+    return jax.lax.fori_loop(0, length, lambda index, values: step(values, index)[0], values)
+
+for length in (1_000_000, 2):
+    try:
+        print(*run(jnp.zeros(3), length))
+    except jax.errors.JaxRuntimeError as error:
+        print("KeyboardInterrupt" in str(error))
+"""
+
+
+def test_an_interrupt_that_comes_between_two_calls_ends_the_program(tmp_path):
+    """Python raises it on the way into the next call; nothing of it stays behind."""
+    process = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert process.stdout.split() == ["True", "2.0", "2.0", "2.0"]
+    assert process.stderr == ""

@@ -24,7 +24,7 @@ def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision(task):
 
 def test_buffers_hold_what_mjx_jax_allots():
     """MJX-JAX has a row for whatever could be in contact, with four points for a pair of boxes instead of eight."""
-    for task in ("reach", "grasp"):
+    for task in ("reach", "grasp", "push"):
         env = envs.make(task, impl="jax")
         sizes = buffer_sizes(load_scene(f"fetch/{task}"), worlds=3)
         physics = jax.eval_shape(env.reset, jax.random.key(0)).pipeline_state

@@ -102,6 +102,17 @@ def test_the_object_is_measured_whether_it_has_moved_or_not(name, tasks, starts)
     assert not env.reached(state.pipeline_state, jnp.append(gripper + 0.04, 0.0))
 
 
+def test_a_puck_that_moves_achieves_nothing(tasks, starts):
+    """A place that it only passes is none that it was brought to."""
+    env, physics = tasks["slide"], first(starts["slide"][0])
+    physics = moved(env, physics, [0.3, 0.1, 0.0])
+    for velocity, rests in (([0.03, 0.03, 0.0], True), ([0.04, -0.04, 0.0], False), ([0.0, 0.0, -0.06], False)):
+        sliding = physics.replace(qvel=physics.qvel.at[env._object_qvel].set(jnp.array(velocity)))
+        expected = np.append(env.object_position(physics), 1.0) if rests else np.append(physics.gripper_position, 0.0)
+        np.testing.assert_array_equal(env.achieved_goal(sliding), expected.astype(np.float32))
+        assert env.reached(sliding, jnp.append(env.object_position(physics), 1.0))  # which is by position alone
+
+
 def test_kinds_and_success_of_goals(tasks):
     env = tasks["pick-and-place"]
     goals = jnp.array(

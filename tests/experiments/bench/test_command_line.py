@@ -53,6 +53,8 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--impl", "ode"], "bench: impl is 'ode'; choose from auto, "),
         (["--seeds", "8", "1"], "bench: seeds is 8 1; the first must be 1"),
         (["--num-envs", "0"], "bench: num_envs is 0; it must be at least 1"),
+        (["--task", "reach", "point"], "bench: task is 'point'; choose from "),
+        (["--time-limit", "0"], "bench: time_limit is 0.0; it must be positive and finite"),
         (["--section", "everything"], "bench: --section"),
     ],
 )

@@ -1,6 +1,7 @@
 """Other projects: what is not installed is left out."""
 
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,17 +22,74 @@ def make_gymnasium(name, num_envs, num_threads, seed):
 
 
 def test_a_peer_that_is_not_installed_is_left_out_with_one_line(monkeypatch, capsys):
-    def absent_rows(task, quick):
+    def absent_rows(*arguments):
         raise ImportError("No module named 'absent'")
         yield
 
-    for name in ("jaxgcrl_rows", "gymnasium_rows", "envpool_rows", "stable_baselines_rows"):
+    for name in ("jaxgcrl_rows", "own_rows", "gymnasium_rows", "envpool_rows", "stable_baselines_rows"):
         monkeypatch.setattr(peers, name, absent_rows)
     monkeypatch.setattr(peers, "rollout_rows", lambda task, quick: iter([{"what": "present"}]))
-    (row,) = peers.peer_rows("reach", quick=True)
+    (row,) = peers.peer_rows("reach", quick=True, time_limit=1.0)
     assert (row["task"], row["what"]) == ("reach", "present")
     assert row["cpu_cores"] >= 1
-    assert capsys.readouterr().out.splitlines() == ["left out: absent (No module named 'absent')"] * 4
+    absent = ("jaxgcrl", "ours", "gymnasium-robotics", "envpool", "stable-baselines3")
+    expected = [f"left out: {name} (No module named 'absent')" for name in absent]
+    assert capsys.readouterr().out.splitlines() == expected
+
+
+def test_ours_is_stepped_beside_the_peers_on_both_engines_of_a_cpu(monkeypatch):
+    monkeypatch.setattr(peers, "time_steps", lambda workload, *_: (None, {"raw_env_steps_per_second": workload.env}))
+    rows = list(peers.own_rows("reach", True))
+    assert [(row["what"], row["substeps"]) for row in rows] == [
+        ("hgail_jax, C MuJoCo", 20),
+        ("hgail_jax, C MuJoCo", 4),
+        ("hgail_jax, MJX-JAX", 20),
+    ]
+    stepped = [row["env_steps_per_second"] for row in rows]
+    assert [(env.impl, env.substeps) for env in stepped] == [("c", 20), ("c", 4), ("jax", 20)]
+
+
+class Failing:
+    """An environment without success, in episodes of one step."""
+
+    def reset(self, seed):
+        return None, {}
+
+    def step(self, action):
+        return None, 0.0, False, True, {"is_success": 0.0}
+
+
+class Still:
+    """A learner that learns nothing, as far as it is called."""
+
+    def __init__(self, *arguments, **options):
+        self.num_timesteps = 0
+
+    def learn(self, steps, reset_num_timesteps):
+        self.num_timesteps += steps
+
+    def predict(self, observation, deterministic):
+        return None, None
+
+
+def test_a_test_ends_where_success_is_out_of_reach():
+    seeds = []
+    env = Failing()
+    env.reset = lambda seed: seeds.append(seed) or (None, {})
+    assert peers._evaluate(Still(), env, 100) == 0.0
+    assert len(seeds) == 3
+
+
+def test_a_learner_without_success_ends_at_its_time_limit(monkeypatch):
+    sb3 = SimpleNamespace(SAC=Still, HerReplayBuffer=None, __version__="9.9")
+    gymnasium = SimpleNamespace(register_envs=lambda package: None, make=lambda name: Failing())
+    for name, module in {"stable_baselines3": sb3, "gymnasium": gymnasium, "gymnasium_robotics": None}.items():
+        monkeypatch.setitem(sys.modules, name, module or SimpleNamespace())
+    clock = iter(range(1_000_000))
+    monkeypatch.setattr(peers.time, "perf_counter", lambda: next(clock))
+    (row,) = peers.stable_baselines_rows("reach", False, 10.0)
+    assert row["success"] == 0.0
+    assert row["env_steps"] == 3000  # each thousand reads the clock three times
 
 
 @pytest.mark.parametrize(("rows", "module"), [(peers.envpool_rows, "envpool"), (peers.jaxgcrl_rows, "jaxgcrl")])

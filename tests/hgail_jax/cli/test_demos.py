@@ -32,10 +32,12 @@ def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
         (["--task", "point", "--episodes", "0"], "episodes is 0"),
         (["--task", "point", "--seed", "-1"], "seed is -1"),
         (["--task", "point", "--out", "file"], "file exists already"),
+        (["--task", "point", "--out", "file/point.npz"], "file: Not a directory"),
     ],
 )
 def test_bad_demonstrations_are_one_line_and_write_nothing(tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demos, "record", lambda *arguments: pytest.fail("it was noticed late"))
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as exit_info:
         demos.main(arguments)

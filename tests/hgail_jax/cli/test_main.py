@@ -68,7 +68,9 @@ def test_a_command_has_help_of_its_own(capsys, prepared):
         with pytest.raises(SystemExit) as exit_info:
             main([command, "--help"])
         assert exit_info.value.code == 0
-        assert f"usage: hgail {command}" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert f"usage: hgail {command}" in shown
+        assert "None" not in shown
 
 
 TASK_OF_ONE_S_OWN = """
@@ -100,3 +102,13 @@ def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache
     assert done.stdout.startswith("3 episodes of my_tasks:Near: return 0.0")  # wherever it is, it is near enough
     assert (tmp_path / "near.npz").exists()
     assert list((tmp_path / "cache" / "hgail_jax").iterdir())
+
+
+def test_a_reader_who_leaves_ends_the_command_silently():
+    """As `head` does."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-c", "from hgail_jax.cli import main; main()", "train", "--help"]
+    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, cwd=ROOT, text=True, check=False)
+    os.close(writing)
+    assert (ended.returncode, ended.stderr) == (1, "")

@@ -206,6 +206,34 @@ def test_every_option_has_a_help_line(capsys):
     assert "(default: the task's)" in shown
 
 
+@pytest.mark.parametrize(
+    ("arguments", "numbers"),
+    [
+        (["--task", "grasp"], ["grasp", "--num-envs 1024", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
+        (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
+        (["--preset", "paper"], ["reach", "--action-std 1.0"]),
+    ],
+)
+def test_help_has_the_numbers_of_the_task(capsys, arguments, numbers):
+    with pytest.raises(SystemExit):
+        run.main([*arguments, "--help"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
+    assert all(number in line for number in numbers)
+
+
+def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        run.main(["--task", "poke", "--help"])
+    assert exit_info.value.code == 0
+    assert "--num-envs INT" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "value"), [("out", 3), ("resume", 3), ("demos", 3), ("logger", None)])
+def test_options_of_another_type_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} is {value}; it must be "):
+        plan(TrainOptions(task="point", **{name: value}), "cpu")
+
+
 def test_a_wheel_finds_its_assets(tmp_path):
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, ROOT]
     subprocess.run(build, check=True, capture_output=True)

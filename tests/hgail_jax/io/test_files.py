@@ -1,11 +1,12 @@
 import json
+import os
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hgail_jax.io.files import remove_partial_files, replace_file, write_csv, write_json
+from hgail_jax.io.files import check_writable, remove_partial_files, replace_file, write_csv, write_json
 
 
 def names(folder):
@@ -31,6 +32,20 @@ def test_a_file_has_its_name_once_it_is_whole(tmp_path):
         assert len(names(tmp_path)) == 1
     assert path.read_bytes() == b"whole"
     assert names(tmp_path) == ["file.bin"]
+
+
+def test_what_cannot_be_written_is_refused_before(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    check_writable(tmp_path / "new" / "folders" / "a.json")
+    check_writable(tmp_path / "file")
+    with pytest.raises(NotADirectoryError, match="file"):
+        check_writable(tmp_path / "file" / "folder" / "a.json")
+    with pytest.raises(IsADirectoryError):
+        check_writable(tmp_path)
+    monkeypatch.setattr(os, "access", lambda *arguments: False)  # root may write anywhere
+    with pytest.raises(PermissionError):
+        check_writable(tmp_path / "a.json")
+    assert names(tmp_path) == ["file"]
 
 
 def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path):

@@ -286,14 +286,34 @@ def test_what_is_no_folder_is_refused_at_once(tmp_path, kind):
         Checkpoints(path, RUN)
 
 
+def late_failures_are_shown(capsys):
+    """Whether what an array says whose write fails after that of another reaches stderr."""
+    sys.excepthook(RuntimeError, RuntimeError("Event loop is closed"), None)
+    return capsys.readouterr().err != ""
+
+
+def test_late_failures_are_quiet_from_the_first_write_until_all_are_over(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "excepthook", sys.__excepthook__)
+    with Checkpoints(tmp_path / "good", RUN) as checkpoints:
+        checkpoints.save(1, small_state(), {}, (0.0,))
+        assert not late_failures_are_shown(capsys)
+        sys.excepthook(RuntimeError, RuntimeError("another"), None)
+        assert "another" in capsys.readouterr().err
+    assert late_failures_are_shown(capsys)
+
+
 ON_A_FULL_DISK = """
 import sys
 from tests.hgail_jax.trainer.test_checkpoint import *
-with small_files_only(2_000):
-    try:
-        save_small(sys.argv[1], 1)
-    except OSError as error:
-        print(error)
+state = {f"array {index}": np.random.default_rng(index).random((200, 200)) for index in range(20)}
+for attempt in range(5):  # what comes late comes by chance
+    sys.excepthook = sys.__excepthook__
+    with small_files_only(20_000):
+        try:
+            with Checkpoints(f"{sys.argv[1]}/{attempt}", RUN) as checkpoints:
+                checkpoints.save(1, state, {}, (0.0,))
+        except OSError as error:
+            print(error)
 """
 
 
@@ -306,5 +326,6 @@ def test_a_full_disk_is_said_once(tmp_path):
         text=True,
         check=True,
     )
-    assert done.stdout.count("\n") == 1
-    assert done.stdout.startswith(f"cannot write a checkpoint to {tmp_path}: ")
+    expected = [f"cannot write a checkpoint to {tmp_path}/{attempt}: File too large" for attempt in range(5)]
+    assert done.stdout.splitlines() == expected
+    assert done.stderr == ""

@@ -1,0 +1,38 @@
+"""Keeps orbax and tensorstore from telling over hundreds of lines an error that they raise as well."""
+
+import logging
+import sys
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+_LATE = "Event loop is closed"  # what arrays say whose write fails once that of another has failed
+
+logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
+
+
+def quiet_late_failures() -> Callable[[], None]:
+    """Keeps arrays whose write fails after that of another from complaining, each over many lines.
+
+    They do so from threads that are not Python's, by either of the hooks, and from the moment at which the first one
+    fails: before the error of that one is raised.
+
+    Returns:
+      What ends this; until it is called, even if it never is, they are quiet.
+
+    """
+    unraisable, uncaught = sys.unraisablehook, sys.excepthook
+
+    def on_unraisable(event: Any) -> None:
+        if _LATE not in str(event.exc_value):
+            unraisable(event)
+
+    def on_uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if _LATE not in str(error):
+            uncaught(kind, error, trace)
+
+    def end() -> None:
+        sys.unraisablehook, sys.excepthook = unraisable, uncaught
+
+    sys.unraisablehook, sys.excepthook = on_unraisable, on_uncaught
+    return end

@@ -1,0 +1,87 @@
+"""Commands and options in README and pages: those that there are, and they can be read."""
+
+import re
+import shlex
+
+import pytest
+
+from docs._generate import pages
+from experiments.bench.__main__ import Options as Bench
+from experiments.localisation.__main__ import Evaluate, Train
+from experiments.paper.__main__ import Options as Paper
+from experiments.parity.__main__ import Command as Parity
+from experiments.transfer.__main__ import Options as Transfer
+from hgail_jax.cli import command_line, demos, play, train
+from tests.support import ROOT
+
+COMMANDS = {
+    "hgail train": train.Command,
+    "hgail play": play.Options,
+    "hgail demos": demos.Options,
+    "python experiments/run.py": train.Command,
+    "python -m experiments.bench": Bench,
+    "python -m experiments.localisation": Train | Evaluate,
+    "python -m experiments.paper": Paper,
+    "python -m experiments.parity": Parity,
+    "python -m experiments.transfer": Transfer,
+}
+PLACEHOLDERS = {"<robot>": "ur5e"}
+OF_OTHERS = {"--help", "--gpus-per-task", "--gpu-bind", "--sample"}  # Slurm's, and the mutants'
+PAGES = [ROOT / "CONTRIBUTING.md", ROOT / "experiments" / "README.md", *pages.pages()]
+
+_BLOCK = re.compile(r"^```(?:bash|sh)?\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+_COMMAND = re.compile(rf"^(?:srun )?({'|'.join(map(re.escape, COMMANDS))})(?= |$)(.*)")
+
+
+def typed(page):
+    """Returns what a page gives to type, line by line, without comments."""
+    lines = [line for block in _BLOCK.findall(page) for line in block.replace("\\\n", " ").splitlines()]
+    return [line.split(" #")[0].strip() for line in [*lines, *_INLINE.findall(page)]]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_commands_can_be_read(path, capsys):
+    for line in typed(path.read_text()):
+        if found := _COMMAND.match(line):
+            words = [PLACEHOLDERS.get(word, word) for word in shlex.split(found[2])]
+            if words == [] and "localisation" in line:  # its own commands are not named
+                continue
+            try:
+                command_line.parse(COMMANDS[found[1]], found[1], "", words)
+            except SystemExit as stop:
+                assert stop.code == 0, f"{line}: {capsys.readouterr().err}"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_make_and_pytest_have_what_is_asked_for(path):
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for line in typed(path.read_text()):
+        program, *words = line.split() or [""]
+        assert program != "make" or set(words) <= set(targets), line
+        assert program != "pytest" or (ROOT / words[-1]).exists(), line
+
+
+def test_a_command_that_is_not_there_would_be_found(capsys):
+    (line,) = typed("```\nhgail train --sedes 8  # a comment\n```")
+    found = _COMMAND.match(line)
+    with pytest.raises(SystemExit):
+        command_line.parse(COMMANDS[found[1]], found[1], "", shlex.split(found[2]))
+    assert "--sedes" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def options():
+    """All options of all commands."""
+    known = set()
+    for command in COMMANDS.values():
+        for each in getattr(command, "__args__", [command]):
+            known |= {f"--{name.replace('_', '-')}" for name in each.__dataclass_fields__}
+    return known | {name.replace("--", "--no-", 1) for name in known} | OF_OTHERS
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_options_in_the_text_are_those_that_there_are(path, options):
+    for line in _INLINE.findall(path.read_text()):
+        if line.startswith("--"):
+            assert re.split("[ =]", line)[0] in options, line

@@ -1,0 +1,24 @@
+"""The command that measures parity, with the measuring left out."""
+
+import json
+
+import pytest
+
+from experiments.parity import __main__ as parity
+
+
+def test_rows_are_written_with_what_made_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(parity, "measure", lambda task, impl, substeps: {"task": task, "drift_median_mm": 5.0})
+    parity.main(["--out", str(tmp_path / "new" / "parity.json")])
+    written = json.loads((tmp_path / "new" / "parity.json").read_text())
+    assert {row["task"] for row in written["rows"]} == {"reach", "grasp", "push", "pick-and-place", "slide"}
+    assert written["made_by"]["versions"]["mujoco"] == "3.11.0"
+
+
+def test_a_file_that_cannot_be_written_is_noticed_before_anything_is_measured(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(parity, "measure", lambda *arguments: pytest.fail("it measured"))
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit) as stop:
+        parity.main(["--out", str(tmp_path / "file" / "parity.json")])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == f"parity: {tmp_path}/file: Not a directory\n"
