@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from brax.envs.base import Env, State
 from flax import struct
 
+from envs.variation import ModelFactors, SensorErrors
+
 Controller = Callable[[jax.Array], jax.Array]
 """A scripted policy without a memory: observations `[..., observation_size]` to actions `[..., action_size]` in
 [-1, 1]."""
@@ -207,6 +209,26 @@ class GoalEnv(Env):
         """Returns whether the simulation ran out of room for contacts, and so is wrong: a boolean `[]`."""
         del physics
         return jnp.zeros((), bool)
+
+    def misperceive(self, physics: Any, errors: SensorErrors) -> Any:
+        """Returns `physics` as wrong sensors see it, for `features`; `envs.randomization` needs it."""
+        raise NotImplementedError
+
+    def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
+        """Returns a start with another model from now on; `envs.randomization` needs it for what belongs to a model."""
+        raise NotImplementedError
+
+    def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: jax.Array | float) -> Any:
+        """Returns a start with the robot elsewhere; `envs.randomization` needs it for another posture.
+
+        Args:
+          rng: a PRNG key.
+          physics: from `reset_physics`.
+          shift: metres along each axis by which the gripper is moved at most.
+          opening: share of its widest by which the hand is open at most.
+
+        """
+        raise NotImplementedError
 
     def accurate(self) -> "GoalEnv":
         """Returns the task with its most accurate physics; a task with one physics only returns itself."""

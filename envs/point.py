@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from envs.base import Controller, GoalEnv
+from envs.variation import SensorErrors
 
 
 def straight(observation: jax.Array) -> jax.Array:
@@ -42,3 +43,6 @@ class Point(GoalEnv):
 
     def sample_goal(self, rng: jax.Array, physics: jax.Array) -> jax.Array:
         return jax.random.uniform(rng, (3,), minval=-0.15, maxval=0.15)
+
+    def misperceive(self, physics: jax.Array, errors: SensorErrors) -> jax.Array:
+        return physics + errors.robot

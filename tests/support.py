@@ -49,7 +49,7 @@ def compile_once(monkeypatch):
     def once(compile_program):
         def compile_or_find(env, config, states, *more):
             hashable = [value for value in more if isinstance(value, int)]
-            physics = [getattr(env, name, None) for name in ("impl", "substeps", "success_threshold")]
+            physics = [getattr(env, name, None) for name in ("impl", "substeps", "success_threshold", "randomization")]
             key = (compile_program, type(env), *physics, config, states.rng.shape, *hashable)
             if key not in _compiled:
                 _compiled[key] = compile_program(env, config, states, *more)

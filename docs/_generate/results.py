@@ -113,9 +113,10 @@ def transfer(robot: str, task: str, stage: str = "exact goal", hand: str = "clos
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
-def disturbed(robot: str, task: str, quantity: str, value: float) -> Row:
+def disturbed(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
     """Returns a point of the curves of success against disturbances."""
     rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
+    rows = [row for row in rows if row.get("policy", "plain") == policy]
     return pick(rows, task=task, quantity=quantity, value=value)
 
 

@@ -1,6 +1,9 @@
 """Writes the tables of the documentation, as Markdown, from what was measured."""
 
+import dataclasses
 from typing import Any
+
+import numpy as np
 
 from docs._generate.results import (
     Row,
@@ -15,6 +18,7 @@ from docs._generate.results import (
     success,
     trial,
 )
+from envs.randomization import LEVELS, Randomization
 
 _UNBROKEN = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
 
@@ -286,3 +290,17 @@ def parity() -> str:
             for row in read_json("parity/parity")["rows"]
         ],
     )
+
+
+def levels() -> str:
+    """The sizes of the randomisations that have names, but for those that only add a history."""
+    named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
+    units = {"delay": "steps", "sag": "of a displacement", "hand_opening": "of the widest"}
+    rows = []
+    for field in dataclasses.fields(Randomization):
+        values = [getattr(level, field.name) for level in named.values()]
+        unit = units.get(field.name, "times" if isinstance(values[0], tuple) else "m")
+        texts = [" to ".join(f"{number:g}" for number in np.atleast_1d(value)) for value in values]
+        if field.name != "history":
+            rows.append([f"`{field.name}`", unit, *texts])
+    return markdown(["size", "unit", *named], rows)

@@ -2,10 +2,12 @@
 
 import abc
 import copy
-from typing import Self, TypeVar
+from collections.abc import Mapping
+from typing import Any, Self, TypeVar
 
 import jax
 import mujoco
+import numpy as np
 from flax import struct
 
 
@@ -36,6 +38,9 @@ class Control(struct.PyTreeNode):
     """`[nmocap, 4]`: their orientations, quaternions that need not be normalised."""
     ctrl: jax.Array
     """`[nu]`: controls of the actuators."""
+    model: Mapping[str, jax.Array] | None = None
+    """Fields of the model that are others in this environment, by their names in `mujoco.MjModel`: whole arrays. What
+    MuJoCo has worked out from a field when it compiled the scene, such as inverse weights, is a field of its own."""
 
 
 class Engine(abc.ABC):
@@ -66,7 +71,21 @@ class Engine(abc.ABC):
 
         Pure and batched by `jax.vmap`. A simulation that breaks down gives positions that are not finite; the fields
         that a subclass of `EngineState` adds are left as they are.
+
+        Raises:
+          ValueError: the engine cannot vary a field of `control.model`.
+
         """
+
+    def _check_fields(self, model: Any, fields: Mapping[str, jax.Array]) -> None:
+        """Refuses fields that `model`, the engine's own, does not have as arrays of these sizes."""
+        for name, values in fields.items():
+            there = getattr(model, name, None)
+            if not isinstance(there, np.ndarray | jax.Array) or there.size != values.size:
+                raise ValueError(
+                    f"impl {self.name!r} cannot vary {name} {np.shape(values)} from one environment to another;"
+                    " use impl 'c', and a field of mujoco.MjModel"
+                )
 
     @abc.abstractmethod
     def with_substeps(self, substeps: int) -> Self:

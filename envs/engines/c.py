@@ -8,11 +8,14 @@ Calls back into Python do not go together with JAX's asynchronous dispatch on a 
 another for ever; `envs._platform` turns that off before JAX starts.
 """
 
+import copy
+import functools
 import hashlib
 import math
 import os
 import threading
 import weakref
+from collections.abc import Sequence
 from typing import Self
 
 import jax
@@ -48,13 +51,16 @@ class CEngine(Engine):
         """See `Engine`; the warm start is passed on unused."""
         sizes = (self.model.nq, self.model.nv, self.model.nsensordata)
         mocap_pos, mocap_quat = control.mocap_pos.reshape(-1), control.mocap_quat.reshape(-1)
+        fields = dict(sorted((control.model or {}).items()))
+        self._check_fields(self.model, fields)
         qpos, qvel, sensordata = host_call(
-            self._name,
-            self._host,
+            ".".join([self._name, *fields]),
+            functools.partial(self._host, names=tuple(fields)),
             [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes],
             state.qpos,
             state.qvel,
             jnp.concatenate([control.ctrl, mocap_pos, mocap_quat]),
+            *(values.reshape(-1).astype(jnp.float32) for values in fields.values()),
         )
         return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
 
@@ -79,15 +85,20 @@ class HostRollout:
         self._pool: rollout.Rollout | None = None
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
         self._room = _Room(model, substeps, 0)
+        self._copies: dict[tuple[str, ...], _Copies] = {}
         _HOSTS.add(self)
 
-    def __call__(self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, ...]:
+    def __call__(
+        self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray, *fields: np.ndarray, names: Sequence[str] = ()
+    ) -> tuple[np.ndarray, ...]:
         """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
 
         Args:
           qpos: `[..., nq]`.
           qvel: `[..., nv]`.
           control: `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies.
+          *fields: `[..., size]`: values of some of the model's fields, in single precision.
+          names: of these fields.
 
         """
         model, batch = self._model, qpos.shape[:-1]
@@ -97,8 +108,12 @@ class HostRollout:
             room.start[:, 1:velocities] = qpos.reshape(count, -1)
             room.start[:, velocities : velocities + model.nv] = qvel.reshape(count, -1)
             room.control[:] = control.reshape(count, 1, -1)
+            models = room.models
+            if names:
+                copies = self._copies.setdefault(tuple(names), _Copies(model, names))
+                models = copies.with_fields(np.concatenate([values.reshape(count, -1) for values in fields], axis=1))
             self._open().rollout(
-                room.models,
+                models,
                 self._datas,
                 room.start,
                 room.control,
@@ -139,6 +154,40 @@ class _Room:
         self.control = np.empty((count, substeps, mujoco.mj_stateSize(model, _CONTROL)))
         self.states = np.empty((count, substeps, state_size))
         self.sensors = np.empty((count, substeps, model.nsensordata))
+
+
+class _Copies:
+    """Copies of a model that differ in some fields, made once and kept from call to call.
+
+    Args:
+      model: what is copied.
+      names: of the fields.
+
+    """
+
+    def __init__(self, model: mujoco.MjModel, names: Sequence[str]) -> None:
+        self._model, self._names = model, names
+        self._models: list[mujoco.MjModel] = []
+        self._written = np.empty((0, sum(getattr(model, name).size for name in names)), np.float32)
+
+    def with_fields(self, values: np.ndarray) -> list[mujoco.MjModel]:
+        """Returns a model for each row of `values`, the fields one after another; what has not changed is not written.
+
+        An episode's fields stay as they are while it lasts.
+        """
+        missing = len(values) - len(self._models)
+        if missing > 0:
+            self._models += [copy.copy(self._model) for _ in range(missing)]
+            self._written = np.append(self._written, np.full((missing, values.shape[1]), np.nan, np.float32), axis=0)
+        changed = np.flatnonzero((self._written[: len(values)] != values).any(axis=1))
+        for index in changed:
+            first = 0
+            for name in self._names:
+                field = getattr(self._models[index], name)
+                field[...] = values[index, first : first + field.size].reshape(field.shape)
+                first += field.size
+        self._written[changed] = values[changed]
+        return self._models[: len(values)]
 
 
 _HOSTS: weakref.WeakSet[HostRollout] = weakref.WeakSet()

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from collections.abc import Mapping
 from typing import Any, Self
 
 import jax
@@ -47,15 +48,24 @@ class MjxEngine(Engine):
 
     def step(self, state: StateT, control: Control) -> StateT:
         """See `Engine`; `substeps` is a constant of the program, or a GPU would wait for the host each time."""
-        data = jax.lax.fori_loop(
-            0, self.substeps, lambda _, data: _step(self.mjx_model, data), self.data(state, control)
-        )
+        model = self._vary(control.model)
+        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _step(model, data), self.data(state, control))
         return state.replace(
             qpos=data.qpos,
             qvel=data.qvel,
             warmstart=data.qacc_warmstart,
             sensordata=data.sensordata,
             overflow=state.overflow | self._has_overflown(data),
+        )
+
+    def _vary(self, fields: Mapping[str, jax.Array] | None) -> mjx.Model:
+        """Returns the model with other fields; under `jax.vmap` these alone have a value for each environment."""
+        if fields is None:
+            return self.mjx_model
+        self._check_fields(self.mjx_model, fields)
+        own = {name: getattr(self.mjx_model, name) for name in fields}  # laid out as the implementation has them
+        return self.mjx_model.tree_replace(
+            {name: values.reshape(own[name].shape).astype(own[name].dtype) for name, values in fields.items()}
         )
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:

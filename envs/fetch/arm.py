@@ -14,7 +14,9 @@ import numpy as np
 from envs.base import GoalEnv
 from envs.engines import Control, EngineState, make_engine
 from envs.fetch.kinematics import Chain
+from envs.fetch.model import SceneModel
 from envs.scenes import load_scene
+from envs.variation import ModelFactors, SensorErrors
 
 CONTROL_PERIOD = 0.04
 """Seconds between two actions."""
@@ -32,6 +34,7 @@ LEAD = 0.05
 LEAST_DISTANCE = 0.1
 """Metres from the gripper's start, in the plane, at which an object starts at least."""
 
+_POSTURES = 64  # to draw a start from that is elsewhere; each takes C MuJoCo a few milliseconds
 _CANDIDATES = 64  # positions drawn to find one far enough; each is with probability 0.65, or 0.21 for the puck of slide
 _ROAM = 0.15  # metres around the gripper's start, of random positions to bring it to
 _LOWEST = 0.42  # metres; the pads rest on the table at 0.417
@@ -42,7 +45,7 @@ _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's
 _SETTLE_PERIODS = 10
 
 
-class FetchPhysics(EngineState):
+class FetchPhysics(EngineState, kw_only=True):
     """What the engine carries from one action to the next, and what is seen of it."""
 
     body_position: jax.Array
@@ -53,6 +56,8 @@ class FetchPhysics(EngineState):
     """`[3]`: the point between the fingers, metres, world frame."""
     gripper_velocity: jax.Array
     """`[3]`: its linear velocity times `CONTROL_PERIOD`, metres, as the reference has it."""
+    factors: ModelFactors | None = None
+    """In what the model differs from the scene's; None where in nothing."""
 
 
 PhysicsT = TypeVar("PhysicsT", bound=FetchPhysics)
@@ -102,8 +107,10 @@ class FetchEnv(GoalEnv):
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self.max_worlds = self.engine.max_worlds
+        self._scene_model = SceneModel(self.model)
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
         self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
+        self._settled: dict[float, FetchPhysics] = {}
 
     @property
     def impl(self) -> str:
@@ -140,8 +147,61 @@ class FetchEnv(GoalEnv):
         """Returns the distance between the fingers, `[]`, metres."""
         return physics.qpos[self._finger_qpos].sum()
 
+    def object_factor(self, physics: FetchPhysics) -> jax.Array | float:
+        """Returns how many times larger the object is than the scene's, `[]`."""
+        return 1.0 if physics.factors is None else physics.factors.object_size
+
     def overflow(self, physics: FetchPhysics) -> jax.Array:
         return physics.overflow
+
+    def misperceive(self, physics: FetchPhysics, errors: SensorErrors) -> FetchPhysics:
+        qpos, qvel = physics.qpos, physics.qvel
+        if self._scene_model.has_object:
+            qpos = qpos.at[self._scene_model.object_qpos].add(errors.object)
+            qvel = qvel.at[self._scene_model.object_qvel].add(errors.object_motion / CONTROL_PERIOD)
+        return physics.replace(
+            qpos=qpos,
+            qvel=qvel,
+            gripper_position=physics.gripper_position + errors.robot,
+            gripper_velocity=physics.gripper_velocity + errors.robot_motion,
+        )
+
+    def vary_model(self, physics: FetchPhysics, factors: ModelFactors) -> FetchPhysics:
+        """See `GoalEnv`; an object of another height stands on the table all the same."""
+        qpos = physics.qpos
+        if self._scene_model.has_object:
+            rise = self._scene_model.object_half_height * (factors.object_size - 1.0)
+            qpos = qpos.at[self._scene_model.object_qpos[2]].add(rise)
+        return physics.replace(qpos=qpos, factors=factors)
+
+    def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: jax.Array | float) -> PhysicsT:
+        """See `GoalEnv`; the gripper keeps `LEAST_DISTANCE` from an object, and a hand without servos stays closed."""
+        drawn = jax.random.uniform(rng, (_POSTURES + 1,))  # at once, which compiles the quickest
+        order, opened = drawn[1:], drawn[0]
+        postures, model = self._postures(shift), self._scene_model
+        if model.has_object:
+            away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]]
+            order = order + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)
+        chosen = jnp.argmax(order)
+        qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
+        qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)
+        if self.model.nu:
+            widest = self.model.jnt_range[[self.model.joint(name).id for name in _FINGERS], 1]
+            qpos = qpos.at[self._finger_qpos].set(widest * opening * opened)
+        return self._see(physics.replace(qpos=qpos, qvel=qvel))
+
+    def _postures(self, shift: float) -> FetchPhysics:
+        """Returns the arm settled at random places around its start, leaves `[_POSTURES, ...]`, the same each time."""
+        if shift not in self._settled:
+            offsets = np.random.default_rng(0).uniform(-shift, shift, (_POSTURES, 3))
+            lowest = _LOWEST - self.initial_gripper_position[2]
+            offsets[:, 2] = np.maximum(offsets[:, 2], min(lowest, 0.0))
+            ends = [settle(self.model, self.base_x, self.start_height, offset) for offset in offsets]
+            qpos, qvel = (np.stack([getattr(end, name) for end in ends]) for name in ("qpos", "qvel"))
+            with jax.ensure_compile_time_eval():
+                placed = jax.vmap(self.place)(jnp.asarray(qpos), jnp.asarray(qvel))
+                self._settled[shift] = jax.tree.map(np.asarray, placed)
+        return jax.tree.map(jnp.asarray, self._settled[shift])
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> FetchPhysics:
         """Returns the physics with joint positions `[nq]` and velocities `[nv]`, without a history."""
@@ -172,6 +232,7 @@ class FetchEnv(GoalEnv):
             mocap_pos=(physics.body_position + LEAD * displacement)[None],
             mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
+            model=None if physics.factors is None else self._scene_model.fields(physics.factors),
         )
 
     def _move(self, physics: PhysicsT, displacement: jax.Array, grip: jax.Array | None = None) -> PhysicsT:
@@ -193,7 +254,10 @@ class FetchEnv(GoalEnv):
 
 
 def settle(
-    model: mujoco.MjModel, base_x: float = FetchEnv.base_x, start_height: float = FetchEnv.start_height
+    model: mujoco.MjModel,
+    base_x: float = FetchEnv.base_x,
+    start_height: float = FetchEnv.start_height,
+    offset: np.ndarray | None = None,
 ) -> mujoco.MjData:
     """Brings the arm to its start, as the reference does: pull the gripper there with C MuJoCo and let it settle.
 
@@ -201,12 +265,15 @@ def settle(
       model: the scene.
       base_x: see `FetchEnv`.
       start_height: likewise.
+      offset: `[3]`, metres, from there to where it is brought instead.
 
     """
     data = mujoco.MjData(model)
     data.joint("base_x").qpos, data.joint("base_y").qpos = base_x, _BASE_Y
     mujoco.mj_forward(model, data)
     data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, start_height]
+    if offset is not None:
+        data.mocap_pos[0] += offset
     data.mocap_quat[0] = _DOWNWARD
     mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * ACCURATE_SUBSTEPS)
     mujoco.mj_forward(model, data)

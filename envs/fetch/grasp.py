@@ -25,15 +25,16 @@ _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the 
 _CUBE_HEIGHT = 0.425  # metres, on the table
 
 
-def is_held(touching: Any, gap: Any) -> Any:
+def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
     """Returns whether a hand holds the cube.
 
     Args:
       touching: boolean, or an array of them: both pads touch the cube.
       gap: metres between the fingers, a number or an array as large.
+      width: metres, of the cube.
 
     """
-    return touching & (abs(gap - CUBE_WIDTH) <= _GAP_TOLERANCE)
+    return touching & (abs(gap - width) <= _GAP_TOLERANCE)
 
 
 class Grasp(FetchEnv):
@@ -88,7 +89,8 @@ class Grasp(FetchEnv):
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics))
+        width = CUBE_WIDTH * self.object_factor(physics)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
 
     def cube_position(self, physics: FetchPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""

@@ -8,6 +8,7 @@ from brax import math
 
 from envs.base import EpisodeMetrics, State
 from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, FetchPhysics
+from envs.variation import ModelFactors
 
 OBSERVATIONS = ("compact", "official")
 """What `observation` may be."""
@@ -21,7 +22,7 @@ _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
 _BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
 
-class ObjectPhysics(FetchPhysics):
+class ObjectPhysics(FetchPhysics, kw_only=True):
     """`FetchPhysics` and where the object started."""
 
     object_start: jax.Array
@@ -100,6 +101,10 @@ class ObjectEnv(FetchEnv):
         start = jnp.append(self.random_place(rng, self.object_range), self.object_height)
         qpos = self._initial_physics.qpos.at[self._object_qpos].set(start)
         return self._initial_physics.replace(qpos=qpos, object_start=start)
+
+    def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
+        varied: Any = super().vary_model(physics, factors)
+        return varied.replace(object_start=self.object_position(varied))
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3])

@@ -9,11 +9,13 @@ from flax import struct
 
 from envs.base import Controller, TrainingDefaults
 from envs.fetch import controllers
-from envs.fetch.grasp import is_held
+from envs.fetch.grasp import CUBE_WIDTH, is_held
 from envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
 from envs.fetch.training import training_defaults
 
-_HIGHEST = 0.45  # metres above the table's goals
+HIGHEST = 0.45
+"""Metres above the table's goals, up to which goals in the air are."""
+
 _RELAYS, _ELSEWHERE = 0.5, 0.125  # shares of the episodes to learn from
 _AT_CUBE = 0.04  # metres between gripper and cube, within which a relay goes on
 
@@ -69,7 +71,8 @@ class PickAndPlace(ObjectEnv):
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics))
+        width = CUBE_WIDTH * self.object_factor(physics)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])
@@ -80,7 +83,7 @@ class PickAndPlace(ObjectEnv):
 
     def sample_goal(self, rng: jax.Array, physics: ObjectPhysics) -> jax.Array:
         place_rng, air_rng, height_rng = jax.random.split(rng, 3)
-        height = jax.random.uniform(height_rng, maxval=_HIGHEST)
+        height = jax.random.uniform(height_rng, maxval=HIGHEST)
         return super().sample_goal(place_rng, physics).at[2].add(jnp.where(jax.random.bernoulli(air_rng), height, 0.0))
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, exploring: jax.Array | bool) -> PickAndPlacePlan:

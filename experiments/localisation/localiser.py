@@ -31,8 +31,12 @@ RED = np.array([0.85, 0.08, 0.08, 1.0])
 PIXELS = 128
 """Width and height of the pictures."""
 
-_AZIMUTHS = (90.0, -30.0)  # degrees about z, from x; the Fetch's arm hides a cube from at most one of them
-_ELEVATION = 55.0  # degrees above the horizon
+TILTED = ((90.0, 55.0), (-30.0, 55.0))
+"""Azimuth about z, from x, and elevation of two cameras, degrees; an arm hides a cube from at most one of them."""
+ABOVE = ((0.0, 65.0),)
+"""Likewise, of a single camera over the workspace, opposite the robot. The nearer it were to straight above, the fewer
+cubes would the detector find, which has learnt from pictures of the two."""
+
 _DISTANCE = 1.0  # metres from the middle of the workspace
 _BELOW_START = 0.05  # metres from the gripper's start down to the middle of the workspace
 _FOVY = 34.0  # degrees, vertical field of view; every goal of reach is in the picture
@@ -82,22 +86,27 @@ class Detection:
     """Larger where the target is seen better; comparable between pictures, not between detectors."""
 
 
+CALIBRATED = Noise(pixel=1.0, depth=0.003, rotation=0.25, translation=0.002)
+"""Of an RGB-D camera of the usual kind at a metre, after a careful calibration."""
+
 Detector = Callable[[Picture, Camera, bool], Detection | None]
 """Finds the cube in a camera's picture, or the ball where the boolean is set; None where it finds none."""
 
 
-def overhead(start: np.ndarray, pixels: int = PIXELS) -> tuple[Camera, ...]:
-    """Returns two cameras that look down at the workspace from different sides of the arm.
+def overhead(
+    start: np.ndarray, pixels: int = PIXELS, views: Sequence[tuple[float, float]] = TILTED
+) -> tuple[Camera, ...]:
+    """Returns cameras that look down at the workspace, by default two from different sides of the arm.
 
     Args:
       start: `[3]`, where the gripper starts, metres, world frame.
       pixels: width and height of the pictures.
+      views: azimuth and elevation of each, degrees, as `TILTED` has them.
 
     """
     middle = np.asarray(start, float) - [0.0, 0.0, _BELOW_START]
-    elevation = np.radians(_ELEVATION)
     cameras = []
-    for azimuth in np.radians(_AZIMUTHS):
+    for azimuth, elevation in np.radians(views):
         direction = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
         cameras.append(look_at(middle + _DISTANCE * np.array(direction), middle, _FOVY, pixels, pixels))
     return tuple(cameras)

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tqdm import tqdm
 
-from experiments.transfer.episode import Conditions, NoisyEstimate
+from envs.engines.c import usable_cores
+from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.measurement import load_policies, measure
 from experiments.transfer.paths import OUT
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import GOAL_SOURCES
+from experiments.transfer.sweeps import FETCH, find_policies
+from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.validation import check_count, check_not_negative
 
@@ -21,30 +24,36 @@ if TYPE_CHECKING:
     TaskName = str
     GoalSource = str
 else:  # the command line offers what is registered
-    RobotName = Literal[tuple(ROBOTS)]
+    RobotName = Literal[(FETCH, *ROBOTS)]
     TaskName = Literal[tuple(dict.fromkeys(task for robot in ROBOTS.values() for task in robot.tasks))]
     GoalSource = Literal[tuple(GOAL_SOURCES)]
 
 _PROGRAM = "transfer"
-_EPISODES, _SWEEP_EPISODES = 200, 32
+_EPISODES = 200
 _MOST_SEED = 2**31 - 1
 _MOST_DELAY = 50  # steps, a whole episode
 _MOST_STRIDE = 2.0
 _MOST_OFFSET = 1.0  # metres
-_ROBOT_HELP = "; ".join(f"{to}: {robot.name} (extra `{robot.extra}`)" for to, robot in ROBOTS.items())
+_ROBOT_HELP = "; ".join(
+    [
+        "by default gymnasium, of --sweep all",
+        f"{FETCH}: this package's own, of --sweep",
+        *(f"{to}: {robot.name} (extra `{robot.extra}`)" for to, robot in ROBOTS.items()),
+    ]
+)
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Runs trained policies, unchanged, in another simulator or on another robot, and measures their success."""
 
-    to: Annotated[RobotName, tyro.conf.arg(help=_ROBOT_HELP)] = "gymnasium"
-    task: TaskName = "reach"
-    """What to do there."""
+    to: Annotated[RobotName | None, tyro.conf.arg(help=_ROBOT_HELP)] = None
+    task: TaskName | None = None
+    """What to do there, by default reach; of --sweep reach and grasp."""
     policy: Path | None = None
     """The policy's file; by default all that come with the repository take turns."""
     episodes: int | None = None
-    """How many: 200, or 32 for each point of --sweep."""
+    """How many; 200 by default, for each row or point."""
     seed: int = 0
     """Of the episodes."""
     noise: float = 0.0
@@ -58,9 +67,14 @@ class Options:
     table: Literal[4] | None = None
     """Measure the rows of the paper's table 4 instead, into table4.csv."""
     goal_source: GoalSource | None = None
-    """Measure only those rows of --table whose goal is exact, or as cameras see it, and keep the others."""
+    """Measure only those rows of --table whose goal is exact, or as two cameras or one over the workspace see it, with
+    noise or without, and keep the others."""
     sweep: bool = False
     """Measure success against disturbances and speed instead, into transfer-sweep.csv and .png."""
+    policies: tuple[str, ...] = ()
+    """More policies for --sweep beside the plain ones: label=file or label=folder."""
+    workers: int | None = None
+    """Processes for --sweep; by default one for each core."""
     pictures: bool = False
     """Draw each robot reaching and grasping instead, into transfer-<robot>.png."""
     out: Path = OUT
@@ -76,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
             sources = [options.goal_source] if options.goal_source else list(GOAL_SOURCES)
             write_table(_make_folder(options.out), sources, _episodes(options), options.seed)
         elif options.sweep:
-            write_sweep(_make_folder(options.out), _episodes(options), options.seed)
+            _sweep(options)
         elif options.pictures:
             write_pictures(_make_folder(options.out), options.seed)
         else:
@@ -94,8 +108,15 @@ def _check(options: Options) -> None:
         raise ValueError("choose one of --table, --sweep and --pictures")
     defaults = {field.name: field.default for field in dataclasses.fields(Options)}
     for name in ("to", "task", "policy", "noise", "offset", "delay", "stride"):
-        if studies and getattr(options, name) != defaults[name]:
+        filters = options.sweep and name in ("to", "task")
+        if studies and not filters and getattr(options, name) != defaults[name]:
             raise ValueError(f"--{name} does not go with --table, --sweep or --pictures")
+    if (options.policies or options.workers is not None) and not options.sweep:
+        raise ValueError("--policies and --workers go with --sweep")
+    if options.to == FETCH and not options.sweep:
+        raise ValueError(f"--to {FETCH} goes with --sweep")
+    if options.workers is not None:
+        check_count("workers", options.workers)
     if options.goal_source and not options.table:
         raise ValueError("--goal-source goes with --table")
     check_count("episodes", _episodes(options))
@@ -109,9 +130,16 @@ def _check(options: Options) -> None:
 
 
 def _episodes(options: Options) -> int:
-    if options.episodes is not None:
-        return options.episodes
-    return _SWEEP_EPISODES if options.sweep else _EPISODES
+    return _EPISODES if options.episodes is None else options.episodes
+
+
+def _sweep(options: Options) -> None:
+    robots = [FETCH, *ROBOTS] if options.to is None else [options.to]
+    tasks = tuple(TASKS) if options.task is None else (options.task,)
+    policies = find_policies(options.policies, tasks)
+    workers = usable_cores() if options.workers is None else options.workers
+    folder = _make_folder(options.out)
+    write_sweep(folder, policies, robots, tasks, _episodes(options), options.seed, workers)
 
 
 def _make_folder(path: Path) -> Path:
@@ -124,8 +152,9 @@ def _make_folder(path: Path) -> Path:
 
 def _run(options: Options) -> None:
     episodes = _episodes(options)
-    policies = load_policies(options.task, options.policy)
-    robot = make_robot(options.to, options.task)
+    task = options.task or "reach"
+    policies = load_policies(task, options.policy)
+    robot = make_robot(options.to or "gymnasium", task)
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
     with tqdm(total=episodes, unit="episode") as progress:
         row = measure(robot, policies, episodes, options.seed, conditions, progress.update)

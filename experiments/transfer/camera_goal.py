@@ -1,14 +1,15 @@
 """Tells a transferred policy where cameras see the target, as a `Localiser` estimates it at the start."""
 
 import contextlib
+from collections.abc import Sequence
 
 import numpy as np
 
 from envs.vision.rgbd import open_renderer
 from experiments.localisation.keypoint_network import load_detector
-from experiments.localisation.localiser import Localiser, overhead
+from experiments.localisation.localiser import TILTED, Localiser, Noise, overhead
 from experiments.localisation.paths import WEIGHTS
-from experiments.transfer.episode import Estimate
+from experiments.transfer.conditions import Estimate
 from experiments.transfer.robots.base import Robot
 
 
@@ -26,12 +27,19 @@ def camera_estimate(robot: Robot, localiser: Localiser) -> Estimate:
     return estimate
 
 
-def overhead_estimate(robot: Robot, stack: contextlib.ExitStack) -> Estimate:
-    """Returns the estimate of two exactly calibrated cameras over the workspace and the repository's detector.
+def overhead_estimate(
+    robot: Robot,
+    stack: contextlib.ExitStack,
+    views: Sequence[tuple[float, float]] = TILTED,
+    noise: Noise | None = None,
+) -> Estimate:
+    """Returns the estimate of cameras over the workspace and the repository's detector.
 
     Args:
       robot: is reset, to find where its gripper starts.
       stack: closes the renderer.
+      views: of the cameras, see `overhead`.
+      noise: of the cameras; None is none.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
@@ -40,5 +48,6 @@ def overhead_estimate(robot: Robot, stack: contextlib.ExitStack) -> Estimate:
     open_renderer(robot.model, 1, 1).close()  # says so before anything is measured
     robot.reset(np.random.default_rng(0))
     start = robot.features()[:3] - robot.offset
-    localiser = stack.enter_context(Localiser(overhead(start), load_detector(WEIGHTS), cube=robot.cube))
+    cameras = overhead(start, views=views)
+    localiser = stack.enter_context(Localiser(cameras, load_detector(WEIGHTS), noise, cube=robot.cube))
     return camera_estimate(robot, localiser)

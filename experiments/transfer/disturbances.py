@@ -1,11 +1,14 @@
-"""What makes an episode harder in the robustness curves: how the target is misjudged and how actions are disturbed."""
+"""What makes an episode harder in the robustness curves: on other robots, and on this package's own Fetch."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from experiments.transfer.episode import Conditions, NoisyEstimate
+from experiments.transfer.conditions import Conditions, NoisyEstimate
 
 _OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03)  # metres
+_DEVIATIONS = (0.0, 0.005, 0.01, 0.02, 0.03)  # metres
+_FACTORS = (0.5, 0.75, 1.0, 1.25, 1.5)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,15 +19,31 @@ class Disturbance:
     """Label of the x axis, with the unit."""
     values: tuple[float, ...]
     """Values to measure, in order; the undisturbed one is among them."""
-    conditions: Callable[[float], Conditions]
-    """The conditions in which the quantity has a value and nothing else is disturbed."""
+    conditions: Callable[[float], Conditions] | None = None
+    """On another robot: the conditions in which the quantity has a value and nothing else is disturbed."""
+    sizes: Callable[[float], Mapping[str, Any]] | None = None
+    """On this package's Fetch: the sizes of a `Randomization`, likewise."""
+    of_object: bool = False
+    """Whether it is for tasks with an object alone."""
+
+
+def _twice(name: str, number: Callable = float) -> Callable[[float], Mapping[str, Any]]:
+    """Returns the sizes in which a range has one value."""
+    return lambda value: {name: (number(value), number(value))}
 
 
 DISTURBANCES = {
     "noise": Disturbance(
-        "noise of the target's position (m, σ per axis)",
-        (0.0, 0.005, 0.01, 0.02, 0.03, 0.05),
+        "noise of the target's position (m, σ per axis, once per episode)",
+        (*_DEVIATIONS, 0.05),
         lambda metres: Conditions(NoisyEstimate(noise=metres)),
+        lambda metres: {"goal_offset": metres},
+    ),
+    "goal noise": Disturbance(
+        "noise of the target's position (m, σ per axis, at each step)",
+        _DEVIATIONS,
+        lambda metres: Conditions(goal_noise=metres),
+        lambda metres: {"goal_noise": metres},
     ),
     "offset x": Disturbance(
         "constant offset in x (m)",
@@ -45,11 +64,66 @@ DISTURBANCES = {
         "delay of actions (steps)",
         (0, 1, 2, 3),
         lambda steps: Conditions(delay=int(steps)),
+        _twice("delay", int),
     ),
     "stride": Disturbance(
         "length of a step, times the trained one",
-        (0.5, 0.75, 1.0, 1.25, 1.5),
+        (0.6, 0.8, 1.0, 1.2, 1.4),
         lambda factor: Conditions(stride=factor),
+        _twice("step_size"),
+    ),
+    "gripper offset": Disturbance(
+        "error of the gripper's position (m, σ per axis, once per episode)",
+        (0.0, 0.0025, 0.005, 0.01, 0.02),
+        lambda metres: Conditions(robot_offset=metres),
+        lambda metres: {"robot_offset": metres},
+    ),
+    "gripper noise": Disturbance(
+        "noise of the gripper's position (m, σ per axis, at each step)",
+        (0.0, 0.001, 0.002, 0.005, 0.01),
+        lambda metres: Conditions(robot_noise=metres),
+        lambda metres: {"robot_noise": metres},
+    ),
+    "gravity": Disturbance(
+        "share of the arm's weight that is not compensated",
+        (-0.1, -0.05, 0.0, 0.05, 0.1),
+        lambda share: Conditions(gravity=share),
+    ),
+    "sag": Disturbance(
+        "sinking in each action, share of a full displacement",
+        (-0.1, -0.05, 0.0, 0.05, 0.1),
+        sizes=_twice("sag"),
+    ),
+    "friction": Disturbance(
+        "friction, times the model's",
+        (0.5, 0.75, 1.0, 1.5, 2.0),
+        lambda factor: Conditions(friction=factor),
+        _twice("friction"),
+    ),
+    "mass": Disturbance(
+        "mass of the cube, times the model's",
+        (0.25, 0.5, 1.0, 1.5, 2.0),
+        lambda factor: Conditions(object_mass=factor),
+        _twice("object_mass"),
+        of_object=True,
+    ),
+    "size": Disturbance(
+        "width of the cube, times the model's",
+        (0.8, 0.9, 1.0, 1.1, 1.2),
+        sizes=_twice("object_size"),
+        of_object=True,
+    ),
+    "finger force": Disturbance(
+        "force of the fingers, times the model's", _FACTORS, sizes=_twice("finger_force"), of_object=True
+    ),
+    "finger speed": Disturbance(
+        "speed of the fingers, times the model's", (0.25, *_FACTORS), sizes=_twice("finger_speed"), of_object=True
+    ),
+    "hand opening": Disturbance(
+        "opening of the hand at the start at most, share of the widest",
+        (0.0, 0.25, 0.5, 0.75, 1.0),
+        sizes=lambda share: {"hand_opening": share},
+        of_object=True,
     ),
 }
 """The disturbances by the names that the curves' rows have."""

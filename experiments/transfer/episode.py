@@ -1,46 +1,16 @@
 """Runs a policy on a robot that it was not trained on, and judges how the episode ended."""
 
 import collections
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from envs import EpisodeMetrics, GoalEnv, find_class
 from envs.fetch.grasp import LEAST_RISE
+from experiments.transfer.conditions import Conditions, MeanAction
+from experiments.transfer.model_changes import changed
+from experiments.transfer.observing import History, Sensors
 from experiments.transfer.robots.base import Robot
-
-MeanAction = Callable[[np.ndarray], np.ndarray]
-"""A policy's mean action, `[4]`, for an observation of the task that it was trained on, `[observation_size]`."""
-Estimate = Callable[[np.ndarray, np.random.Generator], np.ndarray]
-"""Where the target is believed to be, `[3]`, given where it is, `[3]`, and a source of randomness; metres, in the
-policy's frame. An episode calls it once, at its start."""
-
-
-@dataclasses.dataclass(frozen=True)
-class NoisyEstimate:
-    """An `Estimate` that is off by a constant and by Gaussian noise; by default it is exact."""
-
-    noise: float = 0.0
-    """Standard deviation of each coordinate, metres; drawn once per episode."""
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Metres, the same in every episode."""
-
-    def __call__(self, position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Returns the estimate, `[3]`, of a position, `[3]`."""
-        return position + np.asarray(self.offset) + self.noise * rng.standard_normal(3)
-
-
-@dataclasses.dataclass(frozen=True)
-class Conditions:
-    """What an episode is disturbed by; by default nothing."""
-
-    estimate: Estimate = NoisyEstimate()
-    """Where the policy is told that the target is; success is judged by where it really is."""
-    delay: int = 0
-    """Steps between an observation and the action that answers it; the robot stands still until the first arrives."""
-    stride: float = 1.0
-    """Factor on each displacement, between the policy and the robot."""
 
 
 def run_episode(
@@ -64,14 +34,26 @@ def run_episode(
 
     """
     conditions = conditions or Conditions()
+    with changed(robot, conditions.friction, conditions.object_mass, conditions.gravity):
+        return _run(robot, policy, rng, conditions, watch)
+
+
+def _run(
+    robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions, watch: Callable[[], None]
+) -> EpisodeMetrics:
+    """Runs the episode in the robot's present model; see `run_episode`."""
     task = find_class(robot.task)
     believed = conditions.estimate(robot.target(), rng)
     goal = np.append(believed, np.ones(task.goal_size - len(believed)))  # 1: to hold the cube there, the object's place
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
+    sensors = Sensors(rng, conditions)
+    history = History(robot, policy, sensors)
     watch()
     for _ in range(task.episode_length):
-        action = policy(np.concatenate([robot.features(), goal]).astype(np.float32))
+        seen = sensors.features(robot)
+        action = policy(np.concatenate([*history.rows, seen, sensors.goal(goal)]).astype(np.float32))
+        history.add(np.clip(action, -1.0, 1.0), seen)
         pending.append(np.clip(action, -1.0, 1.0) * factors)
         action = pending.popleft()
         robot.step(action)

@@ -1,5 +1,6 @@
 """Draws the robustness curves of transferred policies, and strips of pictures of their episodes."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,42 +17,50 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from envs.vision.rgbd import open_renderer
-from experiments.transfer.episode import MeanAction, episode_rngs, run_episode
+from experiments.transfer.conditions import MeanAction
+from experiments.transfer.episode import episode_rngs, run_episode
 from experiments.transfer.robots.base import Robot
 from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels
+_STYLES = ("-", "--", ":", "-.")  # of lines, by policy
 _SIZE = (240, 240)  # height and width of a picture, pixels
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.25, 140.0, -20.0  # of the camera: metres, degrees, degrees
 
 
 def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str]) -> None:
-    """Writes a PNG of the success rate against each quantity, with 95 % intervals: a line for each robot and task.
+    """Writes a PNG of the success rate against each quantity, with 95 % intervals.
 
     Args:
       path: where to.
-      rows: the points of `studies.sweep`, as measured.
-      axes: a panel for each quantity, with the label of its x axis.
+      rows: the points of the sweep, as measured; each task and quantity has a panel, each robot and policy a line.
+      axes: the label of the x axis for each quantity.
 
     """
-    height = math.ceil(len(axes) / _COLUMNS)
+    panels: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        panels.setdefault((row["task"], row["quantity"].partition(", ")[0]), []).append(row)
+    colours = {name: f"C{index}" for index, name in enumerate(dict.fromkeys(map(_robot, rows)))}
+    styles = dict(
+        zip(dict.fromkeys(row.get("policy", "plain") for row in rows), itertools.cycle(_STYLES), strict=False)
+    )
+    height = math.ceil(len(panels) / _COLUMNS)
     figure, grid = plt.subplots(
         height, _COLUMNS, figsize=(15, 3 * height), sharey=True, squeeze=False, constrained_layout=True
     )
-    legend: list[str] = []
-    for panel, (quantity, label) in zip(grid.flat, axes.items(), strict=False):
-        lines = _lines(rows, quantity)
-        _draw_lines(panel, lines)
-        panel.set(xlabel=label, ylim=(-0.03, 1.03))
+    drawn: dict[str, Any] = {}
+    for panel, ((task, quantity), points) in zip(grid.flat, panels.items(), strict=False):
+        for name, line in _lines(points).items():
+            drawn[name] = _draw_line(panel, line, colours[_robot(line[0])], styles[line[0].get("policy", "plain")])
+        panel.set(xlabel=axes[quantity], title=task, ylim=(-0.03, 1.03))
+        panel.xaxis.label.set_size(8)
         panel.grid(alpha=0.3)
         panel.spines[["top", "right"]].set_visible(False)
-        if lines and list(lines) != legend:  # the panels of disturbances share one
-            legend = list(lines)
-            panel.legend(fontsize=8)
     for panel in grid[:, 0]:
         panel.set_ylabel("success rate")
-    for panel in grid.flat[len(axes) :]:
+    for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
+    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=_COLUMNS, fontsize=8)
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=90, format="png")
     plt.close(figure)
@@ -77,25 +86,26 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
         file.write(imageio.imwrite("<bytes>", np.concatenate(strips), extension=".png"))
 
 
-def _lines(rows: Sequence[Mapping[str, Any]], quantity: str) -> dict[str, list[Mapping[str, Any]]]:
-    """Returns the rows of each line of a quantity's panel, by the line's name in the legend."""
+def _robot(row: Mapping[str, Any]) -> str:
+    return row["robot"].partition(",")[0]
+
+
+def _lines(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Returns the rows of each line of a panel, by the line's name in the legend."""
     lines: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        varied, _, line = row["quantity"].partition(", ")
-        if varied == quantity:
-            robot = row["robot"].partition(",")[0]
-            lines.setdefault(", ".join(filter(None, (robot, row["task"], line))), []).append(row)
+        line, policy = row["quantity"].partition(", ")[2], row.get("policy", "plain")
+        lines.setdefault(", ".join(filter(None, (_robot(row), line, policy))), []).append(row)
     return lines
 
 
-def _draw_lines(panel: Axes, lines: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    for name, points in lines.items():
-        rate, low, high = (
-            np.array([point[column] for point in points]) for column in ("success_rate", "success_low", "success_high")
-        )
-        errors = np.maximum([rate - low, high - rate], 0.0)  # a rounded end may lie within the rate
-        values = [point["value"] for point in points]
-        panel.errorbar(values, rate, errors, label=name, marker="o", markersize=4, capsize=2, linewidth=1.5)
+def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], colour: str, style: str) -> Any:
+    rate, low, high = (
+        np.array([point[column] for point in points]) for column in ("success_rate", "success_low", "success_high")
+    )
+    errors = np.maximum([rate - low, high - rate], 0.0)  # a rounded end may lie within the rate
+    values = [point["value"] for point in points]
+    return panel.errorbar(values, rate, errors, color=colour, linestyle=style, marker="o", markersize=4, capsize=2)
 
 
 def _film(robot: Robot, policy: MeanAction, seed: int) -> list[np.ndarray]:

@@ -12,7 +12,8 @@ from tqdm import tqdm
 from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.measurement import Measured, Point, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.studies import stage, sweep, sweep_axes, table
+from experiments.transfer.studies import stage, table
+from experiments.transfer.sweeps import FETCH, Policies, axes, fetch_rows, measure_points, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
@@ -46,12 +47,49 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int) 
     write_json(path.with_suffix(".json"), made_by | dict.fromkeys(stages, _made_by(episodes, seed)))
 
 
-def write_sweep(folder: Path, episodes: int, seed: int) -> None:
-    """Writes transfer-sweep.csv, its .png, and the .json that says what made it; `episodes` is for each point."""
+def write_sweep(
+    folder: Path,
+    policies: Policies,
+    robots: Sequence[str],
+    tasks: Sequence[str],
+    episodes: int,
+    seed: int,
+    workers: int,
+) -> None:
+    """Writes transfer-sweep.csv, its .png, and the .json that says what made it.
+
+    Args:
+      folder: where to.
+      policies: what decides, by label and task.
+      robots: names in `ROBOTS`, or `sweeps.FETCH`.
+      tasks: of the curves.
+      episodes: for each point.
+      seed: of the episodes.
+      workers: processes that measure other robots side by side.
+
+    """
     path = folder / "transfer-sweep.csv"
-    rows = _write_rows(path, list(sweep()), episodes, seed)
+    rows: list[dict[str, Any]] = []
+    with tqdm(unit="point") as progress:
+
+        def add(row: dict[str, Any]) -> None:
+            rows.append(row)
+            write_csv(path, rows)
+            progress.update()
+
+        if FETCH in robots:
+            for row in fetch_rows(policies, tasks, episodes, seed):
+                add(row)
+        points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
+        distinct = list({point.key(): point for point in points}.values())  # each curve has the undisturbed point
+        measured = iter(measure_points(distinct, episodes, seed, workers))
+        done: dict[tuple, Measured] = {}
+        for point in points:
+            if point.key() not in done:
+                done[point.key()] = next(measured)
+            add(point.row(done[point.key()]))
     write_json(path.with_suffix(".json"), _made_by(episodes, seed))
-    draw_sweep(path.with_suffix(".png"), rows, sweep_axes())
+    draw_sweep(path.with_suffix(".png"), rows, axes())
 
 
 def write_pictures(folder: Path, seed: int) -> None:

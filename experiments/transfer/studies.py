@@ -1,13 +1,14 @@
-"""What is measured on other robots: the rows of table 4, and the points of the robustness curves."""
+"""What table 4 measures on other robots."""
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from envs.fetch.arm import CONTROL_PERIOD
+from experiments.localisation.localiser import ABOVE, CALIBRATED
 from experiments.transfer.camera_goal import overhead_estimate
-from experiments.transfer.disturbances import DISTURBANCES
-from experiments.transfer.episode import Conditions, Estimate, NoisyEstimate
+from experiments.transfer.conditions import Conditions, Estimate, NoisyEstimate
 from experiments.transfer.measurement import Point
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
@@ -17,6 +18,9 @@ EXACT = "exact"
 GOAL_SOURCES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
     EXACT: lambda robot, stack: NoisyEstimate(),
     "camera": overhead_estimate,
+    "noisy-cameras": functools.partial(overhead_estimate, noise=CALIBRATED),
+    "one-camera": functools.partial(overhead_estimate, views=ABOVE),
+    "one-noisy-camera": functools.partial(overhead_estimate, views=ABOVE, noise=CALIBRATED),
 }
 """Where table 4 takes the target's position from: makes the estimate for a robot, and leaves the stack to close it."""
 
@@ -43,27 +47,6 @@ def table(sources: Iterable[str], stack: contextlib.ExitStack) -> Iterator[Point
                     robot = make_robot(to, task, **options)
                     conditions = Conditions(GOAL_SOURCES[source](robot, stack))
                     yield Point(to, task, conditions, options, _table_labels(robot, source))
-
-
-def sweep() -> Iterator[Point]:
-    """Yields the points of the robustness curves, each curve's in order: robots' own options, then disturbances."""
-    for to, robot_class in ROBOTS.items():
-        for curve in robot_class.curves:
-            for value in curve.values:
-                labels = {"quantity": f"{curve.quantity}, {curve.line}", "value": value}
-                yield Point(to, curve.task, options={**curve.fixed, curve.option: value}, labels=labels)
-    for to in ROBOTS:
-        for task in TASKS:
-            for quantity, disturbance in DISTURBANCES.items():
-                for value in disturbance.values:
-                    labels = {"quantity": quantity, "value": value}
-                    yield Point(to, task, disturbance.conditions(value), labels=labels)
-
-
-def sweep_axes() -> dict[str, str]:
-    """Returns the label of the x axis for each quantity that `sweep` varies."""
-    disturbances = {quantity: disturbance.axis for quantity, disturbance in DISTURBANCES.items()}
-    return disturbances | {curve.quantity: curve.axis for robot in ROBOTS.values() for curve in robot.curves}
 
 
 def _table_labels(robot: Robot, source: str) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from typing import Annotated
 import jax
 
 import envs
+from envs.randomization import LEVELS
+from envs.randomized import randomize
 from envs.scenes import assets_directory
 from envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
@@ -15,7 +17,7 @@ from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.validation import MOST_SEED, check_count
+from hgail_jax.validation import MOST_SEED, check_count, check_name
 
 PROGRAM = "hgail play"
 
@@ -30,6 +32,8 @@ class Options:
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("the one that comes with the package", "FILE")] = None
     """The policy's file."""
+    randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
+    """How much each episode is disturbed; see docs/robust.md."""
     episodes: int = 3
     """Episodes to play; the page goes on until it is stopped."""
     seed: int = 0
@@ -56,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
             return
         if not shows:
             check_film(path)
-        env, policy = _load(options.task, options.policy)
+        env, policy = _load(options.task, options.policy, options.randomize)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     try:
@@ -74,6 +78,8 @@ def main(arguments: list[str] | None = None) -> None:
 def _check(options: Options) -> None:
     """Refuses numbers out of range, and options that do not go together."""
     check_count("episodes", options.episodes)
+    if options.randomize is not None:
+        check_name("randomize", options.randomize, LEVELS)
     check_count("seed", options.seed, least=0, most=MOST_SEED)
     if options.port is not None:
         check_count("port", options.port, most=_MOST_PORT)
@@ -83,12 +89,13 @@ def _check(options: Options) -> None:
         raise ValueError("--port and --host are for --web")
 
 
-def _load(task: str, path: Path | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
+def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
     """Returns the task and the policy.
 
     Args:
       task: its name.
       path: the policy's file; None is the one that comes with the package.
+      level: of the disturbances; None is what the policy was trained under.
       **physics: options of the task, where it takes them.
 
     Raises:
@@ -101,7 +108,10 @@ def _load(task: str, path: Path | None, **physics: str) -> tuple[envs.GoalEnv, M
         raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
     policy = load_policy(path or _shipped(task))
     taken = {name: value for name, value in physics.items() if name in envs.accepted_options(task)}
-    env = envs.make(task, **taken)
+    randomization = policy.randomization
+    if level is not None:
+        randomization = dataclasses.replace(LEVELS[level], history=randomization.history)  # it is shown as much
+    env = randomize(envs.make(task, **taken), randomization)
     if policy.task != task or policy.observation_size != env.observation_size:
         raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
     return env, policy
@@ -127,7 +137,8 @@ def _serve(options: Options) -> None:
     from hgail_jax.web.session import Session
 
     def open_session(task: str, seed: int) -> Session:
-        env, policy = _load(task, options.policy if task == options.task else None, impl="c")
+        path = options.policy if task == options.task else None
+        env, policy = _load(task, path, options.randomize, impl="c")
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)

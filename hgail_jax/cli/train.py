@@ -130,6 +130,9 @@ def _report(summary: dict[str, Any], trainer: Trainer) -> None:
         f"{summary['env_steps_per_second']:,.0f} env steps/s, evaluate {seconds['evaluation']:.1f} s, "
         f"total {seconds['total']:.1f} s -> {trainer.folder}"
     )
+    if "undisturbed_success_rate" in summary:
+        undisturbed = summary["undisturbed_success_rate"]
+        print(f"undisturbed: success {undisturbed['mean']:.3f} ± {undisturbed['std']:.3f}")
     if summary["diverged_seeds"]:
         print(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", file=sys.stderr)
 

@@ -7,7 +7,10 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "observation": {"features": 6, "goal": 3, "clip": 5.0},   # features first, then the goal; clipped once normalised
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
      "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
+     "randomization": {},                                      # what it was trained under: fields of `Randomization`
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
+
+Where `randomization` has a `history`, the features begin with so many actions and observations; see `RandomizedEnv`.
 """
 
 import dataclasses
@@ -20,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from envs import GoalEnv
+from envs.randomization import Randomization
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
 from hgail_jax.io.versions import installed
@@ -50,6 +54,8 @@ class MeanPolicy:
     """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""
+    randomization: Randomization = Randomization()  # noqa: RUF009  (frozen)
+    """What its episodes were disturbed by in training."""
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
@@ -88,11 +94,16 @@ class MeanPolicy:
         """
         if np.shape(observation)[-1:] != self.mean.shape:
             raise ValueError(f"an observation of {self.task} has {self.observation_size} numbers")
-        hidden = xp.clip((observation - self.mean) / self.std, -_CLIP, _CLIP)
-        for weights, biases in self.layers[:-1]:
-            hidden = xp.tanh(hidden @ weights + biases)
-        weights, biases = self.layers[-1]
-        return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
+        return mean_action(self.mean, self.std, self.layers, observation, xp)
+
+
+def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np) -> Any:
+    """Returns what `MeanPolicy` does, of its arrays, which JAX may trace or batch."""
+    hidden = xp.clip((observation - mean) / std, -_CLIP, _CLIP)
+    for weights, biases in layers[:-1]:
+        hidden = xp.tanh(hidden @ weights + biases)
+    weights, biases = layers[-1]
+    return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
 
 
 def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
@@ -106,6 +117,7 @@ def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
         std=np.asarray(state.statistics.std),
         layers=tuple((np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in layers),
         versions=installed("hgail-jax", "jax", "mujoco-mjx"),
+        randomization=getattr(env, "randomization", Randomization()),
     )
 
 
@@ -122,6 +134,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "action": {"size": policy.action_size, **_ACTION},
         "layers": len(policy.layers),
         "activation": _ACTIVATION,
+        "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
         "versions": policy.versions,
     }
     arrays = {"mean": policy.mean, "std": policy.std}
@@ -154,7 +167,13 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
         raise ValueError(f"it has no {header['layers']} layers")
     layers = tuple((file[f"weights_{index}"], file[f"biases_{index}"]) for index in range(header["layers"]))
     policy = MeanPolicy(
-        header["task"], observation["goal"], file["mean"], file["std"], layers, dict(header["versions"])
+        header["task"],
+        observation["goal"],
+        file["mean"],
+        file["std"],
+        layers,
+        dict(header["versions"]),
+        Randomization.from_json(header.get("randomization", {})),  # older files have none
     )
     if (policy.observation_size, policy.action_size) != (observation["features"] + observation["goal"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")

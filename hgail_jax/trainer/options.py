@@ -10,6 +10,8 @@ import tyro
 
 import envs
 from envs.engines import ENGINES
+from envs.randomization import LEVELS
+from envs.randomized import randomize
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.distributed.processes import choose_mesh
 from hgail_jax.distributed.seeds import check_seeds
@@ -57,6 +59,7 @@ class TrainOptions:
     impl: Annotated[str, _choices("Physics engine of the Fetch tasks", ["auto", *ENGINES])] = "auto"
     substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
     """Physics steps per action in training, 4 to 20. The final evaluation has 20."""
+    randomize: Annotated[str, _choices("How much each episode is disturbed, see docs/robust.md", LEVELS)] = "none"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
@@ -120,6 +123,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     env = _make(options, task_class.training[platform].options, worlds, task_options)
     if options.task not in envs.TASKS:  # those have tests
         envs.check_task(env)
+    env = randomize(env, options.randomize)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
@@ -153,6 +157,7 @@ def _check(options: TrainOptions) -> None:
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
+    check_name("randomize", options.randomize, LEVELS)
     for name in ("out", "resume", "demos"):
         if not isinstance(getattr(options, name), str | Path | None):
             raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")

@@ -1,5 +1,6 @@
 """What a run leaves behind once it is trained: curves, policies and a summary."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,16 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
     draw_curves(folder / "curves.png", title, steps[evaluated], success[evaluated], distance[evaluated])
 
 
-def summarize(run: Run, progress: Progress, final: EpisodeMetrics, timing: dict[str, float]) -> dict[str, Any]:
+def summarize(
+    run: Run, progress: Progress, evaluations: Mapping[str, EpisodeMetrics], timing: dict[str, float]
+) -> dict[str, Any]:
     """Returns summary.json's content, less what made it and the total time.
 
     Args:
       run: what was trained.
       progress: after its last round.
-      final: of the final evaluation, leaves `[seeds]`.
+      evaluations: of the final evaluation, `"final"`, and of one without disturbances, `"undisturbed"`, where the task
+        is randomised; leaves `[seeds]`.
       timing: seconds of `compile`, `train` and `evaluation`.
 
     """
@@ -45,13 +49,19 @@ def summarize(run: Run, progress: Progress, final: EpisodeMetrics, timing: dict[
         values = np.asarray(measured)
         return {"mean": float(values.mean()), "std": float(values.std()), "per_seed": values.tolist()}
 
-    steps = progress.history[-1]["env_steps"]
+    final, steps = evaluations["final"], progress.history[-1]["env_steps"]
+    undisturbed = (
+        {"undisturbed_success_rate": over_seeds(evaluations["undisturbed"].success)}
+        if "undisturbed" in evaluations
+        else {}
+    )
     return {
         "task": run.task,
         "method": run.method,
         "seeds": run.seeds,
         "mesh": dict(run.mesh.shape),
         "success_rate": over_seeds(final.success),
+        **undisturbed,
         "achieved_rate": over_seeds(final.achieved),
         "success_rate_l1": over_seeds(final.success_l1),
         "distance_l1": over_seeds(final.distance_l1),

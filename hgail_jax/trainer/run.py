@@ -41,12 +41,17 @@ class Run:
         """Returns what a run that resumes another must share with it."""
         return {
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
-            "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")},
+            "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")} | self._randomization(),
             "task_options": self.task_options,
             "config": dataclasses.asdict(self.config),
             "hyperparameters": dataclasses.asdict(self.hyperparameters),
             "demonstrations": None if self.demonstrations is None else self.demonstrations.sha256,
         }
+
+    def _randomization(self) -> dict[str, Any]:
+        """Returns the sizes of the disturbances; nothing where there are none, as before there could be any."""
+        randomization = getattr(self.env, "randomization", None)
+        return {} if randomization is None else {"randomization": dataclasses.asdict(randomization)}
 
     def program(self) -> Program:
         """Returns what is to be compiled."""

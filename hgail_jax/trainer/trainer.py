@@ -13,6 +13,8 @@ from typing import Any, Self
 
 import jax
 
+from envs import GoalEnv
+from envs.randomized import RandomizedEnv
 from hgail_jax.distributed.processes import silent_but_first
 from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, compile_evaluation
 from hgail_jax.distributed.sharding import any_process, is_first_process, replicate
@@ -214,7 +216,7 @@ class Trainer:
         progress = begin(program, self._restored)
         background = ThreadPoolExecutor(1)  # which compiles the final evaluation while the training runs
         try:
-            compiling = background.submit(self._compile_evaluation)
+            compiling = background.submit(self._compile_evaluations)
             self._train_rounds(step, progress, stop)
         finally:
             background.shutdown(wait=False)
@@ -222,15 +224,22 @@ class Trainer:
             return None
         timing["train"] = progress.seconds
         with _timed(timing, "evaluation"), StatusLine("evaluating the policies in the most accurate physics"):
-            final = compiling.result()(progress.states)
+            evaluations = {name: evaluate(progress.states) for name, evaluate in compiling.result().items()}
         states = replicate(progress.states)  # which all processes take part in
         if self.writes:
             write_results(run, self.folder, states, progress.history)
-        return summarize(run, progress, final, timing)
+        return summarize(run, progress, evaluations, timing)
 
-    def _compile_evaluation(self) -> SeedsEvaluation:
+    def _compile_evaluations(self) -> dict[str, SeedsEvaluation]:
+        """Returns the final evaluations, of the task as it was trained and, if that is randomised, undisturbed too."""
         run, states = self.run, jax.eval_shape(self.run.program().init)
-        return compile_evaluation(run.env, run.config, states, run.evaluation_episodes, run.mesh)
+        tasks: dict[str, GoalEnv] = {"final": run.env}
+        if isinstance(run.env, RandomizedEnv):
+            tasks["undisturbed"] = run.env.undisturbed()
+        return {
+            name: compile_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)
+            for name, env in tasks.items()
+        }
 
     def _train_rounds(self, step: SeedsStep, progress: Progress, stop: threading.Event) -> None:
         def log(progress: Progress) -> None:

@@ -62,7 +62,7 @@ def test_diagrams_are_as_drawn():
         assert (diagrams.IMAGES / name).read_text() == draw(), "run `python -m docs._generate.diagrams`"
 
 
-QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder"]
+QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust"]
 TRAINING = ["README", "index", "getting-started", "sweeps"]
 
 

@@ -5,11 +5,12 @@ from typing import Any
 
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from experiments.transfer.robots.ur5e import UR5e
+from experiments.transfer.robots.servo_arm import Franka, UR5e
 
 ROBOTS: dict[str, type[Robot]] = {
     "gymnasium": GymnasiumFetch,
     "ur5e": UR5e,
+    "franka": Franka,
 }
 """The robots' classes by the names that the command line knows them by."""
 

@@ -1,5 +1,7 @@
 """The joint motion of an arm whose tool points downward, by mink's differential inverse kinematics."""
 
+from collections.abc import Sequence
+
 import mink
 import mujoco
 import numpy as np
@@ -17,14 +19,24 @@ class DownwardArm:
       tool: name of the tool's site.
       orientation: `[3, 3]`, rotation of that site in the world frame when the tool points downward.
       top_speed: of each joint, radians per second.
+      posture_cost: weight of where the joints are first set beside the tool's place, for an arm that could reach the
+        place in other ways; 0 for one of six joints.
 
     """
 
-    def __init__(self, model: mujoco.MjModel, tool: str, orientation: np.ndarray, top_speed: float) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        tool: str,
+        orientation: np.ndarray,
+        top_speed: Sequence[float],
+        posture_cost: float = 0.0,
+    ) -> None:
         self._configuration = mink.Configuration(model)
         self._task = mink.FrameTask(tool, "site", position_cost=1.0, orientation_cost=1.0)
         self._orientation = mink.SO3.from_matrix(orientation)
-        speeds = {model.joint(index).name: top_speed for index in range(model.njnt)}
+        self._posture = mink.PostureTask(model, posture_cost) if posture_cost else None
+        speeds = {model.joint(index).name: speed for index, speed in enumerate(top_speed)}
         self._limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
 
     @property
@@ -35,6 +47,8 @@ class DownwardArm:
     @joints.setter
     def joints(self, positions: np.ndarray) -> None:
         self._configuration.update(positions.copy())
+        if self._posture is not None and self._posture.target_q is None:
+            self._posture.set_target(positions)
 
     def approach(self, position: np.ndarray, time: float) -> np.ndarray:
         """Moves the joints so that the tool comes as near to a position as it can in some time.
@@ -48,9 +62,8 @@ class DownwardArm:
 
         """
         self._task.set_target(mink.SE3.from_rotation_and_translation(self._orientation, position))
-        velocities = mink.solve_ik(
-            self._configuration, [self._task], time, _SOLVER, damping=_DAMPING, limits=self._limits
-        )
+        tasks = [self._task] if self._posture is None else [self._task, self._posture]
+        velocities = mink.solve_ik(self._configuration, tasks, time, _SOLVER, damping=_DAMPING, limits=self._limits)
         self._configuration.integrate_inplace(velocities, time)
         return velocities
 

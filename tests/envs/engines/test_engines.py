@@ -71,6 +71,36 @@ def test_a_batch_of_actions_is_mujoco_s_own_and_so_with_more_steps(impl):
 
 
 @pytest.mark.parametrize("impl", TOLERANCES)
+def test_each_environment_has_its_own_model(impl):
+    """Damping, gear and masses of each against a model in which they are set by hand."""
+    count, substeps = 4, 5
+    rows = random_actions(count)
+    qpos, qvel, mocap_pos, mocap_quat, ctrl = (jnp.asarray(array, jnp.float32) for array in rows)
+    factors = np.linspace(0.3, 3.0, count)
+    fields = {
+        name: np.stack([getattr(MODEL, name) * factor for factor in factors])
+        for name in ("dof_damping", "actuator_gear", "body_mass", "body_inertia")
+    }
+    state = EngineState(qpos, qvel, jnp.zeros((count, 2)), jnp.zeros((count, 1)), jnp.zeros(count, bool))
+    control = Control(mocap_pos, mocap_quat, ctrl, {name: jnp.asarray(values) for name, values in fields.items()})
+    after = jax.jit(jax.vmap(make_engine(impl, MODEL, PERIOD, substeps, worlds=1).step))(state, control)
+    plain = jax.jit(jax.vmap(make_engine(impl, MODEL, PERIOD, substeps, worlds=1).step))(
+        state, control.replace(model=None)
+    )
+    before = {name: getattr(MODEL, name).copy() for name in fields}
+    for index, row in enumerate(zip(*rows, strict=True)):
+        for name, values in fields.items():
+            getattr(MODEL, name)[...] = values[index]
+        expected = by_hand(substeps, *row)
+        for name, values in before.items():
+            getattr(MODEL, name)[...] = values
+        ours = (after.qpos[index], after.qvel[index], after.sensordata[index])
+        for one, other, tolerance in zip(ours, expected, TOLERANCES[impl], strict=True):
+            np.testing.assert_allclose(one, other, atol=tolerance, rtol=0.02)
+    assert np.abs(np.asarray(after.qpos - plain.qpos)).max() > 8e-4
+
+
+@pytest.mark.parametrize("impl", TOLERANCES)
 def test_nothing_of_the_model_that_it_is_made_of_is_changed(impl):
     make_engine(impl, MODEL, PERIOD, 5, worlds=1).with_substeps(20)
     assert MODEL.opt.timestep == 0.002

@@ -6,7 +6,9 @@ import pytest
 
 from envs.vision.camera import look_at
 from experiments.localisation.localiser import (
+    ABOVE,
     MARKER_RADIUS,
+    TILTED,
     Detection,
     Localiser,
     Noise,
@@ -69,10 +71,13 @@ def test_the_view_of_the_higher_score_is_taken(rendering, best):
     assert (error < 0.002) == (best == 0)
 
 
-def test_every_goal_of_reach_is_in_both_pictures():
+@pytest.mark.parametrize(("views", "count"), [(TILTED, 2), (ABOVE, 1)])
+def test_every_goal_of_reach_is_in_all_pictures(views, count):
     start = np.array([1.342, 0.749, 0.535])
     corners = start + 0.15 * np.array(list(itertools.product((-1, 1), repeat=3)))
-    for camera in overhead(start):
+    cameras = overhead(start, views=views)
+    assert len(cameras) == count
+    for camera in cameras:
         assert camera.contains(camera.to_pixels(corners)[0]).all()
 
 

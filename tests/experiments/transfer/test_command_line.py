@@ -9,6 +9,8 @@ from experiments.transfer.disturbances import DISTURBANCES
 from experiments.transfer.paths import RESULTS
 from experiments.transfer.robots import ROBOTS
 
+SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
+
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
@@ -23,6 +25,12 @@ from experiments.transfer.robots import ROBOTS
         (["--policy", "none.npz"], "none.npz"),
         (["--table", "4", "--sweep"], "choose one of"),
         (["--table", "4", "--to", "ur5e"], "--to does not go with"),
+        (["--policies", "a=b.npz"], "--policies and --workers go with --sweep"),
+        (["--to", "fetch"], "--to fetch goes with --sweep"),
+        (["--sweep", "--workers", "0"], "workers is 0; it must be at least 1"),
+        (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
+        (["--sweep", "--policies", "full=none.npz"], "there is no file none.npz"),
+        (["--sweep", "--policies", "full=."], "there is no policy in ."),
         (["--goal-source", "camera"], "--goal-source goes with --table"),
         (["--table", "4", "--goal-source", "none"], "none"),
         (["--sweep", "--out", "/dev/null"], "cannot make the folder /dev/null"),
@@ -59,7 +67,10 @@ def test_one_run(capsys):
     ("arguments", "written"),
     [
         (["--table", "4", "--goal-source", "exact", "--episodes", "1"], {"table4.csv", "table4.json"}),
-        (["--sweep", "--episodes", "1"], {f"transfer-sweep.{end}" for end in ("csv", "json", "png")}),
+        (
+            ["--sweep", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
+            {f"transfer-sweep.{end}" for end in ("csv", "json", "png")},
+        ),
         (["--pictures"], {"transfer-gymnasium.png"}),
     ],
 )
@@ -67,7 +78,8 @@ def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp
     if "--pictures" in arguments:
         request.getfixturevalue("rendering")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(ROBOTS, "ur5e")
+    for robot in ("ur5e", "franka"):
+        monkeypatch.delitem(ROBOTS, robot)
     for quantity, disturbance in DISTURBANCES.items():
         least = dataclasses.replace(disturbance, values=disturbance.values[:1])
         monkeypatch.setitem(DISTURBANCES, quantity, least)

@@ -1,15 +1,23 @@
 import numpy as np
 import pytest
 
+from envs.randomization import Randomization
+from experiments.transfer.conditions import Conditions
 from experiments.transfer.disturbances import DISTURBANCES
-from experiments.transfer.episode import Conditions
 
 
 @pytest.mark.parametrize("disturbance", DISTURBANCES.values(), ids=DISTURBANCES.keys())
 def test_every_quantity_is_varied_from_nothing(disturbance):
-    conditions = [disturbance.conditions(value) for value in disturbance.values]
-    assert Conditions() in conditions
-    assert len(set(conditions)) == len(disturbance.values)
+    """On other robots, on this package's Fetch, or on both."""
+    varied = []
+    if disturbance.conditions:
+        varied.append(([disturbance.conditions(value) for value in disturbance.values], Conditions()))
+    if disturbance.sizes:
+        varied.append(([Randomization(**disturbance.sizes(value)) for value in disturbance.values], Randomization()))
+    assert varied
+    for points, undisturbed in varied:
+        assert undisturbed in points
+        assert len(set(points)) == len(disturbance.values)
 
 
 @pytest.mark.parametrize(("axis", "moved"), [("x", [0.03, 0, 0]), ("y", [0, 0.03, 0]), ("z", [0, 0, 0.03])])

@@ -1,11 +1,15 @@
 """The episode runner, on a robot simple enough to be worked out by hand."""
 
+import typing
+
 import numpy as np
 import pytest
 
 import envs
 from envs.fetch.grasp import LEAST_RISE
-from experiments.transfer.episode import Conditions, NoisyEstimate, run_episode, run_episodes
+from envs.randomization import Randomization
+from experiments.transfer.conditions import Conditions, NoisyEstimate
+from experiments.transfer.episode import run_episode, run_episodes
 
 
 class Dot:
@@ -119,6 +123,54 @@ def test_grasping_takes_a_lift():
     dropped.step = lambda action: dropped.told.append(action)
     outcome = run(dropped, lambda observation: np.zeros(4))
     assert (outcome.achieved, outcome.success) == (1.0, 0.0)
+
+
+def observations(policy=lambda observation: np.zeros(4), task="reach", **conditions):
+    """Returns what a policy is shown in an episode in which it stands still."""
+    seen = []
+
+    def watch(observation):
+        seen.append(observation)
+        return policy(observation)
+
+    run(Dot(task), watch, **conditions)
+    return np.array(seen)
+
+
+def test_noises_are_drawn_at_each_step_and_offsets_once():
+    goal = observations(goal_noise=0.02)[:, 6:] - Dot().goal
+    np.testing.assert_allclose(goal.std(), 0.02, rtol=0.25)
+    assert np.abs(np.diff(goal, axis=0)).min(axis=1).max() > 1e-3
+    offset = observations(robot_offset=0.02)
+    np.testing.assert_array_equal(offset, np.tile(offset[0], (50, 1)))
+    assert np.abs(offset[0, :3]).max() > 1e-3
+    noise = observations(robot_noise=0.02)
+    np.testing.assert_allclose(noise[:, :3].std(), 0.02, rtol=0.25)
+    np.testing.assert_allclose(np.diff(noise[:, :3], axis=0), noise[1:, 3:6], atol=1e-6)  # as moved as it seems
+
+
+def test_a_policy_is_shown_the_history_that_it_was_trained_with():
+    """Newest first, each the action before its delay, and what was seen when it was decided."""
+
+    class Policy:
+        randomization = Randomization(history=2)
+        seen: typing.ClassVar[list] = []
+
+        def __call__(self, observation):
+            self.seen.append(observation)
+            return np.full(4, len(self.seen) / 100)
+
+    robot = Dot()
+    run_episode(robot, policy := Policy(), np.random.default_rng(0), Conditions(delay=1))
+    shown = np.array(policy.seen)
+    assert shown.shape == (50, 2 * (4 + 6) + 6 + 3)
+    now, actions = shown[:, 20:26], np.arange(1, 51)[:, None] * np.full(4, 0.01)
+    start = np.append(np.zeros(4), now[0])
+    np.testing.assert_allclose(shown[0, :20], np.tile(start, 2), atol=1e-6)
+    np.testing.assert_allclose(shown[1:, :10], np.hstack([actions[:-1], now[:-1]]), atol=1e-6)
+    np.testing.assert_allclose(shown[2:, 10:20], np.hstack([actions[:-2], now[:-2]]), atol=1e-6)
+    np.testing.assert_allclose(shown[1, 10:20], start, atol=1e-6)
+    assert np.ptp(now[:, 0]) > 0.1
 
 
 def test_starts_depend_on_seed_and_number_alone():

@@ -1,5 +1,5 @@
 from experiments.localisation.localiser import TargetNotSeenError
-from experiments.transfer.episode import Conditions
+from experiments.transfer.conditions import Conditions
 from experiments.transfer.measurement import load_policies, measure
 from experiments.transfer.robots import make_robot
 

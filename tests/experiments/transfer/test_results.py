@@ -6,18 +6,20 @@ import json
 import types
 
 import imageio.v3 as imageio
+import mujoco
 import numpy as np
 import pytest
 
-from experiments.localisation.localiser import TargetNotSeenError
+from experiments.localisation.localiser import CALIBRATED, TargetNotSeenError
 from experiments.transfer import __main__ as transfer
 from experiments.transfer import camera_goal
+from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.disturbances import DISTURBANCES
-from experiments.transfer.episode import NoisyEstimate
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.studies import GOAL_SOURCES
+from experiments.transfer.sweeps import find_policies
 
 
 def read_csv(path):
@@ -27,8 +29,11 @@ def read_csv(path):
 
 def test_the_table(tmp_path, monkeypatch):
     """A row for each goal source, robot, task and variant; measured once where only labels differ."""
-    monkeypatch.delitem(ROBOTS, "ur5e")
-    monkeypatch.delitem(GOAL_SOURCES, "camera")
+    for robot in ("ur5e", "franka"):
+        monkeypatch.delitem(ROBOTS, robot)
+    for source in list(GOAL_SOURCES):
+        if source != "exact":
+            monkeypatch.delitem(GOAL_SOURCES, source)
     monkeypatch.setitem(GOAL_SOURCES, "second", lambda robot, stack: NoisyEstimate())
     transfer.main(["--table", "4", "--episodes", "2", "--out", str(tmp_path)])
     rows = read_csv(tmp_path / "table4.csv")
@@ -46,11 +51,12 @@ def test_the_table(tmp_path, monkeypatch):
 @pytest.fixture
 def half_blind(monkeypatch):
     """Cameras that know where the target is and see it every other time; says how often they were closed."""
-    counts = types.SimpleNamespace(calls=0, closed=0)
+    counts = types.SimpleNamespace(calls=0, closed=0, kinds=[])
 
     class HalfBlind(contextlib.AbstractContextManager):
-        def __init__(self, cameras, detect, cube):
+        def __init__(self, cameras, detect, noise, cube):
             self.cube = cube
+            counts.kinds.append((len(cameras), noise))
 
         def __call__(self, model, data, rng, marker=None):
             counts.calls += 1
@@ -68,7 +74,8 @@ def half_blind(monkeypatch):
 
 def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_blind):
     """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
-    monkeypatch.delitem(ROBOTS, "ur5e")
+    for robot in ("ur5e", "franka"):
+        monkeypatch.delitem(ROBOTS, robot)
     for source in ("exact", "camera", "camera"):
         transfer.main(["--table", "4", "--goal-source", source, "--episodes", "2", "--out", str(tmp_path)])
     rows = read_csv(tmp_path / "table4.csv")
@@ -79,6 +86,18 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
     assert all(0.0 < float(row["distance_l2"]) < 0.05 for row in rows)
     assert half_blind.closed == 4
     assert list(json.loads((tmp_path / "table4.json").read_text())) == ["exact goal", "camera goal"]
+
+
+@pytest.mark.parametrize(
+    ("source", "cameras", "noise"),
+    [("noisy-cameras", 2, CALIBRATED), ("one-camera", 1, None), ("one-noisy-camera", 1, CALIBRATED)],
+)
+def test_goals_come_from_the_cameras_that_they_are_said_to(tmp_path, monkeypatch, half_blind, source, cameras, noise):
+    for robot in ("ur5e", "franka"):
+        monkeypatch.delitem(ROBOTS, robot)
+    transfer.main(["--table", "4", "--goal-source", source, "--episodes", "2", "--out", str(tmp_path)])
+    assert {row["stage"] for row in read_csv(tmp_path / "table4.csv")} == {f"{source} goal"}
+    assert half_blind.kinds == [(cameras, noise)] * 2
 
 
 def test_without_a_renderer_nothing_is_measured(tmp_path, monkeypatch, capsys):
@@ -105,6 +124,9 @@ class Crane(Robot):
     slowdown = 2
     offset = np.zeros(3)
 
+    cube = "cube"
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+
     def __init__(self, task, rope=1.0):
         self.task = task
 
@@ -127,7 +149,7 @@ class Crane(Robot):
         self.position = self.position + self.velocity
 
 
-def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch):
+def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     """The table has its variants, the sweep its own curve and the disturbances, and the files its packages."""
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
@@ -137,10 +159,15 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch):
     assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
     assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
     assert [float(row["success_rate"]) for row in rows] == [1.0, 1.0, 0.0]
-    write_sweep(tmp_path, episodes=1, seed=0)
-    varied = [row["quantity"] for row in read_csv(tmp_path / "transfer-sweep.csv")]
-    assert varied[:2] == ["reel, wet"] * 2
-    assert set(varied[2:]) == set(DISTURBANCES)
+    policies = find_policies([f"other={shipped_policy}"], ["reach", "grasp"])
+    write_sweep(tmp_path, policies, ["crane"], ["reach", "grasp"], episodes=1, seed=0, workers=1)
+    rows = read_csv(tmp_path / "transfer-sweep.csv")
+    plain, other = ([row for row in rows if row["policy"] == label] for label in ("plain", "other"))
+    assert len(plain) + len(other) == len(rows)
+    assert [row["quantity"] for row in plain][:2] == ["reel, wet"] * 2
+    on_robots = {name for name, disturbance in DISTURBANCES.items() if disturbance.conditions}
+    assert {row["quantity"] for row in plain[2:]} == on_robots
+    assert {row["quantity"] for row in other[2:]} == on_robots - {"mass"}  # a policy of reach has no object
     versions = json.loads((tmp_path / "transfer-sweep.json").read_text())["versions"]
     assert versions["no-such-package"] is None
     assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10

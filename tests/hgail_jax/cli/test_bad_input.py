@@ -26,6 +26,7 @@ CHOICES = {
     "--preset": {"parallel", "paper"},
     "--impl": {"auto", "c", "jax", "warp"},
     "--strategy": {"future", "final"},
+    "--randomize": {"none", "mild", "full", "mild-history", "full-history"},
     "--reward": {"r1", "r2", "r3", "r4"},
 }
 words = st.text(st.characters(exclude_characters="\0"), max_size=20).filter(lambda text: not text.startswith("-"))

@@ -42,7 +42,7 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
 def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
-    env, policy = play._load(task, None)
+    env, policy = play._load(task, None, None)
     assert policy.task == task
     assert policy.action_size == env.action_size
 

@@ -26,7 +26,9 @@ def test_a_task_that_a_robot_cannot_do_is_refused():
         make_robot("ur5e", "push")
 
 
-@pytest.mark.parametrize(("robot", "package"), [("gymnasium", "gymnasium_robotics"), ("ur5e", "mink")])
+@pytest.mark.parametrize(
+    ("robot", "package"), [("gymnasium", "gymnasium_robotics"), ("ur5e", "mink"), ("franka", "mink")]
+)
 def test_a_robot_is_listed_without_its_extra(robot, package, monkeypatch):
     """Only making it needs the extra, and says which."""
     monkeypatch.setitem(sys.modules, package, None)

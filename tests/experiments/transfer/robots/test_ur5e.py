@@ -8,9 +8,9 @@ import pytest
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.episode import run_episode, run_episodes
+from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from experiments.transfer.robots.ur5e import UR5e
-from experiments.transfer.robots.ur5e_model import TOOL_CENTRE
+from experiments.transfer.robots.servo_arm import UR5e
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.motion import move
 
@@ -84,3 +84,22 @@ def test_a_policy_trained_on_the_fetch_reaches(shipped_policy):
 def test_a_policy_trained_on_the_fetch_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(6))
     assert sum(outcome.success for outcome in outcomes) >= 4  # 92 % of 200; hardly any with a hand led otherwise
+
+
+def test_pick_and_place_shows_the_cube_and_where_it_is_to_go():
+    """Features as `PickAndPlace` has them, of the scene's own quantities."""
+    robot = UR5e("pick-and-place")
+    heights = []
+    for seed in range(20):
+        robot.reset(np.random.default_rng(seed))
+        heights.append(robot.target()[2] - 0.425)
+    assert sum(height < 1e-6 for height in heights) in range(4, 17)  # half of them on the table
+    assert 0.2 < max(heights) < 0.45
+    robot.step(np.array([0.5, 0.3, -0.2, 0.0]))
+    seen, cube = robot.features(), robot.data.joint("cube")
+    np.testing.assert_allclose(seen[9:12], cube.qpos[:3] + robot.offset, atol=1e-6)
+    np.testing.assert_allclose(seen[6:9], seen[9:12] - seen[:3], atol=1e-6)
+    np.testing.assert_allclose(seen[12:15], cube.qvel[:3] * 4 * CONTROL_PERIOD, atol=1e-6)
+    assert seen.shape == (17,)
+    np.testing.assert_allclose(robot.carried(), seen[9:12])
+    assert not robot.reached()

@@ -1,0 +1,66 @@
+"""What a policy on a robot is shown: features and goals with their errors, and the history that it was trained with."""
+
+import collections
+
+import numpy as np
+
+from envs.randomization import Randomization
+from experiments.transfer.conditions import Conditions, MeanAction
+from experiments.transfer.robots.base import Robot
+
+
+class Sensors:
+    """The errors of an episode's sensors.
+
+    Args:
+      rng: what they are drawn with; nothing is drawn for sensors that are exact.
+      conditions: their sizes.
+
+    """
+
+    def __init__(self, rng: np.random.Generator, conditions: Conditions) -> None:
+        self._rng, self._conditions = rng, conditions
+        self._offset = self._draw(conditions.robot_offset)
+        self._noise: np.ndarray | None = None
+
+    def features(self, robot: Robot) -> np.ndarray:
+        """Returns the robot's features with the gripper, which they begin with, where it seems to be.
+
+        They go on with how far it moved in the last action, as far as its positions show it, and in a task with an
+        object with where that is relative to the gripper.
+        """
+        seen, noise = robot.features().copy(), self._draw(self._conditions.robot_noise)
+        seen[:3] += self._offset + noise
+        seen[3:6] += 0.0 if self._noise is None else noise - self._noise
+        if len(seen) > 8:  # 6:9 is the object's position less the gripper's
+            seen[6:9] -= self._offset + noise
+        self._noise = noise
+        return seen
+
+    def goal(self, goal: np.ndarray) -> np.ndarray:
+        """Returns a goal, `[3]` or more, with the noise of a step."""
+        return goal + np.append(self._draw(self._conditions.goal_noise), np.zeros(len(goal) - 3))
+
+    def _draw(self, deviation: float) -> np.ndarray:
+        return deviation * self._rng.standard_normal(3) if deviation else np.zeros(3)
+
+
+class History:
+    """The last actions and what was seen before each, as `RandomizedEnv` shows them.
+
+    Args:
+      robot: at the start of an episode.
+      policy: whose `randomization`, if it has one, says how many.
+      sensors: what the first is seen with.
+
+    """
+
+    def __init__(self, robot: Robot, policy: MeanAction, sensors: Sensors) -> None:
+        count = getattr(policy, "randomization", Randomization()).history
+        first = [np.concatenate([np.zeros(4), sensors.features(robot)])] * count if count else []
+        self.rows = collections.deque(first, maxlen=count)
+        """Newest first, each an action and features."""
+
+    def add(self, action: np.ndarray, seen: np.ndarray) -> None:
+        """Takes the next action, and what it answered."""
+        self.rows.appendleft(np.concatenate([action, seen]))

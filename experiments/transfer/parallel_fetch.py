@@ -1,0 +1,74 @@
+"""Measures policies on this package's Fetch, on C MuJoCo with all episodes of a point at once."""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import envs
+from envs import EpisodeMetrics
+from envs.randomization import Randomization
+from envs.randomized import RandomizedEnv
+from hgail_jax.io.policy import MeanPolicy, mean_action
+from hgail_jax.rollout import rollout
+
+NAME = "This package's Fetch, C MuJoCo"
+"""As the rows of tables have it."""
+
+_MOST = Randomization(  # of what the points below ask for; the program is made for these
+    delay=(0, 4),
+    robot_noise=1.0,
+    object_noise=1.0,
+    goal_noise=1.0,
+    friction=(0.5, 2.0),
+    hand_opening=1.0,
+)
+_SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history"))
+
+
+class ParallelFetch:
+    """A Fetch task whose episodes are disturbed, and some policies for it, which take turns.
+
+    Args:
+      task: a Fetch task's name.
+      policies: of the same sizes, trained with the same history.
+      episodes: of a point; each point has the same starts.
+      seed: of the episodes.
+
+    """
+
+    def __init__(self, task: str, policies: Sequence[MeanPolicy], episodes: int, seed: int) -> None:
+        history = policies[0].randomization.history
+        most = Randomization(**{**vars(_MOST), "history": history})
+        env = RandomizedEnv(envs.make(task, impl="c"), most)
+        turns = np.arange(episodes) % len(policies)
+        parts = [(policy.mean, policy.std, policy.layers) for policy in policies]
+        stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)[turns]), *parts)
+
+        def act(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+            del rng
+            mean, std, layers = stacked
+            action = jax.vmap(functools.partial(mean_action, xp=jnp))(mean, std, layers, observation)
+            return action, jnp.zeros(episodes)
+
+        def run(sizes: Mapping[str, Any], rng: jax.Array) -> EpisodeMetrics:
+            return rollout(env.with_sizes(sizes), act, rng, episodes, probe=True).outcome
+
+        self._run: Callable[..., EpisodeMetrics] = jax.jit(run)
+        self._rng = jax.random.key(seed)
+
+    def outcomes(self, **sizes: Any) -> EpisodeMetrics:
+        """Returns the outcomes of a point's episodes, leaves `[episodes]`.
+
+        Args:
+          **sizes: fields of `Randomization` but `posture` and `history`; all others disturb nothing.
+
+        """
+        unknown = set(sizes) - set(_SIZES)
+        if unknown:
+            raise ValueError(f"a point cannot have {min(unknown)!r}; it may have {', '.join(_SIZES)}")
+        point = vars(Randomization(**sizes))
+        return jax.tree.map(np.asarray, self._run({name: point[name] for name in _SIZES}, self._rng))

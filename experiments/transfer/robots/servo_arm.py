@@ -1,0 +1,225 @@
+"""Arms with servos that stand in for the Fetch: `arms` has their numbers."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from envs.fetch import grasp
+from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, LEAST_DISTANCE, TABLE_HEIGHT, settle
+from envs.fetch.pick_and_place import HIGHEST
+from envs.fetch.reach import GOAL_RANGE
+from envs.scenes import load_scene
+from experiments.transfer.robots.arms import FRANKA, UR5E, Arm
+from experiments.transfer.robots.base import OptionCurve, Robot
+from experiments.transfer.robots.responses import FingerResponse, GripperResponse
+
+_FETCH_GAPS = (0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP)  # metres
+_SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
+_IK_STEPS = 5  # solutions of the inverse kinematics per action
+_SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
+_SETTLE_STEPS = 1000  # physics steps
+
+
+class ServoArm(Robot):
+    """An arm, its hand pointing downward, in front of a table as high as the Fetch's.
+
+    The policy's frame is shifted so that the tool starts where the Fetch's gripper starts. Cubes, points to reach and
+    places to bring the cube to are drawn as the Fetch scenes draw them.
+
+    The tool and the hand are led along what the Fetch's would do with the same action (`responses`), and follow as
+    fast as the models' servos can. The features are those of `Reach`, `Grasp` and `PickAndPlace`: velocities are
+    multiplied by the time that an action lasts. The gap is taken from the drive, and what is wider than the cube is
+    stretched to the Fetch's range, so that each hand is 100 mm wide when open and 50 mm at the cube. In reach the hand
+    stays closed.
+
+    Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
+    tenths of it instead of 80. So an action lasts `slowdown` times longer, and unlike the Fetch's the hand is open at
+    the start; experiments/results/transfer/table4.csv shows the effect of each.
+
+    A subclass sets `arm`.
+
+    Args:
+      task: `"reach"`, `"grasp"` or `"pick-and-place"`.
+      slowdown: how many times longer an action lasts than `CONTROL_PERIOD`; None is the arm's own.
+      start_closed: start with a closed hand where there is a cube too.
+
+    """
+
+    arm: ClassVar[Arm]
+    """Its numbers."""
+    tasks = tuple(_SCENES)
+    curves = tuple(
+        OptionCurve(
+            quantity="slowdown",
+            axis="time of an action, times the trained one",
+            line=f"hand {hand}",
+            task="grasp",
+            option="slowdown",
+            values=(1, 2, 3, 4),
+            fixed={"start_closed": hand == "closed"},
+        )
+        for hand in ("open", "closed")
+    )
+
+    cube = "cube"
+    marker = "target"
+
+    def __init_subclass__(cls) -> None:
+        cls.name, cls.extra, cls.packages = cls.arm.name, cls.arm.extra, cls.arm.packages
+
+    def __init__(self, task: str, slowdown: int | None = None, start_closed: bool = False) -> None:
+        # Here, so that the class can be read without its extra.
+        from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm, load_cell
+        from experiments.transfer.robots.inverse_kinematics import DownwardArm
+
+        arm = self.arm
+        self.task, self.slowdown = task, arm.slowdown if slowdown is None else slowdown
+        self.starts_closed = start_closed or task == "reach"
+        start = settle(load_scene(_SCENES[task])).site("grip").xpos
+        self.offset = np.array([*(start[:2] - arm.workspace), TABLE_HEIGHT])  # its own table's top is at 0
+        self._start = start - self.offset
+        self.model = load_cell(arm, cube=task != "reach")
+        self.data = mujoco.MjData(self.model)
+        self._find(TOOL_CENTRE)
+        self._ik = DownwardArm(load_arm(arm), TOOL_CENTRE, arm.downward, arm.top_speed, arm.posture_cost)
+        self._ik.joints = np.array(arm.near_start)
+        self._ik.move_to(self._start)
+        self._home = self._ik.joints
+        self._settled = self._settle()
+        self._goal = self._start
+
+    def _find(self, tool: str) -> None:
+        """Looks up where the parts are in the model."""
+        model, hand = self.model, self.arm.hand
+        self._site = model.site(tool).id
+        self._cube = model.geom(self.cube).id if self.task != "reach" else -1
+        self._drive = int(model.joint(hand.drive).qposadr[0])
+        bodies = [model.body(name).id for name in hand.pads]
+        self._pads = [set(np.flatnonzero(model.geom_bodyid == body)) for body in bodies]
+        self._jacobian = np.zeros((3, model.nv))
+        self._own_gaps = (0.0, grasp.CUBE_WIDTH, hand.widest_gap)
+
+    @classmethod
+    def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
+        """Returns the options of its rows in the table: slow, as fast as the Fetch, and with a closed hand."""
+        closed = [] if task == "reach" else [{"start_closed": True}]
+        return [{}, {"slowdown": 1}, *closed]
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Starts an episode: the cube on the table, or the point to reach, at random, and where the cube is to go."""
+        mujoco.mj_copyData(self.data, self.model, self._settled)
+        if self.task == "reach":
+            self._goal = self._start + rng.uniform(-GOAL_RANGE, GOAL_RANGE, 3)
+        else:
+            shift = np.zeros(2)
+            while np.linalg.norm(shift) < LEAST_DISTANCE:
+                shift = rng.uniform(-grasp.CUBE_RANGE, grasp.CUBE_RANGE, 2)
+            self.data.joint("cube").qpos[:3] = [*(self._start[:2] + shift), grasp.CUBE_WIDTH / 2]
+        if self.task == "pick-and-place":
+            place = self._start[:2] + rng.uniform(-GOAL_RANGE, GOAL_RANGE, 2)
+            self._goal = np.array([*place, grasp.CUBE_WIDTH / 2 + rng.integers(2) * rng.uniform(0.0, HIGHEST)])
+        mujoco.mj_forward(self.model, self.data)
+        self._ik.joints = self._home
+        self._gripper = GripperResponse(self._position())
+        self._fingers = FingerResponse(self._gap())
+
+    def features(self) -> np.ndarray:
+        """Returns the features of `Reach`, `[6]`, `Grasp`, `[8]`, or `PickAndPlace`, `[17]`."""
+        mujoco.mj_jacSite(self.model, self.data, self._jacobian, None, self._site)
+        period = self.slowdown * CONTROL_PERIOD
+        position, velocity = self._position() + self.offset, self._jacobian @ self.data.qvel * period
+        if self.task == "reach":
+            return np.concatenate([position, velocity])
+        hand = [self._gap(), grasp.is_held(self._touching(), self._gap())]
+        if self.task == "grasp":
+            return np.concatenate([position, velocity, hand])
+        cube, moved = self._cube_position(), self.data.joint("cube").qvel[:3] * period
+        return np.concatenate([position, velocity, cube - position, cube, moved, hand])
+
+    def target(self) -> np.ndarray:
+        """Returns the point to reach, the cube's centre in grasp, or where it is to go, `[3]`."""
+        return self._cube_position() if self.task == "grasp" else self._goal + self.offset
+
+    def carried(self) -> np.ndarray:
+        """Returns the tool's position, or the cube's in pick-and-place, `[3]`."""
+        return self._cube_position() if self.task == "pick-and-place" else self._position() + self.offset
+
+    def step(self, action: np.ndarray) -> None:
+        """Moves the arm and the hand for `slowdown` times `CONTROL_PERIOD`, by an action, `[4]`."""
+        target = self._gripper.lead(self._position(), action[:3])
+        finger = self._fingers.lead(self._gap(), action[3])
+        fetch_time = CONTROL_PERIOD / _IK_STEPS  # of each solution; here it lasts `slowdown` times longer
+        commands = self.slowdown * ACCURATE_SUBSTEPS // (_IK_STEPS * _SERVO_STEPS)
+        period, lag = _SERVO_STEPS * self.model.opt.timestep, np.array(self.arm.lag)
+        for _ in range(_IK_STEPS):
+            self._gripper.follow(target, fetch_time)
+            before = self._ik.joints
+            velocity = self._ik.approach(self._gripper.position, fetch_time * self.slowdown)
+            for command in range(commands):
+                self.data.ctrl[: self.arm.joints] = before + ((command + 1) * period + lag) * velocity
+                if self.task != "reach":
+                    self.data.ctrl[self.arm.joints :] = self._hand_control(finger, fetch_time / commands)
+                mujoco.mj_step(self.model, self.data, nstep=_SERVO_STEPS)
+        mujoco.mj_forward(self.model, self.data)
+
+    def _hand_control(self, finger: float, time: float) -> float:
+        """Returns the hand's control once the Fetch's fingers have moved towards `finger`, metres, for `time`."""
+        before = self._drive_at(self._fingers.gap)
+        self._fingers.follow(finger, time)
+        drive = self._drive_at(self._fingers.gap)
+        rate = (drive - before) / (_SERVO_STEPS * self.model.opt.timestep)
+        return float(np.interp(self._closed(drive + self.arm.hand.lag * rate), [0.0, 1.0], self.arm.hand.control_range))
+
+    def _closed(self, drive: float) -> float:
+        """Returns how far the hand is closed where its drive is at `drive`: 0 is open, 1 closed."""
+        opened, closed = self.arm.hand.drive_range
+        return (drive - opened) / (closed - opened)
+
+    def _drive_at(self, gap: float) -> float:
+        """Returns where the drive is when the hand is as wide as the Fetch's is at `gap`, metres."""
+        opened, closed = self.arm.hand.drive_range
+        share = 1.0 - float(np.interp(gap, _FETCH_GAPS, self._own_gaps)) / self.arm.hand.widest_gap
+        return opened + (closed - opened) * share
+
+    def _gap(self) -> float:
+        """Returns the gap between the pads, metres, on the Fetch's scale."""
+        gap = self.arm.hand.widest_gap * (1.0 - self._closed(self.data.qpos[self._drive]))
+        return float(np.interp(gap, self._own_gaps, _FETCH_GAPS))
+
+    def _cube_position(self) -> np.ndarray:
+        """Returns the cube's centre, `[3]`, metres, in the policy's frame."""
+        return self.data.geom_xpos[self._cube] + self.offset
+
+    def _position(self) -> np.ndarray:
+        """Returns where the tool is, `[3]`, metres, in the scene's world frame."""
+        return self.data.site_xpos[self._site].copy()
+
+    def _touching(self) -> bool:
+        """Returns whether both pads touch the cube."""
+        pairs = self.data.contact.geom
+        touched = set(pairs[(pairs == self._cube).any(axis=1)].ravel())
+        return all(not touched.isdisjoint(pad) for pad in self._pads)
+
+    def _settle(self) -> mujoco.MjData:
+        """Returns the robot at rest at its start."""
+        data = mujoco.MjData(self.model)
+        for index, position in enumerate(self._home):
+            data.qpos[self.model.jnt_qposadr[self.model.actuator_trnid[index, 0]]] = position
+        data.ctrl[: self.arm.joints] = self._home
+        data.ctrl[self.arm.joints :] = self.arm.hand.control_range[self.starts_closed]
+        mujoco.mj_step(self.model, data, nstep=_SETTLE_STEPS)
+        return data
+
+
+class UR5e(ServoArm):
+    """A UR5e with a Robotiq 2F-85."""
+
+    arm = UR5E
+
+
+class Franka(ServoArm):
+    """A Franka Panda with its own hand."""
+
+    arm = FRANKA

@@ -1,0 +1,47 @@
+"""Many episodes on this package's Fetch at once, against a roll-out of each kind alone."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import envs
+from envs.randomization import Randomization
+from envs.randomized import RandomizedEnv
+from experiments.transfer.parallel_fetch import ParallelFetch
+from hgail_jax.io.policy import load_policy
+from hgail_jax.rollout import rollout
+
+
+def test_points_are_measured_as_each_alone_and_policies_take_turns(shipped_policy):
+    """One program for all points, against programs with the sizes built in; the second policy stands still."""
+    policy = load_policy(shipped_policy)
+    still = dataclasses.replace(
+        policy, layers=tuple((np.zeros_like(weights), np.zeros_like(biases)) for weights, biases in policy.layers)
+    )
+    fetch = ParallelFetch("reach", [policy, still], episodes=6, seed=3)
+    plain = fetch.outcomes()
+    assert list(np.asarray(plain.success)[::2]) == [1.0, 1.0, 1.0]
+    assert np.asarray(plain.distance_l1)[1::2].min() > 0.02
+    disturbed = fetch.outcomes(delay=(3, 3), goal_offset=0.05)
+    assert np.asarray(disturbed.distance_l1)[::2].mean() > 2 * np.asarray(plain.distance_l1)[::2].mean()
+    np.testing.assert_array_equal(fetch.outcomes().distance_l1, plain.distance_l1)
+
+    # the same sizes, drawn by a task that has no others; what may differ in length is as long as the program's
+    sizes = Randomization(goal_offset=0.05, robot_noise=1e-9, hand_opening=1e-9, friction=(1.0, 1.0 + 1e-9))
+    env = RandomizedEnv(envs.make("reach", impl="c"), sizes)
+
+    def act(seen, rng):
+        return policy(seen, jax.numpy), jax.numpy.zeros(len(seen))
+
+    alone = jax.jit(lambda rng: rollout(env, act, rng, 6, probe=True).outcome)(jax.random.key(3))
+    point = fetch.outcomes(goal_offset=0.05)
+    np.testing.assert_allclose(np.asarray(alone.distance_l1)[::2], np.asarray(point.distance_l1)[::2], atol=2e-3)
+
+
+def test_a_size_that_the_program_is_not_made_for_is_refused(shipped_policy):
+    fetch = ParallelFetch("reach", [load_policy(shipped_policy)], episodes=1, seed=0)
+    for name in ("posture", "history"):
+        with pytest.raises(ValueError, match=f"a point cannot have '{name}'; it may have delay, step_size"):
+            fetch.outcomes(**{name: 1})

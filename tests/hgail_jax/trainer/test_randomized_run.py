@@ -1,0 +1,86 @@
+"""Runs whose episodes are disturbed: what they record, and what goes on with them."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envs.point import Point
+from envs.randomization import LEVELS, Randomization
+from envs.randomized import RandomizedEnv
+from hgail_jax import Trainer, load_policy
+from hgail_jax.cli import play
+from hgail_jax.cli import train as run
+from hgail_jax.io.policy import save_policy
+from tests.support import compile_once, make_runs_tiny
+
+PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2)
+SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--iterations", "1", "--out", "run"]
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch, tmp_path):
+    make_runs_tiny(monkeypatch)
+    compile_once(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(LEVELS, "probe", PROBE)  # without a model, which the point has not
+    monkeypatch.setitem(LEVELS, "other", dataclasses.replace(PROBE, goal_offset=0.01))
+
+
+def resume(level, capsys):
+    with pytest.raises(SystemExit) as ended:
+        run.main([*SIZES[:-2], "--resume", "run", "--randomize", level])
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
+    run.main([*SIZES, "--randomize", "probe"])
+    assert "undisturbed: success" in capsys.readouterr().out
+    config, summary = (json.loads((Path("run") / f"{name}.json").read_text()) for name in ("config", "summary"))
+    assert config["options"]["randomize"] == "probe"
+    assert Randomization.from_json(config["physics"]["randomization"]) == PROBE
+    assert len(summary["undisturbed_success_rate"]["per_seed"]) == 2
+    policy = load_policy("run/policies/seed-1.npz")
+    assert policy.randomization == PROBE
+    assert policy.observation_size == 6 + 2 * (3 + 3)
+    assert "physics.randomization is {" in resume("none", capsys)
+    assert "physics.randomization.goal_offset is 0.02 there and 0.01 here" in resume("other", capsys)
+    run.main([*SIZES[:-2], "--resume", "run", "--randomize", "probe"])
+    assert "run is complete" in capsys.readouterr().out
+
+
+def test_a_plain_run_is_what_it_was():
+    plain = Trainer(task="point", seeds=2, num_envs=4, iterations=1)
+    assert set(plain.run.identity()["physics"]) == {"impl", "substeps"}
+    assert type(plain.run.env) is Point
+
+
+@pytest.mark.parametrize(("level", "expected"), [(None, LEVELS["mild-history"]), ("full", LEVELS["full-history"])])
+def test_a_policy_is_played_as_it_was_trained_unless_told_otherwise(tmp_path, shipped_policy, level, expected):
+    plain, more = load_policy(shipped_policy), 3 * (4 + 6)
+    layers = ((np.concatenate([np.zeros((more, 64), np.float32), plain.layers[0][0]]), plain.layers[0][1]),)
+    policy = dataclasses.replace(
+        plain,
+        mean=np.append(np.zeros(more, np.float32), plain.mean),
+        std=np.append(np.ones(more, np.float32), plain.std),
+        layers=layers + plain.layers[1:],
+        randomization=LEVELS["mild-history"],
+    )
+    save_policy(tmp_path / "reach.npz", policy)
+    env, loaded = play._load("reach", tmp_path / "reach.npz", level)
+    assert isinstance(env, RandomizedEnv)
+    assert env.randomization == expected
+    assert loaded.observation_size == env.observation_size == 9 + more
+
+
+def test_an_unknown_level_is_refused_in_one_line(capsys):
+    for main, arguments in ((run.main, [*SIZES, "--randomize", "wild"]), (play.main, ["--randomize", "wild"])):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 2
+        assert "wild" in (error := capsys.readouterr().err)
+        assert "choose from none, mild, full" in error
+    assert not Path("run").exists()
