@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 from tqdm import tqdm
@@ -17,6 +17,7 @@ from experiments.transfer.studies import GOAL_SOURCES
 from experiments.transfer.sweeps import FETCH, find_policies
 from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.validation import check_count, check_not_negative
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ _MOST_STRIDE = 2.0
 _MOST_OFFSET = 1.0  # metres
 _ROBOT_HELP = "; ".join(
     [
-        "by default gymnasium, of --sweep all",
         f"{FETCH}: this package's own, of --sweep",
         *(f"{to}: {robot.name} (extra `{robot.extra}`)" for to, robot in ROBOTS.items()),
     ]
@@ -47,13 +47,18 @@ _ROBOT_HELP = "; ".join(
 class Options:
     """Runs trained policies, unchanged, in another simulator or on another robot, and measures their success."""
 
-    to: Annotated[RobotName | None, tyro.conf.arg(help=_ROBOT_HELP)] = None
-    task: TaskName | None = None
-    """What to do there, by default reach; of --sweep reach and grasp."""
-    policy: Path | None = None
-    """The policy's file; by default all that come with the repository take turns."""
-    episodes: int | None = None
-    """How many; 200 by default, for each row or point."""
+    to: Annotated[
+        RobotName | None,
+        tyro.conf.arg(help=_ROBOT_HELP, help_behavior_hint="(default: gymnasium; all with --sweep)"),
+    ] = None
+    task: Annotated[
+        TaskName | None, unless_given("reach; reach and grasp with --sweep", f"{{{','.join(get_args(TaskName))}}}")
+    ] = None
+    """What to do there."""
+    policy: Annotated[Path | None, unless_given("all that come with the repository take turns", "FILE")] = None
+    """The policy's file."""
+    episodes: Annotated[int | None, unless_given("200", "INT")] = None
+    """How many, for each row or point."""
     seed: int = 0
     """Of the episodes."""
     noise: float = 0.0
@@ -64,17 +69,17 @@ class Options:
     """Steps by which actions come late."""
     stride: float = 1.0
     """Factor on the displacements that the policy asks for."""
-    table: Literal[4] | None = None
+    table: Annotated[Literal[4] | None, unless_given("none", "4")] = None
     """Measure the rows of the paper's table 4 instead, into table4.csv."""
-    goal_source: GoalSource | None = None
+    goal_source: Annotated[GoalSource | None, unless_given("all", f"{{{','.join(GOAL_SOURCES)}}}")] = None
     """Measure only those rows of --table whose goal is exact, or as two cameras or one over the workspace see it, with
     noise or without, and keep the others."""
     sweep: bool = False
     """Measure success against disturbances and speed instead, into transfer-sweep.csv and .png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside the plain ones: label=file or label=folder."""
-    workers: int | None = None
-    """Processes for --sweep; by default one for each core."""
+    workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
+    """Processes for --sweep."""
     pictures: bool = False
     """Draw each robot reaching and grasping instead, into transfer-<robot>.png."""
     out: Path = OUT
