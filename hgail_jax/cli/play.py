@@ -106,6 +106,8 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     if envs.find_class(task).scene is None:
         shown = [name for name in envs.TASKS if envs.find_class(name).scene]
         raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
+    if path is None and not _shipped(task).exists():
+        raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
     policy = load_policy(path or _shipped(task))
     taken = {name: value for name, value in physics.items() if name in envs.accepted_options(task)}
     randomization = policy.randomization

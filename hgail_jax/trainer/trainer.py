@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import json
 import sys
 import threading
 import time
@@ -9,7 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import jax
 
@@ -137,7 +138,7 @@ class Trainer:
           stop: once it is set, the training ends with the round that it is in, and a checkpoint.
 
         Returns:
-          The content of summary.json, or None if it was stopped.
+          The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
 
         Raises:
           FloatingPointError: no seed's update was finite in a round; the last checkpoint is from before that.
@@ -153,6 +154,9 @@ class Trainer:
                 closing.callback(self.close)
                 self.open()
             self._done = True
+            finished = self._finished()
+            if any_process(finished is not None):
+                return finished
             made_by = provenance()
             settings = self._write_config(made_by)
             summary = self._train(settings, stop or threading.Event())
@@ -191,6 +195,13 @@ class Trainer:
         if resumed is not None:
             return Path(resumed), True
         return Path(options.out) if options.out else next_folder(_RUNS, stem), False
+
+    def _finished(self) -> dict[str, Any] | None:
+        """Returns what summary.json, which is written last, already says of this run; None where it is not done."""
+        path = self.folder / "summary.json"
+        if self._restored is None or self._restored.rounds <= self.run.config.rounds or not path.exists():
+            return None
+        return cast(dict[str, Any], json.loads(path.read_text()))
 
     def _write_config(self, made_by: dict[str, Any]) -> dict[str, Any]:
         """Writes config.json, if it is not there, and returns what this process would have in it."""
@@ -262,7 +273,9 @@ def _announce(folder: Path, restored: Checkpoint | None, total: int) -> None:
         print(line, file=sys.stderr)
     rounds = restored.rounds if restored else 0
     if rounds == total:
-        print(f"{folder} is complete; its results are written again")
+        print(
+            f"{folder} is complete" + ("" if (folder / "summary.json").exists() else "; its results are written again")
+        )
     else:
         print(f"{folder} goes on after {rounds} of {total} rounds")
 

@@ -194,6 +194,18 @@ def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole, comple
     assert (tmp_path / "run" / "config.json").read_bytes() == config
 
 
+def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
+    def files():
+        return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in complete.rglob("*") if path.is_file()}
+
+    before = files()
+    start("--resume", "run")
+    shown = capsys.readouterr().out
+    assert "run is complete\n" in shown
+    assert f"total {json.loads((complete / 'summary.json').read_text())['wall_seconds']['total']:.1f} s -> run" in shown
+    assert files() == before
+
+
 def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole):
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
