@@ -145,7 +145,7 @@ def test_defaults_of_a_task():
         "gpu": {"num_envs": 256, "rounds": 4},
     }
     assert set(vars(EpisodeMetrics()).values()) == {0.0}
-    assert vars(TrainingDefaults()) == {"config": {}, "hyperparameters": {}, "options": {}}
+    assert vars(TrainingDefaults()) == {"config": {}, "hyperparameters": {}, "options": {}, "evaluate_every": 1}
 
 
 def test_an_outcome_is_distances_and_whether_they_are_small():
@@ -228,10 +228,11 @@ def test_defaults_of_training_are_what_the_readme_says(name, tasks):
             "gpu": ({"num_envs": 256, "rounds": 4}, options),
         }
         return
-    for platform, sizes in (("cpu", (1024, 16)), ("gpu", (1024, 40))):
+    wide = {"policy_hidden": (256, 256), "discriminator_hidden": (256, 256)}
+    for platform, sizes, widths in (("cpu", (1024, 14), wide), ("gpu", (1024, 40), {})):
         config, options = chosen[platform]
         assert (config.pop("num_envs"), config.pop("rounds")) == sizes
-        assert config == {
+        assert config == widths | {
             "policy_phases": 4,
             "discriminator_phases": 1,
             "ppo_minibatches": 16,

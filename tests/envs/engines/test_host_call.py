@@ -117,6 +117,8 @@ import os, signal, threading
 import jax, jax.numpy as jnp
 from envs.engines.host_call import host_call
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell may have made processes ignore
+
 def count(values):
     if values[0] == 3.0:
         threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()
