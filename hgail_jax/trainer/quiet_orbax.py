@@ -9,6 +9,8 @@ from typing import Any
 _LATE = "Event loop is closed"  # what arrays say whose write fails once that of another has failed
 
 logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
+# A write that fails beside another is a task whose error nobody reads; asyncio tells of it when the task is collected.
+logging.getLogger("asyncio").addFilter(lambda record: "/orbax/" not in record.getMessage())
 
 
 def quiet_late_failures() -> Callable[[], None]:

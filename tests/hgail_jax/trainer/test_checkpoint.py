@@ -1,3 +1,5 @@
+import asyncio
+import gc
 import hashlib
 import json
 import os
@@ -300,6 +302,21 @@ def test_late_failures_are_quiet_from_the_first_write_until_all_are_over(tmp_pat
         sys.excepthook(RuntimeError, RuntimeError("another"), None)
         assert "another" in capsys.readouterr().err
     assert late_failures_are_shown(capsys)
+
+
+@pytest.mark.parametrize(("file", "told"), [("/orbax/handlers.py", False), ("/mine/handlers.py", True)])
+def test_of_tasks_that_nobody_awaited_only_those_of_orbax_are_quiet(file, told, caplog):
+    names = {}
+    exec(compile("async def write():\n    raise ValueError('full')", file, "exec"), names)
+
+    async def write_and_forget():
+        task = asyncio.ensure_future(names["write"]())
+        while not task.done():
+            await asyncio.sleep(0)
+
+    asyncio.run(write_and_forget())
+    gc.collect()
+    assert ("Task exception was never retrieved" in caplog.text) == told
 
 
 ON_A_FULL_DISK = """
