@@ -73,6 +73,7 @@ def stop_in_one_line(program: str) -> Iterator[None]:
     thread.
     """
     received: list[int] = []
+    quiet = threading.Event()
 
     def note(number: int) -> None:
         if received:
@@ -80,12 +81,14 @@ def stop_in_one_line(program: str) -> Iterator[None]:
         received.append(number)
         _say(f"{program}: stopped by {signal.Signals(number).name}")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what is cut short complains, over hundreds of lines
+        quiet.set()
         timer = threading.Timer(_GRACE, exit_at_once, [number])
         timer.daemon = True
         timer.start()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         del number, frame
+        quiet.wait(_GRACE)  # the thread that notes the signal may be the later one
         raise KeyboardInterrupt
 
     try:
