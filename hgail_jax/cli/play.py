@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
     shows = options.out is None and bool(os.environ.get("DISPLAY"))
     try:
         _check(options)
-        task = options.task or _default_task(options.policy)
+        task = _default_task(options.policy) if options.task is None else options.task
         if options.web:
             _serve(options, task)
             return

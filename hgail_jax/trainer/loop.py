@@ -136,7 +136,7 @@ def train(
     """
     phases, steps, saving = program.phases(), program.env_steps(), saving or SavingPolicy()
     stop = stop or threading.Event()
-    if progress.rounds == len(phases):
+    if progress.rounds == len(phases):  # there is no round to tell of
         return
     begun, done = time.perf_counter(), progress.rounds
     started, saved = begun - progress.seconds, begun

@@ -274,7 +274,7 @@ def _announce(folder: Path, restored: Checkpoint | None, rounds: int) -> None:
     """Says where a run of so many rounds goes on, and what of it is damaged."""
     for line in restored.damaged if restored else ():
         print(line, file=sys.stderr)
-    if restored is None or restored.rounds == 0:
+    if restored is None:
         print(f"{folder} has no checkpoint yet and begins with round 0")
     elif restored.rounds <= rounds:
         print(f"{folder} goes on after round {restored.rounds - 1} of {rounds}")
