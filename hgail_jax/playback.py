@@ -17,6 +17,7 @@ from envs.scenes import load_scene
 from envs.vision.rgbd import RenderingError, open_renderer
 from hgail_jax.io.film import open_film
 from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.trainer.status import StatusLine
 
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
@@ -111,9 +112,12 @@ def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: 
 
     """
     playback = Playback(env, policy, seed)
-    with open_film(path, env.control_period) as append:
-        for frame in frames(playback, episodes, *_SIZE):
+    pictures = episodes * (env.episode_length + env.probe_length + _HOLD) + (episodes - 1) * _FADE
+    with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
+        for number, frame in enumerate(frames(playback, episodes, *_SIZE), start=1):
             append(frame)
+            line.show(f"filming, picture {number} of {pictures}", log=False)
+        line.show(f"writing {path.name}", log=False)
     return playback.outcomes
 
 

@@ -23,6 +23,7 @@ from envs.vision.camera import Camera
 Stage = Callable[[mujoco.MjvScene], None]
 """Changes what is about to be rendered: adds shapes, paints, moves lights. The model stays as it is."""
 
+_BACKENDS = ("egl", "osmesa", "glfw")  # of MUJOCO_GL, on Linux
 _SHADOW_SIZE = 1024  # texels; the time of a picture is nearly all shadow
 _SHAPE_ID = 1_000_000  # shapes that are not in the model are numbered from here in a segmentation
 
@@ -55,8 +56,12 @@ def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Rend
             warnings.simplefilter("ignore")  # GLFW warns of a display that does not answer, then the renderer fails
             return mujoco.Renderer(model, height, width)
     except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
-        display = os.environ.get("DISPLAY")
-        if display and "MUJOCO_GL" not in os.environ:
+        display, chosen = os.environ.get("DISPLAY"), os.environ.get("MUJOCO_GL")
+        if chosen and chosen.strip().lower() not in _BACKENDS:
+            raise RenderingError(
+                f"MuJoCo cannot render: MUJOCO_GL is {chosen!r}; choose from {', '.join(_BACKENDS)}"
+            ) from error
+        if display and chosen is None:
             raise RenderingError(
                 f"MuJoCo cannot render on DISPLAY={display}; set MUJOCO_GL=egl or MUJOCO_GL=osmesa ({error})"
             ) from error

@@ -21,6 +21,7 @@ from hgail_jax.validation import MOST_SEED, check_count, check_name
 
 PROGRAM = "hgail play"
 
+_TASK = "grasp"
 _FIRST_PORT, _MOST_PORT = 8080, 65535
 
 
@@ -28,7 +29,7 @@ _FIRST_PORT, _MOST_PORT = 8080, 65535
 class Options:
     """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
 
-    task: str = "grasp"
+    task: Annotated[str | None, unless_given(f"what --policy was trained on, or {_TASK}", "STR")] = None
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("the one that comes with the package", "FILE")] = None
     """The policy's file."""
@@ -51,23 +52,23 @@ class Options:
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, PROGRAM, __doc__, arguments)
-    path = options.out or Path(f"{options.task.replace(':', '.')}.mp4")
     shows = options.out is None and bool(os.environ.get("DISPLAY"))
     try:
         _check(options)
+        task = _default_task(options.policy) if options.task is None else options.task
         if options.web:
-            _serve(options)
+            _serve(options, task)
             return
+        path = options.out or Path(f"{task.replace(':', '.')}.mp4")
         if not shows:
             check_film(path)
-        env, policy = _load(options.task, options.policy, options.randomize)
+        env, policy = _load(task, options.policy, options.randomize)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     try:
         if shows:
             outcomes = show(env, policy, options.episodes, options.seed)
         else:
-            print(f"compiling, then filming {options.episodes} episodes of {options.task} ...", flush=True)
             outcomes = film(path, env, policy, options.episodes, options.seed)
             print(path)
     except (RenderingError, OSError, ValueError) as error:
@@ -87,6 +88,25 @@ def _check(options: Options) -> None:
         raise ValueError("--web writes no film; leave out --out")
     if not options.web and (options.port is not None or options.host != Options.host):
         raise ValueError("--port and --host are for --web")
+
+
+def _default_task(path: Path | None) -> str:
+    """Returns the task to play where none is named, given the policy's file, if there is one.
+
+    Raises:
+      ValueError: the policy's task is none of this package. To load it would run code that the file names, and the
+        file need not be trusted.
+      OSError: the policy's file cannot be read.
+
+    """
+    if path is None:
+        return _TASK
+    task = load_policy(path).task
+    if task not in envs.TASKS:
+        raise ValueError(
+            f"{path} was trained on {task!r}, which is none of this package; name a task of your own by --task"
+        )
+    return task
 
 
 def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
@@ -123,8 +143,8 @@ def _shipped(task: str) -> Path:
     return assets_directory() / "policies" / f"{task}.npz"
 
 
-def _serve(options: Options) -> None:
-    """Serves the page until Ctrl-C.
+def _serve(options: Options, shown: str) -> None:
+    """Serves the page, which begins with the task `shown`, until Ctrl-C.
 
     Raises:
       ValueError: it cannot be served so, or the task or the policy does not go.
@@ -139,15 +159,15 @@ def _serve(options: Options) -> None:
     from hgail_jax.web.session import Session
 
     def open_session(task: str, seed: int) -> Session:
-        path = options.policy if task == options.task else None
+        path = options.policy if task == shown else None
         env, policy = _load(task, path, options.randomize, impl="c")
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)
-    others = [task for task in envs.TASKS if task != options.task and _shipped(task).exists()]
-    print(f"compiling {options.task} ...", flush=True)
-    page = Page(open_session, [options.task, *others], options.seed, options.host, port)
-    print(f"http://{options.host}:{page.port} shows {options.task}; Ctrl-C stops", flush=True)
+    others = [task for task in envs.TASKS if task != shown and _shipped(task).exists()]
+    print(f"compiling {shown} ...", flush=True)
+    page = Page(open_session, [shown, *others], options.seed, options.host, port)
+    print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)
     page.run()
 
 

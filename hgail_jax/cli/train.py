@@ -35,7 +35,7 @@ class Command(TrainOptions):
     heartbeat_timeout: int = HEARTBEAT_TIMEOUT
     """Seconds after which the others end if one of several processes is silent."""
     video: bool = False
-    """Film the policy of the first seed after training (Fetch tasks)."""
+    """Film the policy of the first seed after training, of a task with a scene."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -48,6 +48,8 @@ def main(arguments: list[str] | None = None) -> None:
             join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
             options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
             trainer = held.enter_context(Trainer(**options))
+            if command.video and trainer.run.env.scene is None:
+                raise ValueError(f"task {command.task!r} has no scene to film; leave out --video")
             trainer.open()
         except (ValueError, OSError) as error:
             fail(PROGRAM, error, 2)
@@ -57,8 +59,9 @@ def main(arguments: list[str] | None = None) -> None:
         if not trainer.writes:
             return
         if summary is None:
-            done = trainer.checkpoints.saved or 0
-            print(f"stopped after {done} of {config.rounds + 1} rounds; go on with --resume {trainer.folder}")
+            done = trainer.checkpoints.saved  # with round 0
+            where = f"after round {done - 1} of {config.rounds}" if done else "before round 0"
+            print(f"stopped {where}; go on with --resume {trainer.folder}")
             return
         _report(summary, trainer)
         if command.video:
@@ -110,7 +113,6 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
 
 def _film(trainer: Trainer) -> None:
     """Writes rollout.mp4, or says in one line why it cannot."""
-    print("filming ...", flush=True)
     try:
         env, policy = trainer.run.env.accurate(), trainer.policy(trainer.options.first_seed)
         film(trainer.folder / "rollout.mp4", env, policy)

@@ -159,6 +159,8 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
     header = json.loads(str(file["header"]))
     if header["format"] != _FORMAT:
         raise ValueError(f"its format is {header['format']!r}, not {_FORMAT!r}")
+    if not (isinstance(header.get("task"), str) and header["task"]):
+        raise ValueError("it names no task")
     observation, action = header["observation"], header["action"]
     computes = (header["activation"], observation["clip"], action["low"], action["high"])
     if computes != (_ACTIVATION, _CLIP, _ACTION["low"], _ACTION["high"]):

@@ -136,6 +136,8 @@ def train(
     """
     phases, steps, saving = program.phases(), program.env_steps(), saving or SavingPolicy()
     stop = stop or threading.Event()
+    if progress.rounds == len(phases):  # there is no round to tell of
+        return
     begun, done = time.perf_counter(), progress.rounds
     started, saved = begun - progress.seconds, begun
     with StatusLine(_beginning(program, progress)) as line:
@@ -217,10 +219,10 @@ def _refuse(metrics: RoundMetrics, index: int) -> None:
 
 
 def _beginning(program: Program, progress: Progress) -> str:
-    """Says what happens before the first round is through."""
+    """Says what happens before the first round is through; round 0 is the pre-training."""
     settings = f" of {len(program.settings)} settings × {program.seeds} seeds" if len(program.settings) > 1 else ""
     kernels = ", which builds physics kernels" if getattr(program.env, "impl", None) == "warp" else ""
-    return f"round {progress.rounds + 1}/{len(program.phases())}{settings}{kernels}"
+    return f"round {progress.rounds}/{program.config.rounds}{settings}{kernels}"
 
 
 def _status(program: Program, progress: Progress) -> str:
@@ -228,7 +230,7 @@ def _status(program: Program, progress: Progress) -> str:
     last = progress.history[-1]
     success, diverged = _mean(last["success_rate"]), diverged_seeds(program, progress)
     rate = last["env_steps"] * program.seeds * len(program.settings) / progress.seconds
-    said = [f"round {progress.rounds}/{len(program.phases())}"]
+    said = [f"round {last['round']}/{program.config.rounds}"]
     said += [] if success is None else [f"success {success:.3f}"]
     said += [f"{len(diverged)} diverged"] if diverged else []
     return ", ".join([*said, f"{short(rate)} env steps/s"])

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from hgail_jax.trainer.identity import refuse_another_run
 
+_NAME_ANOTHER = "name another folder, or none to have one numbered"
+
 
 def next_folder(parent: Path, stem: str) -> Path:
     """Returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
@@ -36,7 +38,9 @@ def create_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True)
     except FileExistsError:
-        raise ValueError(f"{path} exists already; name another folder, or none to have one numbered") from None
+        unfinished = (path / "config.json").exists() and not (path / "summary.json").exists()
+        hint = f"go on with its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
+        raise ValueError(f"{path} exists already; {hint}") from None
     except OSError as error:
         raise ValueError(f"cannot make the folder {path}: {error.strerror}") from None
 

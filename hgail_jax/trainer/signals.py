@@ -28,7 +28,7 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
     def note(number: int) -> None:
         line = refusal()
         if stop.is_set() or line is not None:
-            if line is not None and not stop.is_set():
+            if line is not None:
                 print(line, file=sys.stderr, flush=True)
             exit_at_once(number)
         stop.set()

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
@@ -161,7 +161,8 @@ class Trainer:
             settings = self._write_config(made_by)
             summary = self._train(settings, stop or threading.Event())
             if summary is not None:
-                summary["wall_seconds"]["total"] = time.perf_counter() - self._started
+                before = self._restored.record["seconds"] if self._restored else 0.0  # trained, by other processes
+                summary["wall_seconds"]["total"] = before + time.perf_counter() - self._started
                 write_json(self.folder / "summary.json", summary | made_by)
                 for logger in self._loggers:
                     logger.finish(summary, self.folder / "curves.png")
@@ -182,7 +183,7 @@ class Trainer:
         self._held.enter_context(sole_user(folder))
         if resumed:
             self._restored = checkpoints.restore(jax.eval_shape(self.run.program().init))
-            _announce(folder, self._restored, total=self.run.config.rounds + 1)
+            _announce(folder, self._restored, self.run.config.rounds)
         self._folder, self._checkpoints = folder, checkpoints
 
     def _choose_folder(self) -> tuple[Path, bool]:
@@ -232,6 +233,8 @@ class Trainer:
         finally:
             background.shutdown(wait=False)
         if is_stopped(stop):
+            with StatusLine("stopped, waiting for the compiler"):  # without which the process cannot end
+                wait([compiling])
             return None
         timing["train"] = progress.seconds
         with _timed(timing, "evaluation"), StatusLine("evaluating the policies in the most accurate physics"):
@@ -267,17 +270,18 @@ class Trainer:
             self.in_rounds = False
 
 
-def _announce(folder: Path, restored: Checkpoint | None, total: int) -> None:
-    """Says where a run goes on, and what of it is damaged."""
+def _announce(folder: Path, restored: Checkpoint | None, rounds: int) -> None:
+    """Says where a run of so many rounds goes on, and what of it is damaged."""
     for line in restored.damaged if restored else ():
         print(line, file=sys.stderr)
-    rounds = restored.rounds if restored else 0
-    if rounds == total:
-        print(
-            f"{folder} is complete" + ("" if (folder / "summary.json").exists() else "; its results are written again")
-        )
+    if restored is None:
+        print(f"{folder} has no checkpoint yet and begins with round 0")
+    elif restored.rounds <= rounds:
+        print(f"{folder} goes on after round {restored.rounds - 1} of {rounds}")
+    elif (folder / "summary.json").exists():
+        print(f"{folder} is complete")
     else:
-        print(f"{folder} goes on after {rounds} of {total} rounds")
+        print(f"{folder} has all its rounds; its results are written")
 
 
 @contextlib.contextmanager

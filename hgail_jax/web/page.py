@@ -156,6 +156,7 @@ class Page:
         self._paused = not self._paused
         self._pause_button.label = "Go on" if self._paused else "Pause"
         self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
+        self._show_status()
 
     def _set_speed(self, speed: float) -> None:
         self._speed = speed
@@ -230,18 +231,23 @@ class Page:
         )
 
     def _show_status(self) -> None:
-        self._status.content = _status_html(self.session.status)
+        self._status.content = _status_html(self.session.status, self._paused)
 
 
-def _status_html(status: Status) -> str:
-    colour, words = {
+def _status_html(status: Status, paused: bool) -> str:
+    colour, words = ("grey", "Paused") if paused else _standing(status)
+    counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
+    return _badge(colour, words, f"{100.0 * status.distance:.1f} cm from the target<br>{counted}")
+
+
+def _standing(status: Status) -> tuple[str, str]:
+    """Returns the colour and the words for how a session stands."""
+    return {
         Phase.ACTING: ("green", "At the target") if status.reached else ("blue", "On its way"),
         Phase.PROBING: ("green", "Holding on") if status.success else ("blue", "Put to the test"),
         Phase.STAYING: ("green", "Success"),
         Phase.RESTING: ("green", "Success") if status.success else ("red", "Failed; once more"),
     }[status.phase]
-    counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
-    return _badge(colour, words, f"{100.0 * status.distance:.1f} cm from the target<br>{counted}")
 
 
 def _badge(colour: str, title: str, text: str) -> str:

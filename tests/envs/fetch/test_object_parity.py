@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import ks_2samp
 
 import envs
-from tests.envs.fetch.reference import joint_indices, make_reference
+from experiments.parity.reference import joint_indices, make_reference
 
 TASKS = ("push", "pick-and-place", "slide")
 RESETS = 2000

@@ -1,3 +1,4 @@
+import contextlib
 import dataclasses
 import os
 import subprocess
@@ -12,7 +13,8 @@ from PIL import Image
 import envs
 from hgail_jax.cli import play
 from hgail_jax.io.policy import load_policy, save_policy
-from hgail_jax.playback import Playback
+from hgail_jax.playback import Playback, film
+from tests.hgail_jax.trainer.test_status import Terminal
 from tests.support import ROOT
 
 
@@ -34,10 +36,12 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
     monkeypatch.setattr("hgail_jax.playback._SIZE", (48, 64))  # where there is no GPU, large pictures take long
     play.main(["--task", "reach", "--episodes", "1"])
     assert [path.name for path in tmp_path.iterdir()] == ["reach.mp4"]
-    with imageio.get_reader("reach.mp4", format="FFMPEG") as film:
-        assert film.get_meta_data()["size"] == (64, 48)
-        assert film.count_frames() == 50 + 10
-    assert capsys.readouterr().out.splitlines()[-2:] == ["reach.mp4", "1 of 1 episodes succeeded"]
+    with imageio.get_reader("reach.mp4", format="FFMPEG") as written:
+        assert written.get_meta_data()["size"] == (64, 48)
+        assert written.count_frames() == 50 + 10
+    shown = capsys.readouterr()
+    assert shown.out.splitlines() == ["reach.mp4", "1 of 1 episodes succeeded"]
+    assert shown.err == "compiling and filming ...\n"
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
@@ -129,7 +133,7 @@ def test_an_interruption_leaves_no_film(in_folder):
         text=True,
         timeout=120,
     )
-    assert (process.returncode, process.stderr) == (130, "hgail play: stopped by SIGINT\n")
+    assert (process.returncode, process.stderr.splitlines()[-1]) == (130, "hgail play: stopped by SIGINT")
     assert not list(in_folder.iterdir())
 
 
@@ -139,7 +143,7 @@ PLAY = "from hgail_jax.cli import main; import sys; main(['play', *sys.argv[1:]]
 @pytest.mark.parametrize(
     ("environment", "options", "message"),
     [
-        ({"MUJOCO_GL": "bogus"}, ["--out", "x.mp4"], "MUJOCO_GL=bogus does not work"),
+        ({"MUJOCO_GL": "bogus"}, ["--out", "x.mp4"], "MUJOCO_GL is 'bogus'; choose from egl, osmesa, glfw"),
         ({"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "none"}, ["--out", "x.mp4"], "cannot render"),
         ({"DISPLAY": ":97"}, ["--out", "x.mp4"], "cannot render on DISPLAY=:97; set MUJOCO_GL=egl or"),
         ({"DISPLAY": ":97"}, [], "no window opens on DISPLAY=:97; --out writes a film, --web serves a page"),
@@ -156,9 +160,9 @@ def test_where_nothing_can_be_shown_one_line_says_why(environment, options, mess
         text=True,
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("hgail play: ")
-    assert done.stderr.count("\n") == 1
-    assert message in done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if line != "compiling and filming ..."]
+    assert line.startswith("hgail play: ")
+    assert message in line
     assert not list(tmp_path.iterdir())
 
 
@@ -177,10 +181,68 @@ def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkey
     policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
     save_policy("near.npz", policy)
     play.main(["--task", "my_reach:Near", "--policy", "near.npz", "--episodes", "1", "--out", "near.webp"])
-    assert capsys.readouterr().out.splitlines()[1] == "near.webp"
-    with Image.open(in_folder / "near.webp") as film:
-        assert film.size == (64, 48)
-        assert film.n_frames > 1
+    assert capsys.readouterr().out.splitlines()[0] == "near.webp"
+    with Image.open(in_folder / "near.webp") as written:
+        assert written.size == (64, 48)
+        assert written.n_frames > 1
+
+
+class BlackPictures:
+    """A renderer that shows nothing, and needs no GL."""
+
+    def update_scene(self, *_):
+        pass
+
+    def render(self):
+        return np.zeros((48, 64, 3), np.uint8)
+
+
+def test_a_terminal_is_told_how_far_the_film_is(in_folder, shipped_policy, monkeypatch):
+    monkeypatch.syspath_prepend(in_folder)
+    (in_folder / "one_more_reach.py").write_text(REACH_OF_ONE_S_OWN)
+    monkeypatch.setattr("hgail_jax.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    film(in_folder / "near.gif", envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
+    frames = sys.stderr.frames()
+    pictures = 2 * (3 + 10) + 8  # episodes with their ends held, and a fade between them
+    told = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]
+    assert list(dict.fromkeys(told)) == [f"picture {number} of {pictures}" for number in range(1, pictures + 1)]
+    assert frames[0].startswith("compiling and filming, 0:00 elapsed")
+    assert frames[-1].startswith("writing near.gif")
+    assert max(map(len, frames)) < 80
+
+
+def test_without_a_task_a_policy_is_played_on_its_own(shipped_policy, in_folder, capsys, monkeypatch):
+    played = []
+
+    def note(path, env, *_):
+        played.append((path.name, type(env).__name__))
+        return []
+
+    monkeypatch.setattr(play, "film", note)
+    play.main(["--policy", str(shipped_policy)])
+    play.main(["--policy", str(shipped_policy), "--task", "reach"])
+    play.main([])
+    assert played == [("reach.mp4", "Reach"), ("reach.mp4", "Reach"), ("grasp.mp4", "Grasp")]
+    policy = load_policy(shipped_policy)
+    capsys.readouterr()
+    monkeypatch.syspath_prepend(in_folder)
+    (in_folder / "evil.py").write_text("raise SystemExit('the file has run code')")
+    for task in ("poke", "evil:Near"):
+        save_policy("other.npz", dataclasses.replace(policy, task=task))
+        refused(
+            ["--policy", "other.npz"],
+            f"other.npz was trained on '{task}', which is none of this package; name a task of your own by --task",
+            capsys,
+        )
+    save_policy("other.npz", dataclasses.replace(policy, task=""))
+    refused(["--policy", "other.npz"], "other.npz does not hold a policy: it names no task", capsys)
+
+
+def test_help_says_which_task_is_played(capsys):
+    with pytest.raises(SystemExit):
+        play.main(["--help"])
+    assert "(default: what --policy was trained on, or grasp)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):

@@ -99,7 +99,7 @@ def test_a_film_that_cannot_be_made_costs_no_result(in_folder, capsys, monkeypat
         raise RuntimeError("MuJoCo cannot render here")
 
     monkeypatch.setattr(run, "film", refuse)
-    run.main(["--task", "point", *TINY, "--video", "--out", "run"])
+    run.main([*TINY, "--video", "--out", "run"])
     assert capsys.readouterr().err.splitlines()[-1] == "no video: MuJoCo cannot render here"
     assert Path("run/summary.json").exists()
 
@@ -141,6 +141,7 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
             ["--task", "push", "--task-options", "observation=whole"],
             "observation is 'whole'; choose from compact, official",
         ),
+        (["--task", "point", "--video"], "task 'point' has no scene to film; leave out --video"),
         (["--evaluate-every", "0"], "evaluate_every is 0; it must be at least 1"),
         (["--task-options", "substeps=5"], "has an option of its own here"),
         (["--task-options", "height=1.5"], "no option 'height'; it takes impl, substeps, worlds"),
@@ -304,3 +305,37 @@ def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
     assert done.stderr.splitlines()[-1] == "hgail train: stopped between rounds; go on with --resume run"
     assert "Traceback" not in done.stderr
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
+
+
+WHILE_THE_EVALUATION_COMPILES = """
+import os, signal, sys, threading, time
+from hgail_jax.cli import main
+from hgail_jax.trainer import trainer
+from hgail_jax.trainer.loop import Program
+stopped = threading.Event()
+def train(program, step, progress, checkpoints, saving, stop, after_round):
+    os.kill(os.getpid(), signal.SIGINT)
+    stop.wait()
+    stopped.set()
+def compile_evaluations(self):
+    stopped.wait()
+    while self.in_rounds:
+        time.sleep(0.01)
+    time.sleep(2.0)
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+Program.compile = lambda program: None
+trainer.train = train
+trainer.Trainer._compile_evaluations = compile_evaluations
+main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
+"""
+
+
+def test_a_second_interrupt_ends_a_stopped_run_that_waits_for_the_compiler(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", WHILE_THE_EVALUATION_COMPILES]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert "SIGINT: stopping after this round; once more stops at once" in done.stderr
+    assert done.stderr.splitlines()[-1] == "hgail train: stopped between rounds; go on with --resume run"
+    assert "Traceback" not in done.stderr

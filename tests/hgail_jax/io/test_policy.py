@@ -93,6 +93,8 @@ def rewrite(source, target, header=None, save=np.savez, **arrays):
     [
         ({"header": {"format": "hgail_jax policy 1"}}, "its format is 'hgail_jax policy 1'"),
         ({"header": {"layers": 10**9}}, "it has no 1000000000 layers"),
+        ({"header": {"task": None}}, "it names no task"),
+        ({"header": {"task": ""}}, "it names no task"),
         ({"header": {"layers": 0}}, "it has no 0 layers"),
         ({"header": {"layers": 4}}, "weights_3"),
         ({"header": {"layers": 2}}, "not have the sizes"),

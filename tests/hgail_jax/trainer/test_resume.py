@@ -19,6 +19,7 @@ from hgail_jax import METHODS
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
 from hgail_jax.trainer import loop
+from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.run_folder import sole_user
 from tests.support import ROOT, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
@@ -151,12 +152,12 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
         start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
     shown = capsys.readouterr()
     assert "SIGTERM: stopping after this round" in shown.err
-    assert "stopped after 2 of 5 rounds; go on with --resume run" in shown.out
+    assert "stopped after round 1 of 4; go on with --resume run" in shown.out
     assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
     assert not Path("run/summary.json").exists()
     assert handlers == [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
     start("--resume", "run")
-    assert "run goes on after 2 of 5 rounds" in capsys.readouterr().out
+    assert "run goes on after round 1 of 4" in capsys.readouterr().out
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
@@ -187,8 +188,11 @@ def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole, comple
     for name in ("summary.json", "metrics.csv", "curves.png", "policies/seed-1.npz"):
         (tmp_path / "run" / name).unlink()
     config = (tmp_path / "run" / "config.json").read_bytes()
+    capsys.readouterr()
     start("--resume", "run")
-    assert "run is complete; its results are written again" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "run has all its rounds; its results are written" in shown.out
+    assert "round" not in shown.err
     assert outcome(tmp_path / "run") == whole("hgail")
     assert (tmp_path / "run" / "curves.png").exists()
     assert (tmp_path / "run" / "config.json").read_bytes() == config
@@ -206,6 +210,23 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
     assert files() == before
 
 
+def test_the_times_of_a_run_that_went_on_are_of_the_whole_run(monkeypatch, complete):
+    (complete / "summary.json").unlink()
+    restore = Checkpoints.restore
+
+    def restore_of_a_long_run(*arguments):
+        checkpoint = restore(*arguments)
+        return checkpoint._replace(record=checkpoint.record | {"seconds": 5000.0})
+
+    monkeypatch.setattr(Checkpoints, "restore", restore_of_a_long_run)
+    start("--resume", "run")
+    summary = json.loads((complete / "summary.json").read_text())
+    seconds = summary["wall_seconds"]
+    assert seconds["train"] == 5000.0
+    assert seconds["total"] > sum(seconds[name] for name in ("compile", "train", "evaluation"))
+    assert summary["env_steps_per_second"] == summary["env_steps_per_seed"] * summary["seeds"] / 5000.0
+
+
 def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole):
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
@@ -214,14 +235,15 @@ def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole
     start("--resume", "run")
     shown = capsys.readouterr()
     assert f"checkpoint 3 in {tmp_path}/run/checkpoints is damaged" in shown.err
-    assert "run goes on after 2 of 5 rounds" in shown.out
+    assert "run goes on after round 1 of 4" in shown.out
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
-def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whole, complete):
+def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, capsys, whole, complete):
     shutil.rmtree("run/checkpoints")
     Path("run/.metrics.csv.17.partial").touch()
     start("--resume", "run")
+    assert "run has no checkpoint yet and begins with round 0" in capsys.readouterr().out
     assert outcome(tmp_path / "run") == whole("hgail")
     assert not Path("run/.metrics.csv.17.partial").exists()
     Path("runs/point-hgail-1").mkdir(parents=True)  # killed before its first file

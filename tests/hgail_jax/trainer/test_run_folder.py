@@ -1,4 +1,5 @@
 import os
+import re
 
 import pytest
 
@@ -18,6 +19,16 @@ def test_a_folder_is_made_once(tmp_path):
     create_folder(tmp_path / "runs" / "one")
     with pytest.raises(ValueError, match="one exists already"):
         create_folder(tmp_path / "runs" / "one")
+
+
+def test_a_run_that_is_not_finished_is_not_begun_again_but_gone_on_with(tmp_path):
+    (tmp_path / "config.json").touch()
+    hint = re.escape(f"exists already; go on with its run by --resume {tmp_path}, or name another folder")
+    with pytest.raises(ValueError, match=hint):
+        create_folder(tmp_path)
+    (tmp_path / "summary.json").touch()
+    with pytest.raises(ValueError, match="exists already; name another folder"):
+        create_folder(tmp_path)
 
 
 def test_an_empty_folder_may_be_gone_on_with_and_one_of_something_else_not(tmp_path):

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import re
+import threading
 import time
 
 import pytest
@@ -77,8 +78,25 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
     rounds = [measured([0.25, 0.75], [0.1, 0.2])] * 5
     train(program, told(*rounds), start(program))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "round 1/5 ..."
-    assert [line.split(",")[0] for line in lines[1:]] == ["round 1/5", "round 3/5", "round 5/5"]
+    assert lines[0] == "round 0/4 ..."  # the pre-training, as in metrics.csv
+    assert [line.split(",")[0] for line in lines[1:]] == ["round 0/4", "round 2/4", "round 4/4"]
     for line in lines[1:]:
-        assert re.fullmatch(r"round ./5, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", line)
+        assert re.fullmatch(r"round ./4, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", line)
         assert len(line) < 80
+
+
+def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(capsys):
+    program = Program(envs.make("point"), dataclasses.replace(TINY, rounds=3), (Hyperparameters(),), 2)
+    progress, stop, rounds = start(program), threading.Event(), [measured([0.25, 0.75], [0.1, 0.2])] * 2
+
+    def stop_after_two(progress):
+        if progress.rounds == 2:
+            stop.set()
+
+    train(program, told(*rounds), progress, stop=stop, after_round=stop_after_two)
+    assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()][1:] == ["round 0/3", "round 1/3"]
+    train(program, told(*rounds), progress)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in lines] == ["round 2/3 ...", "round 2/3", "round 3/3"]
+    train(program, told(), progress)
+    assert capsys.readouterr().err == ""

@@ -59,6 +59,16 @@ def test_time_passes_at_the_speed_that_is_chosen(page):
     assert len(clocks) < 12
 
 
+def test_the_page_says_that_it_is_paused(page):
+    page._pause()
+    assert "Paused" in page._status.content
+    page._show_status()
+    assert "Paused" in page._status.content
+    page._pause()
+    assert "Paused" not in page._status.content
+    assert "On its way" in page._status.content
+
+
 def test_the_handle_is_the_target(page):
     np.testing.assert_allclose(page._handle.position, page.session.target, atol=1e-4)
     assert page._handle.active_axes == (True, True, True)

@@ -9,10 +9,10 @@ import pytest
 import envs
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
+from experiments.parity.reference import joint_indices
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from hgail_jax.io.policy import load_policy
-from tests.envs.fetch.reference import joint_indices
 
 
 @pytest.fixture(scope="module")
