@@ -37,11 +37,10 @@ class Samples(struct.PyTreeNode):
         samples = self.weight.shape[0]
         width = math.isqrt(samples - 1) + 1
         blocks = jnp.pad(self.weight, (0, -samples % width)).reshape(-1, width)
-        block_rng, within_rng = jax.random.split(rng)
-        block = jax.random.choice(block_rng, len(blocks), shape, p=blocks.sum(axis=1))
-        cumulative = jnp.cumsum(blocks, axis=1)
-        target = jax.random.uniform(within_rng, shape) * cumulative[block, -1]
-        return block * width + _first_above(cumulative, block, target)
+        totals, cumulative = jnp.cumsum(blocks.sum(axis=1)), jnp.cumsum(blocks, axis=1)
+        which, where = jax.random.uniform(rng, (2, *shape))
+        block = _first_above(totals[None], jnp.zeros(shape, jnp.int32), which * totals[-1])
+        return block * width + _first_above(cumulative, block, where * cumulative[block, -1])
 
 
 def _first_above(cumulative: jax.Array, block: jax.Array, target: jax.Array) -> jax.Array:

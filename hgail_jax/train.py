@@ -237,8 +237,9 @@ def _learn(
 
 def _is_finite(tree: Any) -> jax.Array:
     """Returns whether all floating-point numbers of a tree are finite, a boolean `[]`."""
-    floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floating]).all()
+    floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    # Of one array: XLA would copy a chain over the leaves into each of the many places that need the result.
+    return jnp.isfinite(jnp.concatenate(floating)).all()
 
 
 def _as_arrays(metrics: Any) -> Any:

@@ -59,3 +59,12 @@ def test_a_roll_out_of_more_environments_than_the_physics_has_room_for_is_refuse
     few.max_worlds = 3
     with pytest.raises(ValueError, match="the number of environments on a device is 4; it must be at most 3"):
         rollout(few, None, jax.random.key(0), 4)
+
+
+@pytest.mark.parametrize(("flags", "level"), [("", 1), ("--a=2 --xla_backend_optimization_level=3", None)])
+def test_programs_are_compiled_quickly_unless_xla_s_flags_say_how(monkeypatch, flags, level):
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    options = []
+    lowered = types.SimpleNamespace(compile=lambda compiler_options: options.append(compiler_options))
+    seeds_module.compile_program(types.SimpleNamespace(lower=lambda: lowered))
+    assert options[0].get("xla_backend_optimization_level") == level
