@@ -34,9 +34,19 @@ class Reach(FetchEnv):
     reference = "FetchReach-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        # On two cores the learner's products cost as much as the physics; batches of a quarter learn as well.
+        # On two cores each roll-out counts. The likelihood of expert samples beside PPO makes half of them enough, and
+        # batches of a quarter learn as well.
         "cpu": TrainingDefaults(
-            {"num_envs": 64, "rounds": 6, "discriminator_batch": 128, "pretrain_policy_batch": 128},
+            {
+                "num_envs": 64,
+                "rounds": 4,
+                "policy_phases": 2,
+                "discriminator_phases": 1,
+                "likelihood_batch": 512,
+                "discriminator_batch": 128,
+                "pretrain_policy_batch": 128,
+            },
+            {"likelihood_weight": 3.0},
             options={"substeps": FAST_SUBSTEPS},
         ),
         "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}, options={"substeps": FAST_SUBSTEPS}),

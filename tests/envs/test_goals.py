@@ -217,38 +217,6 @@ def test_reach_s_goals_fill_a_cube_around_the_gripper(tasks, starts):
         assert 0 < reached.sum() < MANY
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_defaults_of_training_are_what_the_readme_says(name, tasks):
-    env = tasks[name]
-    chosen = {platform: (dict(each.config), dict(each.options)) for platform, each in env.training.items()}
-    if name == "reach":
-        options = {"substeps": 4}
-        assert chosen == {
-            "cpu": ({"num_envs": 64, "rounds": 6, "discriminator_batch": 128, "pretrain_policy_batch": 128}, options),
-            "gpu": ({"num_envs": 256, "rounds": 4}, options),
-        }
-        return
-    wide = {"policy_hidden": (256, 256), "discriminator_hidden": (256, 256)}
-    for platform, sizes, widths in (("cpu", (1024, 14), wide), ("gpu", (1024, 40), {})):
-        config, options = chosen[platform]
-        assert (config.pop("num_envs"), config.pop("rounds")) == sizes
-        assert config == widths | {
-            "policy_phases": 4,
-            "discriminator_phases": 1,
-            "ppo_minibatches": 16,
-            "likelihood_batch": 2048,
-            "discriminator_batch": 1024,
-            "pretrain_policy_batch": 1024,
-        }
-        assert options == {"substeps": 8}
-        assert env.training[platform].hyperparameters == {
-            "action_std": (0.2, 0.2, 0.2, 0.5),
-            "likelihood_weight": 0.3,
-            "policy_learning_rate": 1e-3,
-            "discriminator_learning_rate": 2e-4,
-        }
-
-
 def test_scripted_controllers_have_names(tasks):
     assert set(tasks["reach"].controllers) == {"proportional"}
     assert set(tasks["grasp"].controllers) == {"from-above", "straight", "closed"}
