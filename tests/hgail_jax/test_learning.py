@@ -74,7 +74,7 @@ def learn(method, env, rounds, likelihood_batch=0, **changes):
 
 @pytest.mark.parametrize(
     ("method", "rounds", "likelihood_batch"),
-    [("ppo", 20, 0), ("gcsl", 5, 64), ("hgail", 8, 64)],
+    [("ppo", 20, 0), pytest.param("gcsl", 5, 64, marks=pytest.mark.slow), ("hgail", 8, 64)],
     ids=["ppo", "gcsl", "hgail"],
 )
 def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, likelihood_batch):
@@ -90,6 +90,7 @@ def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, likelihood_b
         assert metrics.update.likelihood_loss[0] < 0.5
 
 
+@pytest.mark.slow
 def test_of_equally_bad_episodes_gasil_imitates_those_that_end_nearest():
     """It is rewarded for nothing, so that its best episodes are as good as any but for their distance."""
     episodes, metrics = learn("gasil", Fixed(), 20, ties_by_distance=True)

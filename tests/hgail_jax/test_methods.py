@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from envs.point import Point
 from hgail_jax import METHODS, Config, Hyperparameters, Preset, schedule
@@ -62,6 +63,7 @@ def test_hindsight_is_what_teaches():
     assert without.max() <= 0.4
 
 
+@pytest.mark.slow
 def test_adversarial_imitation_keeps_what_demonstrations_taught():
     """GAIL from 20 demonstrations: success is 1 after the pre-training, and it stays there."""
     preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER))
@@ -74,6 +76,7 @@ def test_adversarial_imitation_keeps_what_demonstrations_taught():
         jax.tree.map(lambda kept, given, i=seed: np.testing.assert_array_equal(kept[i], given), states.expert, samples)
 
 
+@pytest.mark.slow
 def test_the_best_episodes_so_far_teach():
     preset = METHODS["gasil"].apply(Preset(dataclasses.replace(SMALL, num_envs=64), HYPER))
     config = dataclasses.replace(preset.config, rounds=8)

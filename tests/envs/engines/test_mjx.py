@@ -33,6 +33,7 @@ def test_buffers_hold_what_mjx_jax_allots():
         assert sizes["naconmax"] % 3 == 0
 
 
+@pytest.mark.slow
 def test_a_tiny_training_runs():
     env = envs.make("reach", impl="jax", substeps=4)
     config = dataclasses.replace(TINY, rounds=1)

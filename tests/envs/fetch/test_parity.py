@@ -90,7 +90,9 @@ def put(reach, state, joints, qpos, qvel):
 
 
 # MJX leaves out how the weld's Jacobian changes in time, hence its wider bounds.
-@pytest.mark.parametrize(("impl", "median_mm", "percentile_mm"), [("c", 0.2, 0.4), ("jax", 0.5, 1.5)])
+@pytest.mark.parametrize(
+    ("impl", "median_mm", "percentile_mm"), [("c", 0.2, 0.4), pytest.param("jax", 0.5, 1.5, marks=pytest.mark.slow)]
+)
 def test_one_step_displacement(reach, start, joints, transitions, impl, median_mm, percentile_mm):
     step, errors = compiled_step(impl, 20), []
     for part in range(PARTS):

@@ -19,7 +19,9 @@ def one_gigabyte(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda device: 10**9)
 
 
-@pytest.mark.parametrize("sizes", [{"num_envs": 512, "seeds": 1}, {"num_envs": 256, "seeds": 3}])
+@pytest.mark.parametrize(
+    "sizes", [pytest.param({"num_envs": 512, "seeds": 1}, marks=pytest.mark.slow), {"num_envs": 256, "seeds": 3}]
+)
 def test_the_estimate_is_near_what_the_compiled_program_takes(monkeypatch, sizes):
     make_runs_tiny(monkeypatch)
     small = point(**sizes)

@@ -58,6 +58,7 @@ def test_a_trained_policy_reaches(reach, shipped_policy):
     assert np.mean([outcome.success for outcome in outcomes]) >= 0.98
 
 
+@pytest.mark.slow
 def test_a_trained_policy_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(40))
     assert np.mean([outcome.success for outcome in outcomes]) >= 0.93
