@@ -154,8 +154,8 @@ def compile_program(jitted: Any, *arguments: Any) -> Any:
 
 def _compiler_options() -> dict[str, Any]:
     """Returns XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
-    platforms = {"gpu": {"xla_gpu_autotune_level": 0, "xla_backend_optimization_level": 1}}
-    options = platforms.get(jax.default_backend(), {"xla_backend_optimization_level": 1})
+    quickly = {"xla_backend_optimization_level": 1}
+    options = {"cpu": quickly, "gpu": quickly | {"xla_gpu_autotune_level": 0}}.get(jax.default_backend(), {})
     return {name: value for name, value in options.items() if name not in os.environ.get("XLA_FLAGS", "")}
 
 
