@@ -10,7 +10,7 @@ from hgail_jax.trainer.options import plan
 @pytest.mark.parametrize(
     ("task", "platform", "num_envs", "rounds", "substeps", "episodes", "evaluate_every"),
     [
-        ("reach", "cpu", 64, 6, 4, 128, 1),
+        ("reach", "cpu", 64, 4, 4, 128, 1),
         ("reach", "gpu", 256, 4, 4, 512, 1),
         ("grasp", "cpu", 1024, 14, 8, 1024, 3),
         ("grasp", "gpu", 1024, 40, 8, 1024, 1),

@@ -360,7 +360,9 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
 
     expected = steps(Scale(task, platform).preset().config)
     for trial in trials_of(BY_NAME["table1"], task, platform):
-        assert steps(trial.config) == pytest.approx(expected, rel=0.07)
+        one_more = dataclasses.replace(trial.config, rounds=trial.config.rounds + 1)
+        a_round = steps(one_more) - steps(trial.config)
+        assert abs(steps(trial.config) - expected) <= a_round / 2
         assert trial.setting.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
     for trial in trials_of(BY_NAME["table1-longer"], task, platform):
         assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
