@@ -34,8 +34,8 @@ class Reach(FetchEnv):
     reference = "FetchReach-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        # On two cores each roll-out counts. The likelihood of expert samples beside PPO makes half of them enough, and
-        # batches of a quarter learn as well.
+        # On two cores each roll-out counts. With the likelihood of expert samples beside PPO a third of them is enough,
+        # and batches of a quarter learn as well.
         "cpu": TrainingDefaults(
             {
                 "num_envs": 64,

@@ -47,6 +47,19 @@ with one_line_errors("it"):
     jax.jit(lambda x: jax.pure_callback(host, x, x))(jnp.zeros(3)).block_until_ready()
 """
 
+NOTED_LATE = """
+from hgail_jax import interrupts
+say = interrupts._say
+interrupts._say = lambda line: (time.sleep(0.5), say(line))
+with one_line_errors("it"):
+    try:
+        interrupt()
+        time.sleep(60)
+    except KeyboardInterrupt:
+        print("a complaint", file=sys.stderr, flush=True)
+        raise
+"""
+
 STUCK = """
 from hgail_jax import interrupts
 interrupts._GRACE = 0.1
@@ -78,9 +91,10 @@ def ended(tmp_path, code, *arguments):
         (WHILE_WRITING, "SIGTERM"),
         (SWALLOWED, "SIGINT"),
         (IN_A_CALLBACK, "SIGINT"),
+        (NOTED_LATE, "SIGINT"),
         (STUCK, "SIGINT"),
     ],
-    ids=["writing", "terminated", "swallowed", "callback", "stuck"],
+    ids=["writing", "terminated", "swallowed", "callback", "late", "stuck"],
 )
 def test_a_signal_is_one_line_and_leaves_no_file(tmp_path, code, name):
     process = ended(tmp_path, code, name)

@@ -33,10 +33,9 @@ def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
 @pytest.mark.slow
 def test_a_seed_over_two_devices_agrees_with_the_seed_alone(tmp_path, trained):
     """Two seeds over four devices, so the environments of each over two."""
-    both = train_on_four_devices(tmp_path / "point.npz", both={"task": "point", "groups": [[0, 1]], "devices": 4})[
-        "both"
-    ]
-    assert_close(both, [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
+    both = {"task": "point", "groups": [[0, 1]], "devices": 4}
+    results = train_on_four_devices(tmp_path / "point.npz", both=both)
+    assert_close(results["both"], [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
 
 
 REPLICAS = """
