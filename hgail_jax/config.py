@@ -137,6 +137,9 @@ class Hyperparameters(struct.PyTreeNode):
     """Weight of the likelihood of expert samples beside PPO's loss, where the config has a `likelihood_batch`."""
     action_std: Any = 0.3
     """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
+    final_action_std: jax.Array | float = 1.0
+    """What that deviation has shrunk to at the end of the last round, as a share of its start: wide to explore, narrow
+    where a place must be met exactly."""
     discount: jax.Array | float = 0.98
     gae_lambda: jax.Array | float = 0.95
     clip_ratio: jax.Array | float = 0.2
@@ -162,7 +165,14 @@ class Hyperparameters(struct.PyTreeNode):
             check_share(name, getattr(self, name))
         for name in ("standardize_reward", "standardize_advantage", "standardize_observation"):
             check_share(name, getattr(self, name))
-        for name in ("action_std", "clip_ratio", "reward_scale", "policy_learning_rate", "discriminator_learning_rate"):
+        for name in (
+            "action_std",
+            "final_action_std",
+            "clip_ratio",
+            "reward_scale",
+            "policy_learning_rate",
+            "discriminator_learning_rate",
+        ):
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "likelihood_weight", "trivial_weight"):
             check_not_negative(name, getattr(self, name))

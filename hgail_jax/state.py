@@ -40,6 +40,11 @@ class TrainState(struct.PyTreeNode):
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
         return running_statistics.normalize(observation, self.statistics, max_abs_value=_MAX_NORMALIZED)
 
+    def action_std(self, config: Config) -> jax.Array:
+        """Returns the policy's standard deviation after the gradient steps so far, `[]` or `[action_size]`."""
+        hyper, steps = self.hyperparameters, self.actor_critic_optimizer[-1].count
+        return jnp.asarray(hyper.action_std) * annealing(config, hyper.final_action_std)(steps)
+
     def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
         """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`.
 
@@ -73,14 +78,15 @@ def split_key(rng: jax.Array) -> StateKeys:
 
 
 def actor_critic_optimizer(config: Config) -> optax.GradientTransformation:
-    """Adam for policy and value function, less the learning rate, which is a hyperparameter of the state.
+    """Adam for policy and value function, less the learning rate, which is a hyperparameter of the state."""
+    return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(annealing(config, config.final_learning_rate)))
 
-    Steps keep their length through the pre-training, then shrink linearly over the rounds to `final_learning_rate`.
-    """
+
+def annealing(config: Config, final: jax.Array | float) -> optax.Schedule:
+    """Returns a factor by the gradient steps of the policy: 1 through the pre-training, then linear to `final`."""
     pretraining = config.pretrain_policy_minibatches if config.pretrain else 0
     rounds = config.rounds * config.policy_phases * config.ppo_epochs * config.ppo_minibatches
-    annealing = optax.linear_schedule(1.0, config.final_learning_rate, rounds, transition_begin=pretraining)
-    return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(annealing))
+    return optax.linear_schedule(1.0, final, rounds, transition_begin=pretraining)
 
 
 def discriminator_optimizer() -> optax.GradientTransformation:

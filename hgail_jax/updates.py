@@ -52,7 +52,7 @@ def make_policy(
       axis: see `rollout`; in a device's part of the environments the policy acts as it would in all of them.
 
     """
-    std = jnp.asarray(state.hyperparameters.action_std)
+    std = state.action_std(config)
     network = policy_network(config, env.action_size)
 
     def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -112,8 +112,12 @@ def update_policy(
         negative_log_likelihood = _negative_log_likelihood(env, config, state, expert)
         indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), config.likelihood_batch))
 
+    std = state.action_std(config)  # that of the roll-out, throughout
+
     def loss(params: Params, indices: dict[str, jax.Array]) -> tuple[jax.Array, UpdateMetrics]:
-        value, metrics = _ppo_loss(env, config, hyper, params, jax.tree.map(lambda array: array[indices["ppo"]], batch))
+        value, metrics = _ppo_loss(
+            env, config, hyper, std, params, jax.tree.map(lambda array: array[indices["ppo"]], batch)
+        )
         if config.likelihood_batch:
             likelihood = negative_log_likelihood(params, indices["expert"])
             value += hyper.likelihood_weight * likelihood
@@ -151,11 +155,11 @@ def _ppo_batch(
 
 
 def _ppo_loss(
-    env: GoalEnv, config: Config, hyper: Hyperparameters, params: Params, part: dict[str, jax.Array]
+    env: GoalEnv, config: Config, hyper: Hyperparameters, std: jax.Array, params: Params, part: dict[str, jax.Array]
 ) -> tuple[jax.Array, UpdateMetrics]:
     """Returns the loss of policy and value function on a minibatch, and what to watch about it."""
     mean = apply(policy_network(config, env.action_size), params["policy"], part["observation"])
-    log_prob = gaussian_log_prob(part["action"], mean, hyper.action_std)
+    log_prob = gaussian_log_prob(part["action"], mean, std)
     policy = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
     predicted = apply(value_network(config), params["value"], part["observation"])[..., 0]
     value_loss = 0.5 * weighted_mean(jnp.square(predicted - part["return"]), part["weight"])
@@ -168,11 +172,11 @@ def _negative_log_likelihood(
     env: GoalEnv, config: Config, state: TrainState, samples: Samples
 ) -> Callable[[Params, jax.Array], jax.Array]:
     """Returns a function of parameters and indices `[B]` of `samples` to their mean negative log-likelihood, `[]`."""
-    observation = state.normalize(samples.observation)
+    observation, std = state.normalize(samples.observation), state.action_std(config)
 
     def loss(params: Params, indices: jax.Array) -> jax.Array:
         mean = apply(policy_network(config, env.action_size), params["policy"], observation[indices])
-        return -gaussian_log_prob(samples.action[indices], mean, state.hyperparameters.action_std).mean()
+        return -gaussian_log_prob(samples.action[indices], mean, std).mean()
 
     return loss
 

@@ -478,6 +478,29 @@ def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_lik
     np.testing.assert_allclose(after.statistics.mean, observation.mean(axis=0), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("pretraining", [False, True])
+@pytest.mark.parametrize("final", [0.25, 1.0])
+def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretraining):
+    """A roll-out acts by the deviations that its update then takes its log-probabilities by."""
+    config = dataclasses.replace(WITH_LIKELIHOOD, ppo_epochs=1, pretrain=pretraining)
+    state, given = make_state(config, demonstrations=DEMONSTRATION, final_action_std=final), a_trajectory(SOUND)
+    before, rounds = 4 if pretraining else 0, 2  # gradient steps
+    for steps in range(before + rounds + 2):
+        std = np.array([0.3, 0.6]) * np.interp(steps, [before, before + rounds], [1.0, final])
+        adam_state, schedule = state.actor_critic_optimizer
+        late = state.replace(actor_critic_optimizer=(adam_state, schedule._replace(count=jnp.int32(steps))))
+        seen = given.observation(ENV)[:-1]
+        mean = mlp(state.actor_critic["policy"], normalized(state, seen))
+        action, log_prob = make_policy(ENV, config, late, 1.0)(seen[0], jax.random.key(steps))
+        np.testing.assert_allclose(log_prob, log_density(action, mean[0], std), rtol=1e-3, atol=1e-3)
+        acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
+        metrics = update(config, late, acted, jax.random.key(0))[1]
+        assert abs(metrics.kl) < 1e-5
+        shown = mlp(state.actor_critic["policy"], normalized(state, DEMONSTRATION.observation[0]))
+        likelihood = log_density(DEMONSTRATION.action[0], shown, std)
+        np.testing.assert_allclose(metrics.likelihood_loss, -likelihood, rtol=1e-3)
+
+
 def still_trajectory():
     """Of the sound episodes all steps are alike; of the others none is."""
     given = a_trajectory(SOUND)

@@ -20,7 +20,14 @@ no_integer = st.one_of(no_number, st.floats(), st.booleans())
 COUNTS = {field.name: 1 for field in dataclasses.fields(Config) if field.type is int}
 COUNTS |= {"rounds": 0, "policy_phases": 0, "discriminator_phases": 0}
 SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
-POSITIVE = ("action_std", "clip_ratio", "reward_scale", "policy_learning_rate", "discriminator_learning_rate")
+POSITIVE = (
+    "action_std",
+    "final_action_std",
+    "clip_ratio",
+    "reward_scale",
+    "policy_learning_rate",
+    "discriminator_learning_rate",
+)
 
 
 def outside(least, most):
