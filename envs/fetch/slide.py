@@ -15,6 +15,7 @@ from envs.fetch.push import Push
 from envs.fetch.training import training_defaults
 
 _AT_REST = 0.05  # metres per second
+_BORDERS = (0.1, 0.25, 0.4, 0.55)  # metres ahead of the gripper's start, along x, between kinds of goals
 
 
 class Slide(Push):
@@ -22,7 +23,9 @@ class Slide(Push):
 
     The observation is that of `Push`, with the puck in the cube's place, and so are the goals to learn from. But while
     the puck moves, faster than 5 cm/s, what is achieved is the gripper's position: a place that the puck only passes is
-    none that the policy has learnt to bring it to.
+    none that the policy has learnt to bring it to. And most pucks stay near, while most targets are far: the places on
+    the table are cut into five bands along x, which are kinds of goals of their own, so that hindsight draws from each
+    as often as targets lie in it.
 
     An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
     uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
@@ -42,6 +45,7 @@ class Slide(Push):
     object_range = 0.1
     target_range = 0.3
     target_offset = 0.4
+    goal_kinds = 3 + len(_BORDERS)
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
@@ -65,3 +69,9 @@ class Slide(Push):
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         moves = jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """See `GoalEnv`: the gripper's 0, the puck's on the table 1 to 5, from near to far, and elsewhere 6."""
+        of_any_object = super().goal_kind(goal)
+        band = 1 + jnp.searchsorted(jnp.array(_BORDERS), goal[..., 0] - self.initial_gripper_position[0])
+        return jnp.select([of_any_object == 0, of_any_object == 1], [0, band], self.goal_kinds - 1)

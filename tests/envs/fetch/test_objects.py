@@ -128,6 +128,17 @@ def test_kinds_and_success_of_goals(tasks):
                 assert found == (near and achieved == wanted)
 
 
+def test_places_of_the_puck_are_of_five_kinds_along_x(tasks):
+    env = tasks["slide"]
+    x, y, _ = env.initial_gripper_position
+    ahead = np.array([-0.2, 0.09, 0.11, 0.24, 0.26, 0.39, 0.41, 0.54, 0.56, 0.7])
+    goals = jnp.stack([x + ahead, y + ahead, jnp.full(10, 0.42), jnp.ones(10)], axis=-1)
+    np.testing.assert_array_equal(env.goal_kind(goals), [1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
+    np.testing.assert_array_equal(env.goal_kind(goals.at[:, 3].set(0.0)), np.zeros(10))
+    np.testing.assert_array_equal(env.goal_kind(goals.at[:, 2].set(0.02)), np.full(10, 6))
+    assert env.goal_kinds == 7
+
+
 @pytest.mark.parametrize("observation", ["compact", "official"])
 def test_a_goal_of_the_object_is_trivial_where_it_already_is(observation, starts):
     env = envs.make("push", impl="c", observation=observation)
