@@ -37,10 +37,11 @@ class Options:
     """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
-    (of rewards), and those behind the tables and figures; paper-sizes and gail-demo-weight, by which settings are
-    chosen, on seeds of their own."""
+    (of rewards), parts (left out or changed, of a task with an object), and those behind the tables and figures;
+    paper-sizes and gail-demo-weight, by which settings are chosen, on seeds of their own."""
     all: bool = False
-    """Everything that the paper has on the tasks: all that is reported on reach, table 1 on grasp."""
+    """Everything that is reported of the tasks: all that the paper has on reach, table 1 on grasp, the parts on push,
+    pick-and-place and slide."""
     longer: bool = True
     """With table 1, also train GASIL and PPO for 10 times the steps."""
     sweep: bool = False

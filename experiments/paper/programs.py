@@ -25,7 +25,8 @@ def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
     """Returns the trials in groups that one compiled program trains, in the order in which each group first comes."""
     groups: dict[Any, list[Trial]] = {}
     for trial in trials:
-        shared = (trial.config, trial.setting.steps, trial.seeds, trial.demonstrations_sha256)
+        options = tuple(sorted(trial.task_options.items()))
+        shared = (trial.config, options, trial.evaluate_every, trial.seeds, trial.demonstrations_sha256)
         groups.setdefault(shared, []).append(trial)
     return list(groups.values())
 

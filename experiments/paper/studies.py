@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from experiments.paper.parts import PARTS
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
@@ -170,13 +171,16 @@ _STANDARDIZATION = Study(
     ),
 )
 _REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
-STUDIES = (*_REPORTED, *TUNING_STUDIES)
+STUDIES = (*_REPORTED, PARTS, *TUNING_STUDIES)
 """Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
 _TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
+_NOT_IN_THE_PAPER = ("push", "pick-and-place", "slide")
 
 
 def studies_of(task: str) -> tuple[Study, ...]:
-    """Returns the studies that the paper has on a task, or would have; those that settings are chosen by are not."""
+    """Returns the studies that are reported of a task; those that settings are chosen by are not."""
+    if task in _NOT_IN_THE_PAPER:
+        return (PARTS,)
     return tuple(study for study in _REPORTED if task not in _TABLE_1_ALONE or study.table == 1)
 
 

@@ -18,7 +18,9 @@ class Setting:
     config: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the method's config."""
     hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
-    steps: int = 1
+    task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of the task's class beside those of its training, e.g. `observation`."""
+    steps: float = 1
     """Environment steps, as a multiple of those that HGAIL takes by default."""
     preset: str = "parallel"
     demonstrations: int = 0

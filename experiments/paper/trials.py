@@ -57,9 +57,15 @@ class Scale:
         config = dataclasses.replace(config, best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
         return dataclasses.replace(preset, config=config)
 
-    def make_env(self, worlds: int) -> envs.GoalEnv:
-        """Makes the task with the physics that it is trained in, for so many environments at once."""
-        options = self.task_options
+    def make_env(self, worlds: int, **options: Any) -> envs.GoalEnv:
+        """Makes the task with the physics that it is trained in, for so many environments at once.
+
+        Args:
+          worlds: environments that are stepped at once.
+          options: of the task's class, in place of those of its training.
+
+        """
+        options = self.task_options | options
         if "worlds" in envs.accepted_options(self.task):
             options["worlds"] = worlds
         return envs.make(self.task, **options)
@@ -77,6 +83,8 @@ class Trial:
     task_options: dict[str, Any]
     evaluation_episodes: int
     demonstrations_sha256: str | None
+    usual_evaluate_every: int = 1
+    """Rounds from one evaluation to the next in the task's own training."""
 
     def identity(self) -> dict[str, Any]:
         """Returns, as JSON has it, what another computation of the same results shares with this one."""
@@ -95,11 +103,13 @@ class Trial:
 
     @property
     def evaluate_every(self) -> int:
-        """Rounds from one evaluation to the next: k in a setting of k times the steps and more than `FEW_ROUNDS`.
+        """Rounds from one evaluation to the next: the task's, or k in a setting of k times the steps and many rounds.
 
-        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training.
+        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training. Many are more than
+        `FEW_ROUNDS`.
         """
-        return self.setting.steps if self.config.rounds + 1 > FEW_ROUNDS else 1
+        multiple = int(self.setting.steps) if self.config.rounds + 1 > FEW_ROUNDS else 1
+        return max(self.usual_evaluate_every, multiple)
 
     def key(self) -> str:
         """Returns a hash of the identity."""
@@ -137,9 +147,10 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
         config=config,
         hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(),
         seeds=seeds,
-        task_options=scale.task_options,
+        task_options=scale.task_options | setting.task_options,
         evaluation_episodes=scale.evaluation_episodes,
         demonstrations_sha256=demonstrations_sha256,
+        usual_evaluate_every=env.training[scale.platform].evaluate_every,
     )
 
 

@@ -82,10 +82,10 @@ class Job:
 
         Ends early, with a checkpoint, once `stop` is set.
         """
-        work, setting = self.work, self.trials[0].setting
-        seeds = len(self.trials[0].seeds)
-        env = work.scale.make_env(len(self.trials) * seeds * self.trials[0].config.num_envs)
-        count = setting.demonstrations
+        work, first = self.work, self.trials[0]
+        worlds = len(self.trials) * len(first.seeds) * first.config.num_envs
+        env = work.scale.make_env(worlds, **first.task_options)
+        count = first.setting.demonstrations
         samples = work.demonstrations.first(count).samples(env) if count else None
         checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in self.trials])
         results = train_program(env, self.trials, samples, checkpoints, stop)
