@@ -15,7 +15,7 @@ from envs.fetch.push import Push
 from envs.fetch.training import training_defaults
 
 _AT_REST = 0.05  # metres per second
-_BORDERS = (0.1, 0.25, 0.4, 0.55)  # metres ahead of the gripper's start, along x, between kinds of goals
+_AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)  # metres from the gripper's start, along x and y: see `goal_kind`
 
 
 class Slide(Push):
@@ -23,9 +23,9 @@ class Slide(Push):
 
     The observation is that of `Push`, with the puck in the cube's place, and so are the goals to learn from. But while
     the puck moves, faster than 5 cm/s, what is achieved is the gripper's position: a place that the puck only passes is
-    none that the policy has learnt to bring it to. And most pucks stay near, while most targets are far: the places on
-    the table are cut into five bands along x, which are kinds of goals of their own, so that hindsight draws from each
-    as often as targets lie in it.
+    none that the policy has learnt to bring it to. And most pucks stay near and go straight, while most targets are far
+    or aside: the places on the table are cut into five bands along x and three along y, and each field is a kind of
+    goals of its own, so that hindsight draws from it as often as targets lie in it.
 
     An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
     uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
@@ -45,7 +45,7 @@ class Slide(Push):
     object_range = 0.1
     target_range = 0.3
     target_offset = 0.4
-    goal_kinds = 3 + len(_BORDERS)
+    goal_kinds = 2 + (len(_AHEAD) + 1) * (len(_ASIDE) + 1)
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
@@ -71,7 +71,8 @@ class Slide(Push):
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
-        """See `GoalEnv`: the gripper's 0, the puck's on the table 1 to 5, from near to far, and elsewhere 6."""
-        of_any_object = super().goal_kind(goal)
-        band = 1 + jnp.searchsorted(jnp.array(_BORDERS), goal[..., 0] - self.initial_gripper_position[0])
-        return jnp.select([of_any_object == 0, of_any_object == 1], [0, band], self.goal_kinds - 1)
+        """See `GoalEnv`: the gripper's 0, the puck's in a field of the table 1 to 15, and elsewhere 16."""
+        of_any_object, offset = super().goal_kind(goal), goal[..., :2] - self.initial_gripper_position[:2]
+        band, column = (jnp.searchsorted(jnp.array(at), offset[..., axis]) for axis, at in enumerate((_AHEAD, _ASIDE)))
+        field = 1 + band * (len(_ASIDE) + 1) + column
+        return jnp.select([of_any_object == 0, of_any_object == 1], [0, field], self.goal_kinds - 1)

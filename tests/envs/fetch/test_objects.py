@@ -128,15 +128,16 @@ def test_kinds_and_success_of_goals(tasks):
                 assert found == (near and achieved == wanted)
 
 
-def test_places_of_the_puck_are_of_five_kinds_along_x(tasks):
+def test_places_of_the_puck_are_of_fifteen_kinds(tasks):
     env = tasks["slide"]
     x, y, _ = env.initial_gripper_position
-    ahead = np.array([-0.2, 0.09, 0.11, 0.24, 0.26, 0.39, 0.41, 0.54, 0.56, 0.7])
-    goals = jnp.stack([x + ahead, y + ahead, jnp.full(10, 0.42), jnp.ones(10)], axis=-1)
-    np.testing.assert_array_equal(env.goal_kind(goals), [1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
-    np.testing.assert_array_equal(env.goal_kind(goals.at[:, 3].set(0.0)), np.zeros(10))
-    np.testing.assert_array_equal(env.goal_kind(goals.at[:, 2].set(0.02)), np.full(10, 6))
-    assert env.goal_kinds == 7
+    ahead, aside = np.array([-0.2, 0.09, 0.11, 0.24, 0.26, 0.39, 0.41, 0.54, 0.56, 0.7]), np.array([-0.11, -0.09, 0.2])
+    places = np.stack(np.meshgrid(x + ahead, y + aside, indexing="ij"), axis=-1)
+    goals = jnp.concatenate([places, np.full((10, 3, 1), 0.42), np.ones((10, 3, 1))], axis=-1)
+    np.testing.assert_array_equal(env.goal_kind(goals), np.repeat(np.arange(1, 16).reshape(5, 3), 2, axis=0))
+    np.testing.assert_array_equal(env.goal_kind(goals.at[..., 3].set(0.0)), np.zeros((10, 3)))
+    np.testing.assert_array_equal(env.goal_kind(goals.at[..., 2].set(0.02)), np.full((10, 3), 16))
+    assert env.goal_kinds == 17
 
 
 @pytest.mark.parametrize("observation", ["compact", "official"])
