@@ -13,7 +13,7 @@ import numpy as np
 
 import envs
 from hgail_jax import Hyperparameters, schedule
-from hgail_jax.distributed.seeds import compile_evaluation, compile_train_step, init_seeds
+from hgail_jax.distributed.seeds import compile_train_step, init_seeds, trace_evaluation
 from hgail_jax.distributed.sharding import check_replicas, make_mesh, shard
 from tests.support import ROOT, TINY, four_devices
 
@@ -30,7 +30,7 @@ def train(task, groups, devices, final=True):
         states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
         step = step or compile_train_step(env, TINY, states, phases[0], mesh)
         if final:
-            evaluate = evaluate or compile_evaluation(env, TINY, states, 8, mesh)
+            evaluate = evaluate or trace_evaluation(env, TINY, states, 8, mesh)()
         states, measured = shard(states, mesh), []
         for row in phases:
             states, metrics = step(states, row)

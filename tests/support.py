@@ -1,12 +1,13 @@
 """What several test modules share."""
 
 import contextlib
+import functools
 import os
 import resource
 from pathlib import Path
 
 from hgail_jax import PRESETS, Config, Hyperparameters, Preset
-from hgail_jax.distributed.seeds import compile_evaluation, compile_train_step
+from hgail_jax.distributed.seeds import compile_train_step, trace_evaluation
 from hgail_jax.presets import EVALUATION_EPISODES
 from hgail_jax.trainer import loop, trainer
 
@@ -43,6 +44,10 @@ def make_runs_tiny(monkeypatch=None):
 _compiled = {}
 
 
+def _trace_evaluation(*arguments):
+    return functools.cache(trace_evaluation(*arguments))
+
+
 def compile_once(monkeypatch):
     """Has all runs of the same task and sizes share their programs, whose compilation is most of a tiny run's time."""
 
@@ -58,7 +63,7 @@ def compile_once(monkeypatch):
         return compile_or_find
 
     monkeypatch.setattr(loop, "compile_train_step", once(compile_train_step))
-    monkeypatch.setattr(trainer, "compile_evaluation", once(compile_evaluation))
+    monkeypatch.setattr(trainer, "trace_evaluation", once(_trace_evaluation))
 
 
 TINY_RUN = """

@@ -138,25 +138,30 @@ def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh |
 
 
 def compile_program(jitted: Any, *arguments: Any) -> Any:
-    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes.
+    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes."""
+    return _compile(_lower(jitted, *arguments))
+
+
+def _lower(jitted: Any, *arguments: Any) -> Any:
+    """Returns a jitted function, traced for arguments of these shapes and lowered.
 
     Tracing makes millions of objects, hardly any of them garbage; without a search for it, it takes a sixth less time.
     """
     enabled = gc.isenabled()
     gc.disable()
     try:
-        lowered = jitted.lower(*arguments)
+        return jitted.lower(*arguments)
     finally:
         if enabled:
             gc.enable()
-    return lowered.compile(compiler_options=_compiler_options())
 
 
-def _compiler_options() -> dict[str, Any]:
-    """Returns XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
+def _compile(lowered: Any) -> Any:
+    """Compiles with XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
     quickly = {"xla_backend_optimization_level": 1}
     options = {"cpu": quickly, "gpu": quickly | {"xla_gpu_autotune_level": 0}}.get(jax.default_backend(), {})
-    return {name: value for name, value in options.items() if name not in os.environ.get("XLA_FLAGS", "")}
+    flags = os.environ.get("XLA_FLAGS", "")
+    return lowered.compile(compiler_options={name: value for name, value in options.items() if name not in flags})
 
 
 def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
@@ -189,14 +194,14 @@ def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any,
 def evaluate_seeds(
     env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
 ) -> EpisodeMetrics:
-    """Evaluates every seed once; see `compile_evaluation` for the arguments, and what is returned and raised."""
-    return compile_evaluation(env, config, states, num_episodes, mesh)(states)
+    """Evaluates every seed once; see `trace_evaluation` for the arguments, and what is returned and raised."""
+    return trace_evaluation(env, config, states, num_episodes, mesh)()(states)
 
 
-def compile_evaluation(
+def trace_evaluation(
     env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
-) -> SeedsEvaluation:
-    """Compiles the evaluation of every seed's mean action in the task's most accurate physics.
+) -> Callable[[], SeedsEvaluation]:
+    """Traces the evaluation of every seed's mean action in the task's most accurate physics.
 
     Args:
       env: the task.
@@ -206,8 +211,9 @@ def compile_evaluation(
       mesh: see `compile_train_step`.
 
     Returns:
-      A function of states, with a mesh as `shard` placed them, to the means over the episodes, `[seeds]`. It raises an
-      OverflowError if the simulation runs out of room for contacts.
+      A function that compiles, which needs the device no more, and returns a function of states, with a mesh as `shard`
+      placed them, to the means over the episodes, `[seeds]`. That raises an OverflowError if the simulation runs out of
+      room for contacts.
 
     Raises:
       ValueError: `num_episodes` is no count from 1; or see `compile_train_step`.
@@ -230,15 +236,20 @@ def compile_evaluation(
 
         return jax.vmap(of_seed)(states)
 
-    compiled = compile_program(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
+    lowered = _lower(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
 
-    def evaluate(states: TrainState) -> EpisodeMetrics:
-        outcome, overflow = jax.tree.map(np.asarray, compiled(states))
-        if overflow.any():
-            raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
-        return outcome
+    def compile_evaluation() -> SeedsEvaluation:
+        compiled = _compile(lowered)
 
-    return evaluate
+        def evaluate(states: TrainState) -> EpisodeMetrics:
+            outcome, overflow = jax.tree.map(np.asarray, compiled(states))
+            if overflow.any():
+                raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
+            return outcome
+
+        return evaluate
+
+    return compile_evaluation
 
 
 def evaluation_episodes(config: Config, num_episodes: int) -> int:

@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +17,7 @@ import jax
 from envs import GoalEnv
 from envs.randomized import RandomizedEnv
 from hgail_jax.distributed.processes import silent_but_first
-from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, compile_evaluation
+from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.distributed.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import MeanPolicy, load_policy
@@ -223,12 +223,17 @@ class Trainer:
         run, program = self.run, self.run.program()
         self._open_loggers(settings, self._restored.record["history"] if self._restored else [])
         timing: dict[str, float] = {}
-        with _timed(timing, "compile"), StatusLine("compiling the training program"):
-            step = program.compile()
-        progress = begin(program, self._restored)
-        background = ThreadPoolExecutor(1)  # which compiles the final evaluation while the training runs
+        # Another thread traces the final evaluation while this one compiles the training, and compiles it while the
+        # training runs. It must have done with the device by then: what MuJoCo Warp records in its first steps, to
+        # repeat it later, cannot bear another thread's work beside it.
+        background = ThreadPoolExecutor(1)
         try:
-            compiling = background.submit(self._compile_evaluations)
+            with _timed(timing, "compile"), StatusLine("compiling the training program"):
+                tracing = background.submit(self._trace_evaluations)
+                step = program.compile()
+                traced = tracing.result()
+            progress = begin(program, self._restored)
+            compiling = background.submit(lambda: {name: compile_one() for name, compile_one in traced.items()})
             self._train_rounds(step, progress, stop)
         finally:
             background.shutdown(wait=False)
@@ -244,14 +249,17 @@ class Trainer:
             write_results(run, self.folder, states, progress.history)
         return summarize(run, progress, evaluations, timing)
 
-    def _compile_evaluations(self) -> dict[str, SeedsEvaluation]:
-        """Returns the final evaluations, of the task as it was trained and, if that is randomised, undisturbed too."""
+    def _trace_evaluations(self) -> dict[str, Callable[[], SeedsEvaluation]]:
+        """Returns what compiles the final evaluations.
+
+        They are of the task as it was trained and, if that is randomised, undisturbed too.
+        """
         run, states = self.run, jax.eval_shape(self.run.program().init)
         tasks: dict[str, GoalEnv] = {"final": run.env}
         if isinstance(run.env, RandomizedEnv):
             tasks["undisturbed"] = run.env.undisturbed()
         return {
-            name: compile_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)
+            name: trace_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)
             for name, env in tasks.items()
         }
 

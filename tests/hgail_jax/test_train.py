@@ -13,7 +13,7 @@ from envs import EpisodeMetrics
 from envs.point import Point
 from hgail_jax import Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.distributed.seeds import compile_evaluation, evaluate_seeds, evaluation_episodes, init_seeds, seed_keys
+from hgail_jax.distributed.seeds import evaluate_seeds, evaluation_episodes, init_seeds, seed_keys, trace_evaluation
 from hgail_jax.evaluate import evaluate
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.state import split_key
@@ -88,7 +88,7 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
     env, config = Drawn(), dataclasses.replace(TINY, num_envs=1)
     step = jax.jit(functools.partial(train_step, env, config))
     states, drawn = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1)), []
-    evaluate_last = compile_evaluation(env, config, states, 1)
+    evaluate_last = trace_evaluation(env, config, states, 1)()
     state = jax.tree.map(lambda leaf: leaf[0], states)
     for phase in (PRETRAIN, POLICY, DISCRIMINATOR, POLICY):
         _, evaluated = step(state, np.array([EVALUATE]))

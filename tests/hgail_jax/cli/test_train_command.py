@@ -317,16 +317,18 @@ def train(program, step, progress, checkpoints, saving, stop, after_round):
     os.kill(os.getpid(), signal.SIGINT)
     stop.wait()
     stopped.set()
-def compile_evaluations(self):
+def trace_evaluations(self):
+    return {"final": lambda: compile_evaluation(self)}
+def compile_evaluation(run):
     stopped.wait()
-    while self.in_rounds:
+    while run.in_rounds:
         time.sleep(0.01)
     time.sleep(2.0)
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(60)
 Program.compile = lambda program: None
 trainer.train = train
-trainer.Trainer._compile_evaluations = compile_evaluations
+trainer.Trainer._trace_evaluations = trace_evaluations
 main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
 """
 
