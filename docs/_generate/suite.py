@@ -73,15 +73,19 @@ def networks() -> str:
 
 
 def grasp_on_two_cores() -> str:
-    """One seed of grasp at a time on two cores."""
+    """Sizes that were tried for grasp on a CPU."""
     return markdown(
-        ["seed", "success", "training", "start to end"],
+        ["environments", "rounds", "likelihood weight", "seeds", "success", "worst seed", "env steps per seed"],
         [
             [
-                str(row["seed"]),
+                str(row["num_envs"]),
+                str(row["rounds"]),
+                f"{row['likelihood_weight']:g}",
+                "{} to {}".format(*row["seeds"]),
                 fixed(row["success_rate"], 3),
-                *(seconds(row[f"{what}_seconds"]) for what in ("train", "total")),
+                fixed(row["worst_seed"], 3),
+                count(row["env_steps"]),
             ]
-            for row in read_json("suite/grasp-on-two-cores")["rows"]
+            for row in read_json("suite/grasp-on-two-cores-tuning")["rows"]
         ],
     )

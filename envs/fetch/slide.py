@@ -51,7 +51,16 @@ class Slide(Push):
     reference = "FetchSlide-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training_defaults(num_envs=1024, rounds=120, evaluate_every=5, hidden=256, trivial_weight=0.3)
+        platform: training_defaults(
+            num_envs=1024,
+            rounds=200,
+            evaluate_every=5,
+            hidden=256,
+            trivial_weight=0.3,
+            action_std=0.2,
+            final_action_std=0.15,
+            policy_learning_rate=2e-3,
+        )
         for platform in ("cpu", "gpu")
     }
 

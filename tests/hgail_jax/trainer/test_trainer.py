@@ -3,6 +3,7 @@
 import csv
 import json
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,24 @@ def bits(folder):
     """All that a run of `SMALL` computed."""
     record = json.loads((folder / "checkpoints" / "5" / "record" / "metadata").read_text())
     return table(folder), record["body"]["arrays"]
+
+
+def test_the_final_evaluation_is_traced_before_the_first_round(monkeypatch):
+    traced, trace, rounds = threading.Event(), Trainer._trace_evaluations, Trainer._train_rounds
+
+    def trace_slowly(self):
+        time.sleep(1.0)
+        found = trace(self)
+        traced.set()
+        return found
+
+    def train_rounds(self, *arguments):
+        assert traced.is_set()
+        return rounds(self, *arguments)
+
+    monkeypatch.setattr(Trainer, "_trace_evaluations", trace_slowly)
+    monkeypatch.setattr(Trainer, "_train_rounds", train_rounds)
+    Trainer(SMALL).train()
 
 
 def test_a_run_in_a_notebook():
