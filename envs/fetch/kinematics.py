@@ -52,7 +52,7 @@ class Chain:
         while body := int(model.body_parentid[body]):
             self._bodies.insert(0, body)
         self._joints = np.flatnonzero(np.isin(model.jnt_bodyid, self._bodies))
-        kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         if not np.isin(model.jnt_type[self._joints], kinds).all():
             raise ValueError(f"the chain to the site {site!r} has a joint that is neither a hinge nor a slide")
 

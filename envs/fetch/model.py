@@ -30,8 +30,8 @@ class SceneModel:
             self._dofs = np.arange(first_qvel, first_qvel + 6)
             self.object_qpos, self.object_qvel = np.arange(first_qpos, first_qpos + 3), self._dofs[:3]
             self.of_arm_qpos[first_qpos : first_qpos + 7] = self.of_arm_qvel[self._dofs] = False
-            upright = {mujoco.mjtGeom.mjGEOM_BOX: 2, mujoco.mjtGeom.mjGEOM_CYLINDER: 1}
-            self.object_half_height = float(model.geom_size[self._geom, upright[model.geom_type[self._geom]]])
+            is_cylinder = model.geom_type[self._geom] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else a box
+            self.object_half_height = float(model.geom_size[self._geom, 1 if is_cylinder else 2])
 
     def fields(self, factors: ModelFactors) -> dict[str, jax.Array]:
         """Returns the fields that differ, whole arrays by their names in `mujoco.MjModel`.

@@ -23,6 +23,7 @@ from envs.scenes import load_scene
 from experiments.bench.stepping import time_steps
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload, default_substeps
+from experiments.reference import make_reference
 from hgail_jax.presets import platform_name
 
 PACKAGES = ("gymnasium", "gymnasium-robotics", "envpool", "stable-baselines3", "torch")
@@ -135,11 +136,9 @@ def _reference(task: str) -> str:
 def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times Gymnasium-Robotics' environment as its users step it, with random actions."""
     import gymnasium
-    import gymnasium_robotics
 
-    gymnasium.register_envs(gymnasium_robotics)
     cores = usable_cores()
-    make = functools.partial(gymnasium.make, _reference(task))
+    make = functools.partial(make_reference, _reference(task))
     sync, parallel = gymnasium.vector.SyncVectorEnv, gymnasium.vector.AsyncVectorEnv
     for kind, count in ((sync, 1), (parallel, cores), (parallel, 8 * cores)):
         with contextlib.closing(kind([make] * count)) as vector:
@@ -178,12 +177,9 @@ def stable_baselines_rows(task: str, quick: bool, time_limit: float) -> Iterator
     """
     if task != "reach":
         return
-    import gymnasium
-    import gymnasium_robotics
     import stable_baselines3 as sb3
 
-    gymnasium.register_envs(gymnasium_robotics)
-    env, test = gymnasium.make(_reference(task)), gymnasium.make(_reference(task))
+    env, test = make_reference(_reference(task)), make_reference(_reference(task))
     learner = sb3.SAC(
         "MultiInputPolicy",
         env,

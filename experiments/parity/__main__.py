@@ -11,7 +11,7 @@ import numpy as np
 import envs
 from envs.fetch.arm import ACCURATE_SUBSTEPS, FAST_SUBSTEPS
 from experiments.parity.moves import one_step_errors, open_loop_drift, open_loop_ends, random_moves
-from experiments.parity.reference import make_reference
+from experiments.parity.reference import make_counterpart
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import check_writable, write_json
 from hgail_jax.trainer.provenance import provenance
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
 def measure(task: str, impl: str, substeps: int) -> dict[str, str | int | float]:
     """Returns a row of the table: errors of the gripper in one action and drifts without feedback, millimetres."""
     env = envs.make(task, impl=impl, substeps=substeps)
-    reference = make_reference(env)
+    reference = make_counterpart(env)
     errors = 1000 * one_step_errors(env, reference, random_moves(reference))
     drift = 1000 * open_loop_drift(env, *open_loop_ends(reference))
     return {

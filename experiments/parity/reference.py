@@ -2,13 +2,12 @@
 
 from typing import Any
 
-import gymnasium
-import gymnasium_robotics
 import jax
 import mujoco
 import numpy as np
 
 from envs.fetch.arm import FetchEnv, FetchPhysics
+from experiments.reference import make_reference
 
 _LONGER_THAN_ANY = 10_000  # steps
 _NAMES = {
@@ -23,10 +22,9 @@ _NAMES = {
 }
 
 
-def make_reference(env: FetchEnv) -> Any:
+def make_counterpart(env: FetchEnv) -> Any:
     """Returns the Gymnasium environment that a task is held to, without its wrappers and its time limit."""
-    gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make(str(env.reference), max_episode_steps=_LONGER_THAN_ANY).unwrapped
+    return make_reference(str(env.reference), max_episode_steps=_LONGER_THAN_ANY).unwrapped
 
 
 def joint_indices(model: mujoco.MjModel, theirs: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 
 import envs
 from envs.fetch.grasp import is_held
+from experiments.reference import make_reference
 from experiments.transfer.robots.base import Robot
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
@@ -48,12 +49,10 @@ class GymnasiumFetch(Robot):
 
     def __init__(self, task: str) -> None:
         import gymnasium  # here, so that the class can be read without its extra
-        import gymnasium_robotics
 
-        gymnasium.register_envs(gymnasium_robotics)
         self.task = task
         name: Any = envs.find_class(task).reference
-        env: Any = gymnasium.make(name, disable_env_checker=True).unwrapped
+        env: Any = make_reference(name, disable_env_checker=True).unwrapped
         env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
         self.model, self.data = env.model, env.data
         self._env = env

@@ -1,7 +1,5 @@
 """The grasp scene and task, against scripted controllers and Gymnasium-Robotics' FetchPickAndPlace-v4."""
 
-import gymnasium
-import gymnasium_robotics
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -10,6 +8,7 @@ import pytest
 
 import envs
 from envs.fetch import controllers
+from experiments.reference import make_reference
 
 BATCH = 16
 STEPS = 200
@@ -62,8 +61,7 @@ def outcome(end, probed):
 
 @pytest.fixture(scope="module")
 def reference():
-    gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make("FetchPickAndPlace-v4", max_episode_steps=1000)
+    return make_reference("FetchPickAndPlace-v4", max_episode_steps=1000)
 
 
 def test_a_cube_at_rest_stays_at_rest(start):

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import ks_2samp
 
 import envs
-from experiments.parity.reference import joint_indices, make_reference
+from experiments.parity.reference import joint_indices, make_counterpart
 
 TASKS = ("push", "pick-and-place", "slide")
 RESETS = 2000
@@ -21,7 +21,7 @@ def env(request):
 
 @pytest.fixture(scope="module")
 def reference(env):
-    return make_reference(env)
+    return make_counterpart(env)
 
 
 @pytest.fixture(scope="module")

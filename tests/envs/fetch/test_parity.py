@@ -2,8 +2,6 @@
 
 import functools
 
-import gymnasium
-import gymnasium_robotics
 import jax
 import mujoco
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 
 import envs
 from envs.fetch.arm import CONTROL_PERIOD
+from experiments.reference import make_reference
 
 BATCH = 32
 PARTS = 12
@@ -27,8 +26,7 @@ _NAMES = {
 
 @pytest.fixture(scope="module")
 def reference():
-    gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make("FetchReach-v4")
+    return make_reference("FetchReach-v4")
 
 
 @pytest.fixture(scope="module")

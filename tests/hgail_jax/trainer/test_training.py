@@ -2,11 +2,10 @@
 
 import json
 
-import gymnasium
-import gymnasium_robotics
 import numpy as np
 import pytest
 
+from experiments.reference import make_reference
 from hgail_jax import load_policy
 from hgail_jax.cli import train as run
 
@@ -16,8 +15,7 @@ def test_two_seeds_learn_reach_and_run_in_the_reference(tmp_path):
     run.main(["--seeds", "2", "--out", str(tmp_path / "run")])
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert min(summary["success_rate"]["per_seed"]) >= 0.98
-    gymnasium.register_envs(gymnasium_robotics)
-    env = gymnasium.make("FetchReach-v4")
+    env = make_reference("FetchReach-v4")
     for path in (tmp_path / "run" / "policies").iterdir():
         policy, successes = load_policy(path), []
         for episode in range(100):
