@@ -96,7 +96,7 @@ DISTURBANCES = {
     ),
     "friction": Disturbance(
         "friction, times the model's",
-        (0.5, 0.75, 1.0, 1.5, 2.0),
+        _FACTORS,  # at twice MuJoCo's contacts are so soft that the fingers sink into the cube: none counts as held
         lambda factor: Conditions(friction=factor),
         _twice("friction"),
     ),

@@ -23,7 +23,7 @@ _MOST = Randomization(  # of what the points below ask for; the program is made 
     robot_noise=1.0,
     object_noise=1.0,
     goal_noise=1.0,
-    friction=(0.5, 2.0),
+    friction=(0.5, 1.5),
     hand_opening=1.0,
 )
 _SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history"))
