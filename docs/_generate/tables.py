@@ -272,8 +272,8 @@ def headline() -> str:
     )
 
 
-def parity() -> str:
-    """How far the gripper goes another way than the reference's, on a CPU."""
+def parity(table: str = "parity") -> str:
+    """How far the gripper goes another way than the reference's, on a CPU: a table of `parity/`."""
     engines = {"c": "C MuJoCo", "jax": "MJX-JAX"}
     return markdown(
         ["task", "reference", "engine", "physics steps", "one action, median (99 %)", "50 actions, median", "worst"],
@@ -287,7 +287,7 @@ def parity() -> str:
                 f"{fixed(row['drift_median_mm'], 1)} mm",
                 f"{fixed(row['drift_worst_mm'], 0)} mm",
             ]
-            for row in read_json("parity/parity")["rows"]
+            for row in read_json(f"parity/{table}")["rows"]
         ],
     )
 
