@@ -1,29 +1,33 @@
-"""What each part of the method adds on a task that the paper does not have: a study of parts left out or changed."""
+"""What each part of the method adds on a task with an object, of which the paper has no ablations: a study as data."""
+
+from typing import Any
 
 from experiments.paper.study import Setting, Study
+
+_STEPS = 0.5  # of the task's own: enough to tell the parts apart
+
+
+def _part(
+    name: str, config: dict[str, Any] | None = None, task_options: dict[str, Any] | None = None, **hyperparameters: Any
+) -> Setting:
+    return Setting(
+        name, config=config or {}, hyperparameters=hyperparameters, task_options=task_options or {}, steps=_STEPS
+    )
+
 
 PARTS = Study(
     "parts",
     "parts left out or changed",
-    tuple(
-        # Half the steps: enough to tell them apart.
-        Setting(name, config=config, hyperparameters=hyperparameters, task_options=options, steps=0.5)
-        for name, config, hyperparameters, options in (
-            ("HGAIL", {}, {}, {}),
-            ("without the adversary (GCSL and the same exploration)", {}, {"ppo_weight": 0.0}, {}),
-            ("without likelihood (the paper's HGAIL)", {}, {"likelihood_weight": 0.0}, {}),
-            (
-                "PPO on the sparse reward, same starts and goals",
-                {},
-                {"environment_reward": 1.0, "likelihood_weight": 0.0},
-                {},
-            ),
-            ("trivial samples × 0.3", {}, {"trivial_weight": 0.3}, {}),
-            ("trivial samples × 1", {}, {"trivial_weight": 1.0}, {}),
-            ("the task's own goals to learn from", {"explore": False}, {}, {}),
-            ("without pre-training", {"pretrain": False}, {}, {}),
-            ("the reference's 25 numbers as observation", {}, {}, {"observation": "official"}),
-        )
+    (
+        _part("HGAIL"),
+        _part("without the adversary (GCSL and the same exploration)", ppo_weight=0.0),
+        _part("without likelihood (the paper's HGAIL)", likelihood_weight=0.0),
+        _part("PPO on the sparse reward, same starts and goals", environment_reward=1.0, likelihood_weight=0.0),
+        _part("trivial samples × 0.3", trivial_weight=0.3),
+        _part("trivial samples × 1", trivial_weight=1.0),
+        _part("the task's own goals to learn from", {"explore": False}),
+        _part("without pre-training", {"pretrain": False}),
+        _part("the reference's 25 numbers as observation", task_options={"observation": "official"}),
     ),
 )
-"""For tasks with an object; of the two trivial weights one is the task's own."""
+"""Of the two trivial weights one is the task's own."""
