@@ -210,7 +210,7 @@ def test_every_option_has_a_help_line(capsys):
 @pytest.mark.parametrize(
     ("arguments", "numbers"),
     [
-        (["--task", "grasp"], ["grasp", "--num-envs 1024", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
+        (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
         (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
         (["--preset", "paper"], ["reach", "--action-std 1.0"]),
     ],
