@@ -392,6 +392,17 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert {trial.config.rounds for trial in parts} == {60}  # half of its own
     assert {trial.evaluate_every for trial in parts} == {5}
     assert [trial.task_options.get("observation") for trial in parts] == [None] * 8 + ["official"]
+    assert len({trial.key() for trial in parts}) == 8  # one of the trivial weights is the task's own
+    assert studies_of("push") == (BY_NAME["parts"],)
+
+
+def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(work, "train_program", lambda env, *others: made.append(env))
+    scale, study = Scale("push", "cpu", quick=True), BY_NAME["parts"]
+    for job in Unfinished(work.Work(scale, 2, tmp_path, (study,))).jobs():
+        job.carry_out(threading.Event())
+    assert [env.observation for env in made] == ["compact"] * 3 + ["official"]
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
