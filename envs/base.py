@@ -230,6 +230,10 @@ class GoalEnv(Env):
         """
         raise NotImplementedError
 
+    def prepare(self) -> None:
+        """Does what the first step would otherwise wait for, while the caller compiles; by default nothing."""
+        return
+
     def accurate(self) -> "GoalEnv":
         """Returns the task with its most accurate physics; a task with one physics only returns itself."""
         return self

@@ -264,6 +264,10 @@ class RandomizedEnv(GoalEnv):
         """See `GoalEnv`."""
         return self.task.overflow(physics.true)
 
+    def prepare(self) -> None:
+        """See `GoalEnv`."""
+        self.task.prepare()
+
     def accurate(self) -> "RandomizedEnv":
         """See `GoalEnv`."""
         return RandomizedEnv(self.task.accurate(), self.randomization)

@@ -77,6 +77,10 @@ class Engine(abc.ABC):
 
         """
 
+    def prepare(self) -> None:
+        """Does what the first step would otherwise wait for, see `GoalEnv.prepare`; by default nothing."""
+        return
+
     def _check_fields(self, model: Any, fields: Mapping[str, jax.Array]) -> None:
         """Refuses fields that `model`, the engine's own, does not have as arrays of these sizes."""
         for name, values in fields.items():

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import mjx
 
 from envs.engines.base import Control, Engine, StateT
-from envs.engines.warp_kernels import start_building
+from envs.engines.warp_kernels import build_kernels
 
 
 @jax.jit  # traced once, whatever loops and batches it is then run in
@@ -91,7 +91,10 @@ class WarpEngine(MjxEngine):
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
-        start_building()
+
+    def prepare(self) -> None:
+        """See `Engine`."""
+        build_kernels(self.model, buffer_sizes(self.model, worlds=1))
 
     def _buffer_sizes(self, worlds: int) -> dict[str, int]:
         return buffer_sizes(self.model, worlds)

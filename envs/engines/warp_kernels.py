@@ -1,40 +1,31 @@
-"""Builds the kernels of MuJoCo Warp ahead of the first step, several modules at once."""
+"""Builds the kernels of MuJoCo Warp before the first step needs them."""
 
-import functools
 import importlib
 import sys
-import threading
 
 import jax
+import mujoco
 
-_PACKAGE = "mujoco.mjx.third_party.mujoco_warp._src"
-_SLOWEST = ("smooth", "sensor", "solver", "passive", "forward", "support")
-_THREADS = 4
+_PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
+_LARGEST = ("smooth", "sensor", "solver", "passive", "forward", "support")
 
 
-@functools.cache
-def start_building() -> threading.Thread | None:
-    """Starts a thread that builds the largest modules, once in a process.
+def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
+    """Builds the kernels that a physics step of a model takes, or finds them in Warp's cache.
 
-    Warp builds a module when one of its kernels is first launched, one after another: on a fresh machine most of a
-    minute in which everything waits. This half of them is known before, and XLA compiles meanwhile. A module that the
-    cache has is loaded; one that is needed before the thread is done is built twice, and nothing else happens.
+    Warp builds a module of kernels when one of them is first launched, one module after another: on a fresh machine
+    most of a minute. The largest are built here side by side; a step of one world, outside of any program, asks for the
+    others, which Warp writes for the model.
 
-    Returns:
-      The thread, or None where MJX-Warp has not been imported.
+    Args:
+      model: the scene.
+      sizes: of the buffers, see `envs.engines.mjx.buffer_sizes`; their number of rows is in the kernels.
 
     """
-    names = [name for name in (f"{_PACKAGE}.{module}" for module in _SLOWEST) if name in sys.modules]
-    if not names:
-        return None
-    warp = importlib.import_module("warp")
-    devices = [warp.device_from_jax(device) for device in jax.local_devices()]
-    modules = [warp.get_module(name) for name in names]
-    thread = threading.Thread(
-        target=warp.force_load,
-        kwargs={"device": devices, "modules": modules, "max_workers": _THREADS},
-        name="warp-kernels",
-        daemon=True,
-    )
-    thread.start()
-    return thread
+    warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_PACKAGE)
+    names = [f"{_PACKAGE}._src.{module}" for module in _LARGEST]
+    modules = [warp.get_module(name) for name in names if name in sys.modules]
+    with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
+        warp.force_load(device, modules, max_workers=len(modules))
+        mujoco_warp.step(mujoco_warp.put_model(model), mujoco_warp.make_data(model, nworld=1, **sizes))
+        warp.synchronize_device(device)

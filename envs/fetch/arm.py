@@ -122,6 +122,9 @@ class FetchEnv(GoalEnv):
         """Physics steps per action."""
         return self.engine.substeps
 
+    def prepare(self) -> None:
+        self.engine.prepare()
+
     def accurate(self) -> "FetchEnv":
         """Returns the task with `ACCURATE_SUBSTEPS`."""
         env = copy.copy(self)

@@ -136,3 +136,24 @@ print(jax.jit(env.step).lower(state, jax.ShapeDtypeStruct((4,), "float32")).as_t
     programs = [process.stdout.partition("module @")[2] for process in (first, second)]
     assert "custom_call" in programs[0]
     assert programs[0] == programs[1]
+
+
+def test_a_prepared_engine_builds_no_kernel_in_its_first_step(tmp_path):
+    script = f"""
+import pathlib, warp
+warp.config.kernel_cache_dir = {str(tmp_path)!r}
+import jax, envs
+env = envs.make("reach", substeps=4, worlds=64)
+def built():
+    return sorted(path.name for path in pathlib.Path({str(tmp_path)!r}).iterdir())
+env.prepare()
+prepared = built()
+state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 64))
+jax.block_until_ready(jax.jit(jax.vmap(env.step))(state, jax.numpy.zeros((64, 4))))
+print(len(prepared), sorted(set(built()) - set(prepared)))
+"""
+    environment = os.environ | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+    run = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    count, later = run.stdout.splitlines()[-1].split(" ", 1)
+    assert int(count) >= 20
+    assert later == "[]"
