@@ -251,3 +251,11 @@ def test_undisturbed_is_none_with_the_same_history():
     full = LEVELS["full-history"]
     assert full.undisturbed() == Randomization(history=full.history)
     assert full.history > 0
+
+
+def test_its_task_is_prepared(monkeypatch):
+    prepared = []
+    monkeypatch.setattr(Point, "prepare", lambda self: prepared.append(self))
+    task = Point()
+    RandomizedEnv(task, Randomization(delay=(0, 1))).prepare()
+    assert prepared == [task]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import envs
 from hgail_jax import Trainer, TrainOptions
 from hgail_jax.trainer import curves, results
 from tests.support import compile_once, make_runs_tiny
@@ -62,6 +63,22 @@ def test_the_final_evaluation_is_traced_before_the_first_round(monkeypatch):
         return rounds(self, *arguments)
 
     monkeypatch.setattr(Trainer, "_trace_evaluations", trace_slowly)
+    monkeypatch.setattr(Trainer, "_train_rounds", train_rounds)
+    Trainer(SMALL).train()
+
+
+def test_the_physics_is_prepared_before_the_first_round(monkeypatch):
+    prepared, rounds = [], Trainer._train_rounds
+
+    def prepare(self):
+        time.sleep(1.0)
+        prepared.append(self)
+
+    def train_rounds(self, *arguments):
+        assert len(prepared) == 1
+        return rounds(self, *arguments)
+
+    monkeypatch.setattr(envs.registry.find_class("point"), "prepare", prepare)
     monkeypatch.setattr(Trainer, "_train_rounds", train_rounds)
     Trainer(SMALL).train()
 
