@@ -1,12 +1,14 @@
 """Writes the tables about the Fetch suite, as Markdown, from what was measured."""
 
-from docs._generate.results import count, fixed, read_json, seconds
+from docs._generate.results import Row, count, fixed, mean, pick, rate, read_csv, read_json, seconds
 from docs._generate.tables import markdown
+
+TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
 
 
 def suite() -> str:
     """Eight seeds of each task of the Fetch suite on one H200."""
-    rows = [read_json(f"runs/{task}-hgail/summary") for task in ("reach", "grasp", "push", "pick-and-place")]
+    rows = [read_json(f"runs/{task}-hgail/summary") for task in TASKS]
     header = ["task", "success", "worst seed", "L1 distance", "env steps per seed", "training", "start to end"]
     return markdown(
         header,
@@ -55,6 +57,55 @@ def each_seed(table: str) -> str:
     )
 
 
+def parts(task: str) -> str:
+    """What is left of the success of a task when a part of the method is left out or changed."""
+    seeds = read_csv(f"paper/parts-{task}-seeds")
+    better = {row["than"]: row for row in read_csv(f"paper/parts-{task}-improvement") if row["setting"] == "HGAIL"}
+    rows = sorted(read_csv(f"paper/parts-{task}"), key=lambda row: -row["success_rate"])
+    return markdown(
+        ["setting", "success", "IQM, 95 % interval", "of each seed", "HGAIL is better"],
+        [
+            [
+                row["setting"],
+                fixed(row["success_rate"], 3),
+                "{}, {} to {}".format(*(fixed(row[f"success_iqm{end}"], 3) for end in ("", "_low", "_high"))),
+                ", ".join(fixed(each["success_rate"], 2) for each in seeds if each["setting"] == row["setting"]),
+                fixed(better[row["setting"]]["probability"], 2) if row["setting"] in better else "",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def published() -> str:
+    """Success over environment steps and over time, here and as others published it."""
+    here = [_ours(task, least) for task, least in (("push", 0.95), ("pick-and-place", 0.95), ("slide", None))]
+    rows = read_json("suite/published")["rows"] + here
+    rows.sort(key=lambda row: TASKS.index(row["task"]))
+    header = ["task", "what", "success", "env steps per seed", "time", "source"]
+    return markdown(
+        header, [[row[name] for name in ("task", "what", "success", "env_steps", "time", "source")] for row in rows]
+    )
+
+
+def _ours(task: str, least: float | None) -> Row:
+    """Returns when the mean of a run's seeds reached a success, or how the run ended where `least` is None."""
+    rows = [row for row in read_csv(f"runs/{task}-hgail/metrics") if row["success_rate"] != ""]
+    steps = sorted({row["env_steps"] for row in rows})
+    curve = {each: mean([row["success_rate"] for row in rows if row["env_steps"] == each]) for each in steps}
+    there = steps[-1] if least is None else next(each for each in steps if curve[each] >= least)
+    success = read_json(f"runs/{task}-hgail/summary")["success_rate"]["mean"] if least is None else least
+    taken = pick(rows, env_steps=there, seed=0)["seconds"]
+    return {
+        "task": task,
+        "what": "HGAIL, here",
+        "success": fixed(success, 2),
+        "env_steps": rate(there),
+        "time": f"{seconds(taken)} for eight seeds on one H200",
+        "source": "",
+    }
+
+
 def networks() -> str:
     """Rounds until each seed first reached a success, for two widths of the networks."""
     return markdown(
@@ -87,5 +138,24 @@ def grasp_on_two_cores() -> str:
                 count(row["env_steps"]),
             ]
             for row in read_json("suite/grasp-on-two-cores-tuning")["rows"]
+        ],
+    )
+
+
+def push_on_two_cores() -> str:
+    """Sizes that were tried for push on a CPU."""
+    return markdown(
+        ["environments", "rounds", "likelihood weight", "seed", "success", "env steps", "start to end"],
+        [
+            [
+                str(row["num_envs"]),
+                str(row["rounds"]),
+                f"{row['likelihood_weight']:g}",
+                str(row["seed"]),
+                fixed(row["success_rate"], 3),
+                count(row["env_steps"]),
+                seconds(row["total_seconds"]),
+            ]
+            for row in read_json("suite/push-on-two-cores")["rows"]
         ],
     )
