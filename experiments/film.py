@@ -20,7 +20,7 @@ FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
 
 _SECONDS = 10.0
 _EVERY = 2  # of the playback's frames is shown
-_COLUMNS = 2
+_COLUMNS = 3
 _SIZE = (300, 340)  # height and width of a task's picture, pixels
 _SCALE = 2  # rendered so many times larger, then made smaller, which smooths edges
 _TEXT_SIZE, _TEXT_PLACE, _TEXT_COLOUR = 20, (12, 8), (35, 55, 85)
