@@ -22,7 +22,7 @@ from hgail_jax.trainer.status import StatusLine
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
 _FADE = 8  # frames from an episode's end to the start of the next
-_CAMERA_DISTANCE = 2.05  # metres; the arm stays in the picture wherever it goes
+_CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
 
 
 class Playback:
@@ -88,7 +88,7 @@ def frames(playback: Playback, episodes: int, height: int, width: int, every: in
     """
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(playback.model, camera)
-    camera.distance = _CAMERA_DISTANCE
+    camera.distance = _CAMERA_DISTANCE * playback.model.stat.extent
     with open_renderer(playback.model, height, width) as renderer:
         picture: np.ndarray | None = None
         for index, first in enumerate(playback.play(episodes)):
