@@ -53,14 +53,15 @@ class CEngine(Engine):
         mocap_pos, mocap_quat = control.mocap_pos.reshape(-1), control.mocap_quat.reshape(-1)
         fields = dict(sorted((control.model or {}).items()))
         self._check_fields(self.model, fields)
+        commands = jnp.concatenate([control.ctrl, mocap_pos, mocap_quat])
+        given = [state.qpos, state.qvel, commands, *(values.reshape(-1) for values in fields.values())]
         qpos, qvel, sensordata = host_call(
             ".".join([self._name, *fields]),
             functools.partial(self._host, names=tuple(fields)),
             [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes],
-            state.qpos,
-            state.qvel,
-            jnp.concatenate([control.ctrl, mocap_pos, mocap_quat]),
-            *(values.reshape(-1).astype(jnp.float32) for values in fields.values()),
+            *(
+                jnp.asarray(values, jnp.float32) for values in given
+            ),  # under jax_enable_x64 some are in double precision
         )
         return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 HostFunction = Callable[..., Sequence[np.ndarray]]
@@ -134,7 +135,12 @@ def host_call(
     Returns:
       The results.
 
+    Raises:
+      ValueError: an argument is not in single precision, as which its memory would be read.
+
     """
+    for dtype in {argument.dtype for argument in arguments} - {jnp.dtype(jnp.float32)}:
+        raise ValueError(f"an argument of host_call is {dtype}; it must be float32")
     if name not in _registered:
         handler = _Handler(_Entry(function))
         capsule = _new_capsule(ctypes.cast(handler, ctypes.c_void_p), None, None)

@@ -96,7 +96,7 @@ def test_of_equally_bad_episodes_gasil_imitates_those_that_end_nearest():
     episodes, metrics = learn("gasil", Fixed(), 20, ties_by_distance=True)
     np.testing.assert_array_equal(metrics.evaluation.success, 0.0)
     assert metrics.evaluation.distance_l2[0] > 0.35
-    assert episodes.outcome.distance_l2.max() < 0.15
+    assert episodes.outcome.distance_l2.max() < 0.25
 
 
 def test_methods_change_what_they_differ_in_and_nothing_else():

