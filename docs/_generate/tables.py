@@ -207,7 +207,7 @@ def peers() -> str:
         [
             [
                 f"{row['what']}, {row['task']}",
-                "2 CPU cores" if row["made_by"]["device"]["platform"] == "cpu" else "one H200",
+                f"{row['cpu_cores']} CPU cores" if "cpu_cores" in row else "one H200",
                 count(row["num_envs"]) if "num_envs" in row else "",
                 str(row["substeps"]),
                 rate(row["env_steps_per_second"]),

@@ -1,4 +1,4 @@
-"""What made a result: command, commit, device and versions."""
+"""What made a result: command, commit, device, processor cores and versions."""
 
 import functools
 import platform
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import jax
 
+from envs.engines.c import usable_cores
 from hgail_jax.io.versions import installed
 
 _PACKAGES = (
@@ -59,7 +60,7 @@ def _commit() -> str | None:
 
 
 def provenance(*packages: str) -> dict:
-    """Returns what made a result: command, commit, device and versions.
+    """Returns what made a result: command, commit, device, processor cores that it could use, and versions.
 
     Args:
       *packages: further ones whose versions are told, where they are installed.
@@ -71,6 +72,7 @@ def provenance(*packages: str) -> dict:
         "command": own_command(),
         "commit": _commit(),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
+        "cpu_cores": usable_cores(),
         "versions": {"python": platform.python_version()} | installed(*_PACKAGES, *packages),
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
     }

@@ -39,12 +39,14 @@ with one_line_errors("it"):
 
 IN_A_CALLBACK = """
 import jax, jax.numpy as jnp
+from envs.engines.host_call import host_call
 def host(x):
     interrupt()
     time.sleep(0.5)
-    return x
+    return (x,)
 with one_line_errors("it"):
-    jax.jit(lambda x: jax.pure_callback(host, x, x))(jnp.zeros(3)).block_until_ready()
+    call = jax.jit(lambda x: host_call("host", host, [jax.ShapeDtypeStruct((3,), jnp.float32)], x))
+    jax.block_until_ready(call(jnp.zeros(3)))
 """
 
 NOTED_LATE = """
