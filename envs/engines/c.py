@@ -54,14 +54,13 @@ class CEngine(Engine):
         fields = dict(sorted((control.model or {}).items()))
         self._check_fields(self.model, fields)
         commands = jnp.concatenate([control.ctrl, mocap_pos, mocap_quat])
+        # In single precision each, also where jax_enable_x64 has made some of them double.
         given = [state.qpos, state.qvel, commands, *(values.reshape(-1) for values in fields.values())]
         qpos, qvel, sensordata = host_call(
             ".".join([self._name, *fields]),
             functools.partial(self._host, names=tuple(fields)),
             [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes],
-            *(
-                jnp.asarray(values, jnp.float32) for values in given
-            ),  # under jax_enable_x64 some are in double precision
+            *(jnp.asarray(values, jnp.float32) for values in given),
         )
         return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
 

@@ -145,7 +145,7 @@ warp.config.kernel_cache_dir = {str(tmp_path)!r}
 import jax, envs
 env = envs.make("reach", substeps=4, worlds=64)
 def built():
-    return sorted(path.name for path in pathlib.Path({str(tmp_path)!r}).rglob("*.cubin"))
+    return sorted(path.name for path in pathlib.Path({str(tmp_path)!r}).rglob("*.meta"))
 env.prepare()
 prepared = built()
 state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 64))
