@@ -52,7 +52,7 @@ def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Call
     """
 
     def step(data: mjx.Data, control: Control) -> tuple[mjx.Data, None]:
-        data = data.replace(**vars(control))
+        data = data.replace(mocap_pos=control.mocap_pos, mocap_quat=control.mocap_quat, ctrl=control.ctrl)
         return jax.lax.fori_loop(0, engine.substeps, lambda _, data: mjx.step(engine.mjx_model, data), data), None
 
     def run(physics: EngineState, controls: Control) -> jax.Array:

@@ -53,7 +53,7 @@ class WarpLoop:
         self._controls = {
             name: wp.array(np.asarray(values), dtype=getattr(self._data, name).dtype)
             for name, values in vars(controls).items()
-            if values.size
+            if values is not None and values.size
         }
         self._set(self._start)
         self._set_control(0)
