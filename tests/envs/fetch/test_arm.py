@@ -67,3 +67,10 @@ def test_a_simulation_that_broke_down_does_not_come_back(task):
     for _ in range(3):
         state = env.step(state, np.zeros(4))
         assert np.isnan(state.obs[:3]).any()
+
+
+def test_its_engine_is_prepared(monkeypatch):
+    env, prepared = envs.make("reach", impl="c", substeps=4), []
+    monkeypatch.setattr(env.engine, "prepare", lambda: prepared.append("engine"))
+    env.prepare()
+    assert prepared == ["engine"]

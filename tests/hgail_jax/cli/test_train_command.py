@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from envs.engines.c import usable_cores
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.trainer.options import plan
@@ -64,6 +65,7 @@ def test_summary_says_what_was_reached_and_what_made_it(reach_run):
     assert summary["env_steps_per_second"] > 0
     assert summary["evaluation_episodes_per_seed"] == 8
     assert summary["device"]["platform"] == "cpu"
+    assert summary["cpu_cores"] == usable_cores()
     assert summary["versions"]["mujoco"] == summary["versions"]["mujoco-mjx"] == "3.11.0"
 
 
