@@ -1,6 +1,7 @@
 """Keeps orbax and tensorstore from telling over hundreds of lines an error that they raise as well."""
 
 import logging
+import re
 import sys
 from collections.abc import Callable
 from types import TracebackType
@@ -9,8 +10,10 @@ from typing import Any
 _LATE = "Event loop is closed"  # what arrays say whose write fails once that of another has failed
 
 logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
-# A write that fails beside another is a task whose error nobody reads; asyncio tells of it when the task is collected.
-logging.getLogger("asyncio").addFilter(lambda record: "/orbax/" not in record.getMessage())
+# A write that fails beside another leaves a task of orbax or a future of tensorstore whose error nobody reads; asyncio
+# tells of it when that is collected. The task names the file of its code, the future the folder that it wrote to.
+_UNREAD = re.compile("/orbax/|orbax-checkpoint-tmp")
+logging.getLogger("asyncio").addFilter(lambda record: not _UNREAD.search(record.getMessage()))
 
 
 def quiet_late_failures() -> Callable[[], None]:

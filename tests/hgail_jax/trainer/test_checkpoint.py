@@ -319,6 +319,16 @@ def test_of_tasks_that_nobody_awaited_only_those_of_orbax_are_quiet(file, told, 
     assert ("Task exception was never retrieved" in caplog.text) == told
 
 
+@pytest.mark.parametrize(("folder", "told"), [("1.orbax-checkpoint-tmp", False), ("mine", True)])
+def test_of_futures_that_nobody_awaited_only_those_of_checkpoints_are_quiet(folder, told, caplog):
+    async def forget():
+        asyncio.get_running_loop().create_future().set_exception(ValueError(f"writing {folder}/array: disk full"))
+
+    asyncio.run(forget())
+    gc.collect()
+    assert ("Future exception was never retrieved" in caplog.text) == told
+
+
 ON_A_FULL_DISK = """
 import sys
 from tests.hgail_jax.trainer.test_checkpoint import *
