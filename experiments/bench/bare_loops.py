@@ -1,4 +1,4 @@
-"""Times the engines alone, on the start states and controls that a task's own steps had: a floor of their cost.
+"""The engines alone, on the start states and controls that a task's own steps had: a floor of their cost.
 
 Below, `N` is environments and `T` actions.
 """
@@ -6,6 +6,7 @@ Below, `N` is environments and `T` actions.
 import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import mujoco
@@ -16,15 +17,15 @@ from envs.engines import Control, EngineState
 from envs.engines.c import CEngine, usable_cores
 from envs.engines.mjx import MjxEngine
 from envs.fetch.arm import FetchEnv
-from experiments.bench.bare_warp import measure_warp_loop
-from experiments.bench.timing import compile_timed, seconds_per_call
+from experiments.bench.bare_warp import WarpLoop
+from experiments.bench.timing import compile_timed
 
 _FULL_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 
 
-def measure_bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -> dict[str, float]:
-    """Times what there is of the engine alone; returns environment steps per second, and what explains them.
+def bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -> dict[str, Callable[[], Any]]:
+    """Returns what there is of the engine alone, as functions that step an episode each.
 
     Args:
       env: the task.
@@ -32,23 +33,20 @@ def measure_bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -
       controls: what acts on the scene, `[T, N, ...]`.
 
     """
-    env_steps, engine = len(physics.qpos) * len(controls.ctrl), env.engine
+    engine = env.engine
     if isinstance(engine, CEngine):
-        with rollout.Rollout(nthread=usable_cores()) as pool:
-            seconds = seconds_per_call(rollout_loop(engine, pool, physics, controls))
-        return {"bare_rollout_env_steps_per_second": env_steps / seconds}
+        return {"bare_rollout": rollout_loop(engine, physics, controls)}
     assert isinstance(engine, MjxEngine)
-    seconds = seconds_per_call(mjx_loop(engine, physics, controls))
-    measured = {"bare_mjx_env_steps_per_second": env_steps / seconds}
-    return measured | (
-        measure_warp_loop(engine.model, engine.substeps, physics, controls) if engine.name == "warp" else {}
-    )
+    loops: dict[str, Callable[[], Any]] = {"bare_mjx": mjx_loop(engine, physics, controls)}
+    if engine.name == "warp":
+        loops["bare_warp"] = WarpLoop(engine.model, engine.substeps, physics, controls)
+    return loops
 
 
 def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Callable[[], jax.Array]:
     """Returns a function that steps MJX alone, in one compiled program, to the last positions, `[N, nq]`.
 
-    See `measure_bare_loops` for the arguments.
+    See `bare_loops` for the arguments.
     """
 
     def step(data: mjx.Data, control: Control) -> tuple[mjx.Data, None]:
@@ -63,18 +61,12 @@ def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Call
     return functools.partial(compiled, physics, controls)
 
 
-def rollout_loop(
-    engine: CEngine, pool: rollout.Rollout, physics: EngineState, controls: Control
-) -> Callable[[], np.ndarray]:
+def rollout_loop(engine: CEngine, physics: EngineState, controls: Control) -> Callable[[], np.ndarray]:
     """Returns a function that steps C MuJoCo alone, all environments in one call an action, to the last `[N, nq]`.
 
-    Args:
-      engine: whose model and physics steps are taken.
-      pool: the threads.
-      physics: see `measure_bare_loops`.
-      controls: likewise.
-
+    See `bare_loops` for the arguments.
     """
+    pool = rollout.Rollout(nthread=usable_cores())
     model = engine.model
     datas = [mujoco.MjData(model) for _ in range(usable_cores())]
     count, nq, nv = len(physics.qpos), model.nq, model.nv

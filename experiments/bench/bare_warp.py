@@ -1,4 +1,4 @@
-"""Times MuJoCo Warp by itself, without JAX; needs warp-lang."""
+"""MuJoCo Warp by itself, without JAX, to be timed; needs warp-lang."""
 
 import functools
 from collections.abc import Callable
@@ -9,26 +9,8 @@ import numpy as np
 
 from envs.engines import Control, EngineState
 from envs.engines.mjx import buffer_sizes
-from experiments.bench.timing import seconds_per_call
 
 _KERNEL_SECONDS = 2e-6  # that a GPU takes at least from the start of a kernel to that of the next
-
-
-def measure_warp_loop(
-    model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control
-) -> dict[str, float]:
-    """Times MuJoCo Warp by itself; see `WarpLoop` for the arguments.
-
-    Returns environment steps per second; the kernels that a physics step starts; and the environment steps per second
-    that starting so many would allow.
-    """
-    loop = WarpLoop(model, substeps, physics, controls)
-    num_actions, num_envs = controls.ctrl.shape[:2]
-    return {
-        "bare_warp_env_steps_per_second": num_envs * num_actions / seconds_per_call(loop),
-        "kernels_per_substep": loop.kernels,
-        "launch_floor_env_steps_per_second": num_envs / (loop.kernels * _KERNEL_SECONDS * substeps),
-    }
 
 
 class WarpLoop:
@@ -46,9 +28,9 @@ class WarpLoop:
         import warp as wp  # not a dependency of the project
         from mujoco.mjx.third_party import mujoco_warp
 
-        self._substeps, (self._num_actions, num_envs) = substeps, controls.ctrl.shape[:2]
+        self._substeps, (self._num_actions, self._num_envs) = substeps, controls.ctrl.shape[:2]
         self._model = mujoco_warp.put_model(model)
-        self._data = mujoco_warp.make_data(model, nworld=num_envs, **buffer_sizes(model, num_envs))
+        self._data = mujoco_warp.make_data(model, nworld=self._num_envs, **buffer_sizes(model, self._num_envs))
         self._start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
         self._controls = {
             name: wp.array(np.asarray(values), dtype=getattr(self._data, name).dtype)
@@ -60,6 +42,10 @@ class WarpLoop:
         self.kernels = _count_launches(lambda: mujoco_warp.step(self._model, self._data))
         """Kernels that a physics step starts."""
         self._replay = self._capture()
+
+    def launch_floor(self) -> float:
+        """Returns the environment steps per second that starting the kernels one after the other would allow."""
+        return self._num_envs / (self.kernels * _KERNEL_SECONDS * self._substeps)
 
     def __call__(self) -> None:
         """Steps from the start under all controls, and waits for the end."""

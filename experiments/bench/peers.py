@@ -20,7 +20,7 @@ import envs
 from envs.engines.c import usable_cores
 from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, settle
 from envs.scenes import load_scene
-from experiments.bench.stepping import time_steps
+from experiments.bench.stepping import raw_rate
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload, default_substeps
 from experiments.reference import make_reference
@@ -87,13 +87,11 @@ def own_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
         ("jax", "MJX-JAX", ACCURATE_SUBSTEPS),
     ):
         workload = Workload(task, impl, 4 if quick else _POOLED, substeps, quick)
-        _, measured = time_steps(workload, workload.reset(), workload.actions())
-        rate = measured["raw_env_steps_per_second"]
         yield {
             "what": f"hgail_jax, {name}",
             "num_envs": workload.num_envs,
             "substeps": substeps,
-            "env_steps_per_second": rate,
+            "env_steps_per_second": raw_rate(workload),
         }
 
 

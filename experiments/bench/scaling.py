@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 
+from experiments.bench.timing import seconds_per_call
 from experiments.bench.training import Training
 from experiments.bench.workload import Workload
 from hgail_jax.distributed.sharding import make_mesh
@@ -51,7 +52,7 @@ def _measure(workload: Workload, seeds: int, devices: int) -> dict[str, Any]:
     workload = dataclasses.replace(workload, worlds=seeds * workload.num_envs // devices)
     training = Training(workload, seeds, mesh)
     phases = training.updates()
-    seconds = training.seconds(*phases)
+    seconds = seconds_per_call(training.call(*phases))
     return {
         "task": workload.task,
         "impl": workload.env.impl,

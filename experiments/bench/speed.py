@@ -4,8 +4,9 @@ from collections.abc import Collection
 from typing import Any
 
 from experiments.bench.floors import measure_floors
-from experiments.bench.stepping import measure_stepping
-from experiments.bench.training import measure_rollout, measure_training, shares
+from experiments.bench.stepping import Stepping
+from experiments.bench.timing import seconds_side_by_side
+from experiments.bench.training import Learning, RollingOut, shares
 from experiments.bench.workload import Workload
 
 COLUMNS = ("physics", "rollout", "train", "shares")
@@ -22,12 +23,17 @@ def speed_row(workload: Workload, columns: Collection[str]) -> dict[str, Any]:
         "substeps": workload.substeps,
         "what": ", ".join(name for name in COLUMNS if name in wanted),
     }
+    parts: list[Stepping | RollingOut | Learning] = []
     if "physics" in wanted:
-        row |= measure_stepping(workload) | measure_floors(workload)
+        parts.append(Stepping(workload))
+        row |= measure_floors(workload)
     if "rollout" in wanted:
-        row |= measure_rollout(workload)
+        parts.append(RollingOut(workload))
     if "train" in wanted:
-        row |= measure_training(workload, each_phase="shares" in wanted)
+        parts.append(Learning(workload, each_phase="shares" in wanted))
+    seconds = seconds_side_by_side({name: call for part in parts for name, call in part.calls.items()})
+    for part in parts:
+        row |= part.row(seconds)
     if {"physics", "train"} <= wanted:
         row["train_to_raw"] = row["train_env_steps_per_second"] / row["raw_env_steps_per_second"]
     return row | (shares(workload, row) if "shares" in wanted else {})

@@ -1,36 +1,61 @@
-"""Measures stepping: the task's step in a compiled program, and beside it the engine alone on the same work."""
+"""Stepping: the task's step in a compiled program, and beside it the engine alone on the same work."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import jax
 
 import envs
 from envs.engines import Control
 from envs.fetch.arm import FetchEnv
-from experiments.bench.bare_loops import measure_bare_loops
+from experiments.bench.bare_loops import bare_loops
+from experiments.bench.bare_warp import WarpLoop
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload
 
 
-def measure_stepping(workload: Workload) -> dict[str, float]:
-    """Times an episode of random actions: the task's step under a scan, then the engine's own loops.
+class Stepping:
+    """An episode of random actions: the task's step under a scan, and the engine's own loops, to be timed.
 
-    `raw_to_bare` compares with the fastest of these.
+    Args:
+      workload: what is stepped.
+
     """
-    states, actions = workload.reset(), workload.actions()
-    step, raw = time_steps(workload, states, actions)
-    _, controls = step(states, actions)
-    bare = measure_bare_loops(workload.env, states.pipeline_state, controls)
-    fastest = max(value for name, value in bare.items() if name.startswith("bare"))
-    return {**raw, **bare, "raw_to_bare": raw["raw_env_steps_per_second"] / fastest}
+
+    def __init__(self, workload: Workload) -> None:
+        self._env_steps = workload.env_steps
+        start = workload.reset()
+        raw, self._compile_seconds = _raw(workload, start)
+        _, controls = raw()
+        self.calls = {"raw": raw, **bare_loops(workload.env, start.pipeline_state, controls)}
+        """An episode each: `raw`, and the engine's loops, whose names begin with `bare`."""
+
+    def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        """Returns environment steps per second from the seconds of each call, and what explains them.
+
+        `raw_to_bare` compares with the fastest of the loops.
+        """
+        rates = {name: self._env_steps / seconds[name] for name in self.calls}
+        row = {f"{name}_env_steps_per_second": rate for name, rate in rates.items()}
+        row["raw_compile_seconds"] = self._compile_seconds
+        row["raw_to_bare"] = rates["raw"] / max(rate for name, rate in rates.items() if name.startswith("bare"))
+        warp = self.calls.get("bare_warp")
+        if isinstance(warp, WarpLoop):
+            row |= {"kernels_per_substep": warp.kernels, "launch_floor_env_steps_per_second": warp.launch_floor()}
+        return row
 
 
-def time_steps(workload: Workload, states: envs.State, actions: jax.Array) -> tuple[Callable, dict[str, float]]:
-    """Compiles and times `step_task`; returns the program, its speed and the seconds that its compilation took."""
-    step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), states, actions)
-    raw = workload.env_steps / seconds_per_call(lambda: step(states, actions))
-    return step, {"raw_env_steps_per_second": raw, "raw_compile_seconds": compile_seconds}
+def raw_rate(workload: Workload) -> float:
+    """Times `raw` alone; returns environment steps per second."""
+    raw, _ = _raw(workload, workload.reset())
+    return workload.env_steps / seconds_per_call(raw)
+
+
+def _raw(workload: Workload, start: envs.State) -> tuple[Callable, float]:
+    """Returns an episode of random actions in one compiled program, and the seconds that its compilation took."""
+    actions = workload.actions()
+    step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), start, actions)
+    return functools.partial(step, start, actions), compile_seconds
 
 
 def step_task(env: FetchEnv, states: envs.State, actions: jax.Array) -> tuple[envs.State, Control]:

@@ -3,7 +3,7 @@
 import functools
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from hgail_jax.distributed.seeds import compile_program
 
 _ENOUGH_SECONDS = 4.0
+_FEWEST_CALLS = 5
 _MOST_CALLS = 50
 _COPIED = 2**28  # numbers
 _QUICK_COPIED = 2**22
@@ -27,14 +28,31 @@ def compile_timed(function: Callable, *arguments: Any) -> tuple[Callable, float]
 
 
 def seconds_per_call(call: Callable[[], Any]) -> float:
-    """Returns the median of timed calls, each waited for, after one that is not timed; a long call is timed once."""
-    jax.block_until_ready(call())
-    taken: list[float] = []
-    while len(taken) < _MOST_CALLS and sum(taken) < _ENOUGH_SECONDS:
-        started = time.perf_counter()
+    """Returns the median of timed calls, each waited for, after one that is not timed."""
+    return seconds_side_by_side({"call": call})["call"]
+
+
+def seconds_side_by_side(calls: Mapping[str, Callable[[], Any]]) -> dict[str, float]:
+    """Returns what `seconds_per_call` does of each call, with the calls taken in turn.
+
+    A machine that is slower for a while, as other work comes to it, is so for all of them: ratios stay.
+    """
+    for call in calls.values():
         jax.block_until_ready(call())
-        taken.append(time.perf_counter() - started)
-    return statistics.median(taken)
+    taken: dict[str, list[float]] = {name: [] for name in calls}
+    started = time.perf_counter()
+    for turn in range(_MOST_CALLS):
+        if turn >= _FEWEST_CALLS and time.perf_counter() - started > _ENOUGH_SECONDS * len(calls):
+            break
+        for name, call in calls.items():
+            taken[name].append(_seconds(call))
+    return {name: statistics.median(seconds) for name, seconds in taken.items()}
+
+
+def _seconds(call: Callable[[], Any]) -> float:
+    started = time.perf_counter()
+    jax.block_until_ready(call())
+    return time.perf_counter() - started
 
 
 @functools.cache

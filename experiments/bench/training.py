@@ -1,14 +1,15 @@
-"""Measures roll-outs and training, and which share of a round is physics, the policy, relabelling or an update."""
+"""Roll-outs and training, and which share of a round is physics, the policy, relabelling or an update."""
 
 import functools
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from experiments.bench.timing import compile_timed, seconds_per_call
+from experiments.bench.timing import compile_timed
 from experiments.bench.workload import Workload
 from hgail_jax.distributed.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
 from hgail_jax.distributed.sharding import shard
@@ -40,8 +41,8 @@ class Training:
         self._step: SeedsStep = compile_train_step(workload.env, self.config, states, self._row, mesh)
         self.compile_seconds = time.perf_counter() - started
 
-    def seconds(self, *phases: Phase) -> float:
-        """Returns the seconds that a round of these phases takes; the rest of its row is skipped."""
+    def call(self, *phases: Phase) -> Callable[[], Any]:
+        """Returns a function that trains on for a round of these phases; the rest of its row is skipped."""
         row = np.full_like(self._row, Phase.SKIP)
         row[: len(phases)] = phases
 
@@ -49,52 +50,78 @@ class Training:
             self._states, metrics = self._step(self._states, row)
             return metrics
 
-        return seconds_per_call(call)
+        return call
 
     def updates(self) -> list[Phase]:
         """Returns the phases of a round that learn."""
         return [Phase.POLICY] * self.config.policy_phases + [Phase.DISCRIMINATOR] * self.config.discriminator_phases
 
 
-def measure_rollout(workload: Workload) -> dict[str, float]:
-    """Times a roll-out of an untrained policy, and the relabelling of its samples."""
-    env, preset = workload.env, workload.preset()
-    config, hyperparameters = preset.config, preset.hyperparameters
-    state = init_state(env, config, hyperparameters, jax.random.key(0))
-    rollout_rng, relabel_rng = jax.random.split(jax.random.key(1))
+class RollingOut:
+    """A roll-out of an untrained policy, and the relabelling of its samples, to be timed.
 
-    def roll_out(state: TrainState, rng: jax.Array) -> Trajectory:
-        return rollout(env, make_policy(env, config, state, noise=1.0), rng, config.num_envs)
+    Args:
+      workload: what is rolled out.
 
-    compiled, _ = compile_timed(roll_out, state, rollout_rng)
-    seconds = seconds_per_call(lambda: compiled(state, rollout_rng))
-    trajectory = compiled(state, rollout_rng)
-    relabel, _ = compile_timed(functools.partial(relabelled_samples, env, hyperparameters), trajectory, relabel_rng)
-    return {
-        "rollout_env_steps_per_second": workload.env_steps / seconds,
-        "relabel_seconds": seconds_per_call(lambda: relabel(trajectory, relabel_rng)),
-    }
-
-
-def measure_training(workload: Workload, each_phase: bool) -> dict[str, float]:
-    """Times the phases of a round that learn, PPO and discriminator as often as by default.
-
-    Where `each_phase`, each kind of phase alone as well.
     """
-    training = Training(workload)
-    phases = training.updates()
-    measured = {
-        "train_env_steps_per_second": len(phases) * workload.env_steps / training.seconds(*phases),
-        "train_compile_seconds": training.compile_seconds,
-    }
-    if each_phase:
-        measured |= {
-            "ppo_phase_seconds": training.seconds(Phase.POLICY),
-            "discriminator_phase_seconds": training.seconds(Phase.DISCRIMINATOR),
-            "pretrain_phase_seconds": training.seconds(Phase.PRETRAIN),
-            "evaluation_phase_seconds": training.seconds(Phase.EVALUATE),
+
+    def __init__(self, workload: Workload) -> None:
+        env, preset = workload.env, workload.preset()
+        config, hyperparameters = preset.config, preset.hyperparameters
+        self._env_steps = workload.env_steps
+        state = init_state(env, config, hyperparameters, jax.random.key(0))
+        rollout_rng, relabel_rng = jax.random.split(jax.random.key(1))
+
+        def roll_out(state: TrainState, rng: jax.Array) -> Trajectory:
+            return rollout(env, make_policy(env, config, state, noise=1.0), rng, config.num_envs)
+
+        compiled, _ = compile_timed(roll_out, state, rollout_rng)
+        trajectory = compiled(state, rollout_rng)
+        relabel, _ = compile_timed(functools.partial(relabelled_samples, env, hyperparameters), trajectory, relabel_rng)
+        self.calls = {
+            "rollout": lambda: compiled(state, rollout_rng),
+            "relabel": lambda: relabel(trajectory, relabel_rng),
         }
-    return measured
+        """An episode in every environment, each."""
+
+    def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        """Returns what is in a row, from the seconds of each call."""
+        return {
+            "rollout_env_steps_per_second": self._env_steps / seconds["rollout"],
+            "relabel_seconds": seconds["relabel"],
+        }
+
+
+class Learning:
+    """The phases of a round that learn, PPO and discriminator as often as by default, to be timed.
+
+    Args:
+      workload: what is trained on.
+      each_phase: each kind of phase alone as well.
+
+    """
+
+    def __init__(self, workload: Workload, each_phase: bool = False) -> None:
+        training = Training(workload)
+        phases = training.updates()
+        self._env_steps, self._compile_seconds = len(phases) * workload.env_steps, training.compile_seconds
+        self.calls = {"train": training.call(*phases)}
+        """A round's updates, and each kind of phase alone."""
+        if each_phase:
+            self.calls |= {
+                "ppo_phase": training.call(Phase.POLICY),
+                "discriminator_phase": training.call(Phase.DISCRIMINATOR),
+                "pretrain_phase": training.call(Phase.PRETRAIN),
+                "evaluation_phase": training.call(Phase.EVALUATE),
+            }
+
+    def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        """Returns what is in a row, from the seconds of each call."""
+        return {
+            "train_env_steps_per_second": self._env_steps / seconds["train"],
+            "train_compile_seconds": self._compile_seconds,
+            **{f"{name}_seconds": seconds[name] for name in self.calls if name != "train"},
+        }
 
 
 def shares(workload: Workload, row: dict[str, Any]) -> dict[str, float]:

@@ -38,7 +38,7 @@ def test_a_peer_that_is_not_installed_is_left_out_with_one_line(monkeypatch, cap
 
 
 def test_ours_is_stepped_beside_the_peers_on_both_engines_of_a_cpu(monkeypatch):
-    monkeypatch.setattr(peers, "time_steps", lambda workload, *_: (None, {"raw_env_steps_per_second": workload.env}))
+    monkeypatch.setattr(peers, "raw_rate", lambda workload: workload.env)
     rows = list(peers.own_rows("reach", True))
     assert [(row["what"], row["substeps"]) for row in rows] == [
         ("hgail_jax, C MuJoCo", 20),

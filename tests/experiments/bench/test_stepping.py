@@ -3,12 +3,10 @@
 import jax
 import numpy as np
 import pytest
-from mujoco import rollout
 
-from envs.engines.c import usable_cores
-from experiments.bench import stepping
 from experiments.bench.bare_loops import mjx_loop, rollout_loop
 from experiments.bench.bare_warp import WarpLoop
+from experiments.bench.stepping import Stepping, step_task
 from experiments.bench.workload import Workload
 
 ARM = slice(3, 11)  # joints that move; the base stands, and reach puts its fingers back after each action
@@ -18,13 +16,9 @@ def run_both(task, impl, substeps):
     """Start, end by the task's steps, and end by the engine's own loop: positions `[N, nq]`."""
     workload = Workload(task, impl, num_envs=3, substeps=substeps, quick=True)
     states, engine = workload.reset(), workload.env.engine
-    ends, controls = jax.jit(stepping.step_task, static_argnums=0)(workload.env, states, workload.actions())
+    ends, controls = jax.jit(step_task, static_argnums=0)(workload.env, states, workload.actions())
     start = states.pipeline_state
-    if impl == "c":
-        with rollout.Rollout(nthread=usable_cores()) as pool:
-            bare = rollout_loop(engine, pool, start, controls)()
-    else:
-        bare = mjx_loop(engine, start, controls)()
+    bare = rollout_loop(engine, start, controls)() if impl == "c" else mjx_loop(engine, start, controls)()
     return np.asarray(start.qpos), np.asarray(ends.pipeline_state.qpos), np.asarray(bare)
 
 
@@ -52,16 +46,19 @@ def test_the_loop_of_mujoco_warp_moves_the_arm_as_reach_does():
     pytest.importorskip("warp")
     workload = Workload("reach", "c", num_envs=3, substeps=4, quick=True)
     states = workload.reset()
-    ends, controls = jax.jit(stepping.step_task, static_argnums=0)(workload.env, states, workload.actions())
+    ends, controls = jax.jit(step_task, static_argnums=0)(workload.env, states, workload.actions())
     loop = WarpLoop(workload.env.engine.model, 4, states.pipeline_state, controls)
     for _ in range(2):  # each call starts anew
         loop()
         np.testing.assert_allclose(loop.positions()[:, ARM], ends.pipeline_state.qpos[:, ARM], atol=1e-2)
 
 
-def test_what_is_measured_of_c_mujoco_has_its_bare_loop(monkeypatch):
-    monkeypatch.setattr("experiments.bench.timing._MOST_CALLS", 1)
-    measured = stepping.measure_stepping(Workload("reach", "c", num_envs=2, substeps=4, quick=True))
-    assert measured["raw_to_bare"] == (
-        measured["raw_env_steps_per_second"] / measured["bare_rollout_env_steps_per_second"]
-    )
+def test_a_row_of_stepping_has_the_rates_that_its_seconds_say():
+    workload = Workload("reach", "c", num_envs=2, substeps=4, quick=True)
+    stepping = Stepping(workload)
+    for call in stepping.calls.values():
+        call()
+    row = stepping.row({"raw": 0.5, "bare_rollout": 0.25})
+    assert row["raw_env_steps_per_second"] == workload.env_steps / 0.5
+    assert row["bare_rollout_env_steps_per_second"] == workload.env_steps / 0.25
+    assert row["raw_to_bare"] == 0.5
