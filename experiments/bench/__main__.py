@@ -14,6 +14,8 @@ import envs
 from envs.engines import ENGINES
 from envs.fetch.arm import FetchEnv
 from experiments.bench import speed
+from experiments.bench.figures import draw_learners
+from experiments.bench.learners import METHODS, contrastive_rows, method_rows
 from experiments.bench.peers import PACKAGES, peer_rows
 from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
@@ -40,7 +42,18 @@ class Options:
     """Measures speed and writes what it finds to a file, beside what is there already."""
 
     section: tuple[
-        Literal["physics", "rollout", "train", "shares", "seeds", "devices", "compile", "time-to-success", "peers"],
+        Literal[
+            "physics",
+            "rollout",
+            "train",
+            "shares",
+            "seeds",
+            "devices",
+            "compile",
+            "time-to-success",
+            "peers",
+            "learners",
+        ],
         ...,
     ] = ("physics", "rollout", "train", "shares")
     """What to measure. The first four are columns of one row for each size."""
@@ -80,6 +93,16 @@ def main(arguments: list[str] | None = None) -> None:
         fail(PROGRAM, (str(error) or repr(error)).splitlines()[0], 1)
     for section in dict.fromkeys(row["section"] for row in results.added):
         print(f"\n{table([row for row in results.added if row['section'] == section])}")
+    for task in dict.fromkeys(row["task"] for row in results.added if row["section"] == "learners"):
+        print(f"-> {_draw(results, task)}")
+
+
+def _draw(results: Results, task: str) -> Path:
+    """Draws a task's learners in the file, those of the device that the last of them ran on; returns the picture."""
+    rows = [row for row in results.rows if (row["section"], row["task"]) == ("learners", task)]
+    path = results.path.with_name(f"learners-{task}.png")
+    draw_learners([row for row in rows if row["made_by"]["device"] == rows[-1]["made_by"]["device"]], path)
+    return path
 
 
 def _check(options: Options) -> None:
@@ -106,6 +129,9 @@ def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
         for task in options.task if section in options.section else ():
             row, made_by = call(task, options.run, options.quick)
             yield {"section": section, **row}, made_by
+    for task, method in itertools.product(options.task if "learners" in options.section else (), METHODS):
+        for row, made_by in method_rows(task, method, options.quick):
+            yield {"section": "learners", **row}, made_by
     for task in options.task:
         for row in _rows(options, task):
             yield row, provenance(*(PACKAGES if row["section"] == "peers" else ()))
@@ -128,6 +154,12 @@ def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
     if "peers" in options.section:
         for row in peer_rows(task, options.quick, options.time_limit):
             yield {"section": "peers", **row}
+    if "learners" in options.section:
+        try:
+            for row in contrastive_rows(task, options.quick, options.time_limit):
+                yield {"section": "learners", **row}
+        except ImportError as error:
+            print(f"left out: jaxgcrl ({error})")
 
 
 def _workloads(options: Options, task: str, num_envs: Sequence[int]) -> Iterator[Workload]:

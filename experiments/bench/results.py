@@ -17,6 +17,7 @@ _SAME = (
     "num_envs_per_seed",
     "devices",
     "what",
+    "seed",
     "options",
     "quick",
 )
@@ -36,15 +37,16 @@ class Results:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._rows: list[dict[str, Any]] = []
+        self.path = path
+        self.rows: list[dict[str, Any]] = []
+        """All rows, each with what made it."""
         self.added: list[dict[str, Any]] = []
         """The rows of this process."""
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             try:
-                self._rows = json.loads(path.read_text())["rows"]
-                for row in self._rows:
+                self.rows = json.loads(path.read_text())["rows"]
+                for row in self.rows:
                     _key(row)
             except (ValueError, KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"{path} is no file of measurements: {error!r}") from None
@@ -61,8 +63,8 @@ class Results:
         """
         self.added.append(row)
         row = row | {"made_by": made_by}
-        self._rows = [old for old in self._rows if _key(old) != _key(row)] + [row]
-        write_json(self._path, {"rows": self._rows})
+        self.rows = [old for old in self.rows if _key(old) != _key(row)] + [row]
+        write_json(self.path, {"rows": self.rows})
 
 
 def _key(row: dict[str, Any]) -> tuple:
@@ -79,11 +81,13 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Returns a number to three digits, anything else as it is.
+    """Returns a number to three digits, of a list its first and its last, anything else as it is.
 
-    >>> _short(1234567.8), _short(0.98765), _short(4)
-    ('1,230,000', '0.988', '4')
+    >>> _short(1234567.8), _short(0.98765), _short(4), _short([0.1, 0.2, 0.3])
+    ('1,230,000', '0.988', '4', '0.1 ... 0.3')
     """
+    if isinstance(value, list):
+        return f"{_short(value[0])} ... {_short(value[-1])}" if value else ""
     if not isinstance(value, float):
         return str(value)
     rounded = float(f"{value:.3g}")

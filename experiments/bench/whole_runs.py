@@ -41,10 +41,10 @@ def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple
     with tempfile.TemporaryDirectory() as name:
         folder, measured = Path(name), dict[str, Any](task=task)
         for run, programs in (("first", "of-first"), ("cold", "of-others"), ("cached", "of-others")):
-            summary, _ = _train(folder / run, arguments, folder / programs, folder / "kernels")
+            summary, _ = train(folder / run, arguments, folder / programs, folder / "kernels")
             measured[f"{run}_compile_seconds"] = summary["wall_seconds"]["compile"]
             measured[f"{run}_total_seconds"] = summary["wall_seconds"]["total"]
-    return measured | _given(options), _made_by(summary)
+    return measured | _given(options), made_by(summary)
 
 
 def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -54,7 +54,7 @@ def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> t
     """
     arguments = ["--task", task, *(_QUICK if quick else ()), *options]
     with tempfile.TemporaryDirectory() as folder:
-        summary, rows = _train(Path(folder) / "run", arguments, Path(folder) / "programs")
+        summary, rows = train(Path(folder) / "run", arguments, Path(folder) / "programs")
     wanted = SUCCESS.get(task, _SUCCESS_ELSE)
     seconds, steps = first_success(rows, wanted)
     measured = {
@@ -70,7 +70,7 @@ def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> t
         "final_success_mean": summary["success_rate"]["mean"],
         "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
     }
-    return measured | _given(options), _made_by(summary)
+    return measured | _given(options), made_by(summary)
 
 
 def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
@@ -90,7 +90,7 @@ def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | No
     return None, None
 
 
-def _train(
+def train(
     folder: Path, arguments: Sequence[str], programs: Path, kernels: Path | None = None
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
     """Trains, its output shown, and returns the run's summary and the rows of metrics.csv.
@@ -117,5 +117,6 @@ def _given(options: Sequence[str]) -> dict[str, str]:
     return {"options": " ".join(options)} if options else {}
 
 
-def _made_by(summary: dict[str, Any]) -> dict[str, Any]:
+def made_by(summary: dict[str, Any]) -> dict[str, Any]:
+    """Returns what made a run, of its summary, and this process's command."""
     return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "versions")}

@@ -97,7 +97,15 @@ def test_reading_options_starts_no_backend():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "section",
-    [["physics", "rollout", "train", "shares"], ["seeds"], ["devices"], ["compile"], ["time-to-success"], ["peers"]],
+    [
+        ["physics", "rollout", "train", "shares"],
+        ["seeds"],
+        ["devices"],
+        ["compile"],
+        ["time-to-success"],
+        ["peers"],
+        ["learners"],
+    ],
 )
 def test_every_section_runs(tmp_path, section):
     path = tmp_path / "bench.json"

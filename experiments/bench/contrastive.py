@@ -1,0 +1,184 @@
+"""JaxGCRL's contrastive learner, off-policy and with hindsight, on this project's Fetch tasks."""
+
+import contextlib
+import functools
+import importlib.util
+import sys
+from collections.abc import Callable
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.envs.base import Env, State, Wrapper
+
+import envs
+from envs.fetch.arm import FetchEnv
+
+EPISODES = 256
+"""Episodes of a test."""
+_EPOCH_EPISODES = 4  # of each environment, from one test to the next
+_PREFILL_EPISODES = 2  # likewise, before the first update
+_MOST_TESTS = 100_000
+
+# What JaxGCRL 0.2.8 imports and these versions lack: it needs them for annotations, and for logs that are not kept.
+_ABSENT: dict[str, dict[str, Any]] = {
+    "brax.v1": {"envs": SimpleNamespace(Env=Env, State=State, Wrapper=Wrapper)},
+    "wandb_osh": {},
+    "wandb_osh.hooks": {"TriggerWandbSyncHook": object},
+}
+
+Tested = Callable[[int, float, float], bool]
+"""Is told of each test: environment steps, seconds of training with its compilation, and the success rate. Returns
+whether that is enough."""
+
+
+class JaxGcrlTask(Env):
+    """A Fetch task as JaxGCRL wants one: a state, somewhere in which is what the goal is about, and then the goal.
+
+    The state is the task's observation without the goal, where there is an object the reference's; the goal is the
+    position of the gripper or of the object, `[3]`, metres. The reward is 1 where a step is at the goal, else 0.
+
+    Args:
+      task: reach, push, pick-and-place or slide.
+      impl: see `FetchEnv`.
+      substeps: likewise.
+      worlds: likewise.
+
+    Raises:
+      ValueError: the task's goal is no position alone.
+
+    """
+
+    def __init__(self, task: str, impl: str, substeps: int, worlds: int) -> None:
+        if task not in ("reach", "push", "pick-and-place", "slide"):
+            raise ValueError(f"task is {task!r}; JaxGCRL learns positions: reach, push, pick-and-place, slide")
+        of_object = task != "reach"
+        options = {"observation": "official"} if of_object else {}
+        env = envs.make(task, impl=impl, substeps=substeps, worlds=worlds, **options)
+        assert isinstance(env, FetchEnv)
+        self.env = env
+        self.state_dim = env.feature_size
+        self.goal_indices = np.arange(3, 6) if of_object else np.arange(3)
+        """Where in the state the position is that the goal is about."""
+        self.goal_reach_thresh = env.success_threshold
+
+    def reset(self, rng: jax.Array) -> State:
+        """Starts an episode that is measured."""
+        return self._seen(self.env.reset(rng), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Takes one step."""
+        return self._seen(self.env.step(state, action), state.metrics)
+
+    def _seen(self, state: State, metrics: dict[str, jax.Array]) -> State:
+        features, goal = state.info["observation"], state.info["desired_goal"][:3]
+        success = state.reward + 1.0
+        told = {
+            "reward": success,
+            "success": success,
+            "success_easy": success,
+            "dist": jnp.linalg.norm(features[self.goal_indices] - goal),
+            "distance_from_origin": jnp.zeros(()),
+        }
+        return state.replace(obs=jnp.concatenate([features, goal]), reward=success, metrics=metrics | told)
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in an observation."""
+        return self.state_dim + 3
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in an action."""
+        return self.env.action_size
+
+    @property
+    def backend(self) -> str:
+        """Brax's name for the physics."""
+        return self.env.backend
+
+
+class _Enough(Exception):
+    """Ends a training from within."""
+
+
+def train_contrastive(task: JaxGcrlTask, num_envs: int, seed: int, tested: Tested) -> None:
+    """Trains with JaxGCRL's CRL in its own settings, and tests the mean action every few episodes, until it is enough.
+
+    Args:
+      task: what to learn.
+      num_envs: environments, a multiple of 256.
+      seed: of the training.
+      tested: is told of each test.
+
+    Raises:
+      ImportError: JaxGCRL is not there.
+
+    """
+    crl = _import_learner()
+    learner = crl(unroll_length=task.env.episode_length, min_replay_size=_PREFILL_EPISODES * task.env.episode_length)
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def test(make_policy: Callable, params: Any) -> jax.Array:
+        policy = make_policy(params)
+        return success_rate(task, lambda seen: jnp.tanh(policy(seen, None)[0]))
+
+    def progress(
+        env_steps: int, metrics: dict[str, Any], make_policy: Callable, params: Any, *_: Any, **__: Any
+    ) -> None:
+        seconds = float(metrics["training/walltime"])
+        if tested(env_steps, seconds, float(test(make_policy, params))):
+            raise _Enough
+
+    with contextlib.suppress(_Enough):
+        learner.train_fn(_run(task, num_envs, seed), task, task, progress_fn=progress)
+
+
+def success_rate(task: JaxGcrlTask, act: Callable[[jax.Array], jax.Array]) -> jax.Array:
+    """Returns the share of `EPISODES` episodes whose last step is a success, `[]`.
+
+    Args:
+      task: the task.
+      act: actions, `[..., action_size]`, for observations, `[..., observation_size]`.
+
+    """
+
+    def step(states: State, _: None) -> tuple[State, None]:
+        return jax.vmap(task.step)(states, act(states.obs)), None
+
+    states = jax.vmap(task.reset)(jax.random.split(jax.random.key(0), EPISODES))
+    end, _ = jax.lax.scan(step, states, None, task.env.episode_length)
+    return end.metrics["success"].mean()
+
+
+def _run(task: JaxGcrlTask, num_envs: int, seed: int) -> SimpleNamespace:
+    """Returns the settings of a run without an end of its own, tested every `_EPOCH_EPISODES` episodes."""
+    length = task.env.episode_length
+    return SimpleNamespace(
+        seed=seed,
+        num_envs=num_envs,
+        episode_length=length,
+        total_env_steps=num_envs * length * (_PREFILL_EPISODES + _EPOCH_EPISODES * _MOST_TESTS),
+        num_evals=_MOST_TESTS,
+        num_eval_envs=1,  # of its own tests, whose success is the best step's
+        action_repeat=1,
+        visualization_interval=_MOST_TESTS,
+        checkpoint_logdir=None,
+    )
+
+
+def _import_learner() -> Any:
+    for name, contents in _ABSENT.items():
+        if name not in sys.modules and not _is_there(name):
+            sys.modules[name] = ModuleType(name)
+            vars(sys.modules[name]).update(contents)
+    return importlib.import_module("jaxgcrl.agents").CRL
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False

@@ -1,0 +1,44 @@
+"""Draws learners side by side: success over environment steps, and over seconds."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+
+from hgail_jax.io.files import replace_file
+
+_PANELS = (("env_steps", "environment steps of a seed"), ("train_seconds", "seconds, compilation included"))
+
+
+def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draws rows of one task, see `learners.method_rows`: a line for each seed, a colour for each learner.
+
+    Args:
+      rows: at least one.
+      path: where the PNG goes.
+
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.6), constrained_layout=True, sharey=True)
+    learners = list(dict.fromkeys(row["what"] for row in rows))
+    colors = {name: plt.colormaps["tab10"](index % 10) for index, name in enumerate(learners)}
+    for axis, (column, label) in zip(axes, _PANELS, strict=True):
+        named = set()
+        for row in rows:
+            style = {"color": colors[row["what"]], "linewidth": 1.5, "marker": "o", "markersize": 2.5, "alpha": 0.8}
+            name = "_" if row["what"] in named else row["what"]  # once in the legend
+            axis.plot(row[column], row["success"], label=name, **style)
+            named.add(row["what"])
+        axis.set(xscale="log", xlabel=label, ylim=(-0.02, 1.02))
+        axis.grid(alpha=0.3)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("success rate")
+    axes[1].legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    device = rows[-1]["made_by"]["device"]
+    figure.suptitle(f"{rows[-1]['task']}, on one {device['platform'].upper()}: {device['kind']}", fontsize=11)
+    with replace_file(path, "wb") as file:
+        figure.savefig(file, dpi=130, format="png")
+    plt.close(figure)
