@@ -126,7 +126,8 @@ class HostRollout:
             end, sensordata = room.states[:, -1].astype(np.float32), room.sensors[:, -1].astype(np.float32)
         # MuJoCo resets a simulation that breaks down, and its clock with it; after any warning it stops early.
         broken = ~(end[:, 0] > _START + (self._substeps - 0.5) * model.opt.timestep)
-        end[broken, 1:velocities] = np.nan
+        if broken.any():
+            end[broken, 1:velocities] = np.nan
         parts = end[:, 1:velocities], end[:, velocities : velocities + model.nv], sensordata
         return tuple(part.reshape(*batch, -1) for part in parts)
 

@@ -7,6 +7,7 @@ function interface, and hands over its own buffers. The structures below are tho
 """
 
 import ctypes
+import math
 import operator
 import threading
 from collections.abc import Callable, Generator, Sequence
@@ -84,8 +85,10 @@ class _Buffer(ctypes.Structure):
     def array(self) -> np.ndarray:
         """Returns the buffer as an array, without a copy."""
         shape = tuple(self.dims[: self.rank])
-        floats = ctypes.cast(self.data, ctypes.POINTER(ctypes.c_float))
-        return np.ctypeslib.as_array(floats, shape)
+        size = math.prod(shape)
+        if not size:
+            return np.empty(shape, np.float32)  # no memory need be there
+        return np.frombuffer((ctypes.c_float * size).from_address(self.data), np.float32).reshape(shape)
 
 
 class _Buffers(ctypes.Structure):
