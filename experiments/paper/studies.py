@@ -6,6 +6,7 @@ from experiments.paper.parts import PARTS
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
+from hgail_jax.presets import AS_WRITTEN
 
 MOST_DEMONSTRATIONS = 100
 LONGER = "table1-longer"
@@ -129,7 +130,10 @@ _ABLATIONS = Study(
     "all ablations",
     (
         Setting("pre-training alone", "with pre-training", config={"rounds": 0}),
-        *_both(Setting("the paper's sizes", preset="paper")),
+        *_both(
+            Setting("the paper's sizes", preset="paper", config=AS_WRITTEN),
+            Setting("the paper's sizes, 1 update of the policy to 3", preset="paper"),
+        ),
         *_both(Setting("HGAIL")),
         *(
             dataclasses.replace(setting, paper={})

@@ -5,14 +5,15 @@ from typing import Any
 
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from hgail_jax.config import REWARDS
+from hgail_jax.presets import AS_WRITTEN
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
-    return Setting(name, preset="paper", config=config or {}, hyperparameters=hyperparameters, steps=3)
+    return Setting(name, preset="paper", config=AS_WRITTEN | (config or {}), hyperparameters=hyperparameters, steps=3)
 
 
-# The paper's preset has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each,
-# and 50 of 64 for the discriminator. All that differs in numbers alone is one program.
+# The paper has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each, and 50 of
+# 64 for the discriminator. All that differs in numbers alone is one program.
 _OF_NUMBERS = (
     _change("as they are"),
     *(_change(f"σ {std:g}", action_std=std) for std in (0.1, 0.2, 0.3, 0.5)),

@@ -1,9 +1,11 @@
+import dataclasses
+
 import pytest
 
 import envs
 from hgail_jax import PRESETS, TrainOptions
 from hgail_jax.distributed.seeds import evaluation_episodes
-from hgail_jax.presets import task_preset
+from hgail_jax.presets import AS_WRITTEN, task_preset
 from hgail_jax.trainer.options import plan
 
 
@@ -35,3 +37,15 @@ def test_a_task_changes_the_default_preset_and_no_other():
     assert PRESETS["parallel"].config.likelihood_batch == 0  # and not in place
     with pytest.raises(ValueError, match="preset is 'tiny'; choose from parallel, paper"):
         task_preset(grasp, "cpu", "tiny")
+
+
+def test_the_paper_s_sizes_are_those_it_tells():
+    """Section 5 of the paper: steps, learning rates, batches, covariance."""
+    config = dataclasses.replace(PRESETS["paper"].config, **AS_WRITTEN)
+    assert (config.policy_phases, config.discriminator_phases, config.final_learning_rate) == (16, 3, 1.0)
+    assert (config.num_envs * 50 / config.ppo_minibatches, config.discriminator_batch) == (128, 64)
+    numbers = PRESETS["paper"].hyperparameters
+    assert (numbers.policy_learning_rate, numbers.discriminator_learning_rate) == (1e-3, 4e-4)
+    assert numbers.action_std == 1.0
+    departures = {name for name in vars(config) if getattr(config, name) != getattr(PRESETS["paper"].config, name)}
+    assert departures == set(AS_WRITTEN)
