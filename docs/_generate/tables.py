@@ -182,7 +182,17 @@ def on_a_cpu() -> str:
     ]
     rows = [row for row in rows if row["made_by"]["device"]["platform"] == "cpu"]
     return markdown(
-        ["task", "engine", "environments", "physics steps", "raw", "its bare loop", "ratio", "training"],
+        [
+            "task",
+            "engine",
+            "environments",
+            "physics steps",
+            "raw",
+            "its bare loop",
+            "ratio",
+            "training",
+            "training / raw",
+        ],
         [
             [
                 row["task"],
@@ -192,7 +202,8 @@ def on_a_cpu() -> str:
                 rate(row["raw_env_steps_per_second"]),
                 rate(row.get("bare_rollout_env_steps_per_second", row.get("bare_mjx_env_steps_per_second"))),
                 fixed(row["raw_to_bare"], 2),
-                rate(row["train_env_steps_per_second"]) if "train_env_steps_per_second" in row else "",
+                rate(row["train_env_steps_per_second"]),
+                fixed(row["train_to_raw"], 2),
             ]
             for row in rows
         ],
@@ -213,6 +224,32 @@ def peers() -> str:
                 rate(row["env_steps_per_second"]),
             ]
             for row in rows
+        ],
+    )
+
+
+def paper_sizes(least: float = 0.1) -> str:
+    """What one change to the paper's sizes comes to on reach; those that come to less than `least` share a row."""
+    tuning = read_json("suite/paper-sizes-tuning")
+    rows = [row | {"of": tuning["env_steps_per_seed"]} for row in tuning["rows"]]
+    longer = [row | {"of": tuning["longer"]["env_steps_per_seed"]} for row in tuning["longer"]["rows"]]
+    vain = [row for row in rows if row["success_rate"] < least]
+    most = max(row["success_rate"] for row in vain)
+    shown = sorted((row for row in rows if row not in vain), key=lambda row: -row["success_rate"])
+    return markdown(
+        ["change", "env steps per seed", "success", "of each seed"],
+        [
+            ["none", count(tuning["env_steps_per_seed"]), fixed(rows[0]["success_rate"], 2), ""],
+            [f"each of {len(vain) - 1} others", count(tuning["env_steps_per_seed"]), f"at most {fixed(most, 2)}", ""],
+            *(
+                [
+                    row["setting"],
+                    count(row["of"]),
+                    fixed(row["success_rate"], 2),
+                    ", ".join(fixed(value, 2) for value in row["success_per_seed"]),
+                ]
+                for row in shown + longer
+            ),
         ],
     )
 
