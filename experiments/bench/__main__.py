@@ -13,7 +13,7 @@ import tyro
 import envs
 from envs.engines import ENGINES
 from envs.fetch.arm import FetchEnv
-from experiments.bench import speed
+from experiments.bench import contrastive, speed
 from experiments.bench.figures import draw_learners
 from experiments.bench.learners import METHODS, contrastive_rows, method_rows
 from experiments.bench.peers import PACKAGES, peer_rows
@@ -112,6 +112,8 @@ def _check(options: Options) -> None:
             raise ValueError(f"--{name} names nothing")
     for task in options.task:
         check_name("task", task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
+        if "learners" in options.section:
+            check_name("task of learners", task, contrastive.TASKS)
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
     check_positive("time_limit", options.time_limit)

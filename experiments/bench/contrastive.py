@@ -15,7 +15,10 @@ from brax.envs.base import Env, State, Wrapper
 
 import envs
 from envs.fetch.arm import FetchEnv
+from hgail_jax.validation import check_name
 
+TASKS = ("reach", "push", "pick-and-place", "slide")
+"""Tasks whose goals are positions, which is what it learns."""
 EPISODES = 256
 """Episodes of a test."""
 _EPOCH_EPISODES = 4  # of each environment, from one test to the next
@@ -30,12 +33,15 @@ _ABSENT: dict[str, dict[str, Any]] = {
 }
 
 Tested = Callable[[int, float, float], bool]
-"""Is told of each test: environment steps, seconds of training with its compilation, and the success rate. Returns
-whether that is enough."""
+"""Is told of each test: environment steps, seconds by JaxGCRL's clock and the success rate. Returns whether that is
+enough. The clock counts training and its compilation, not the first roll-outs, before any update, and not the tests."""
 
 
 class JaxGcrlTask(Env):
     """A Fetch task as JaxGCRL wants one: a state, somewhere in which is what the goal is about, and then the goal.
+
+    As in JaxGCRL's own tasks, brax's wrapper begins each episode of an environment as it began the first one, and with
+    its goal.
 
     The state is the task's observation without the goal, where there is an object the reference's; the goal is the
     position of the gripper or of the object, `[3]`, metres. The reward is 1 where a step is at the goal, else 0.
@@ -47,13 +53,12 @@ class JaxGcrlTask(Env):
       worlds: likewise.
 
     Raises:
-      ValueError: the task's goal is no position alone.
+      ValueError: the task is not one of `TASKS`.
 
     """
 
     def __init__(self, task: str, impl: str, substeps: int, worlds: int) -> None:
-        if task not in ("reach", "push", "pick-and-place", "slide"):
-            raise ValueError(f"task is {task!r}; JaxGCRL learns positions: reach, push, pick-and-place, slide")
+        check_name("task", task, TASKS)
         of_object = task != "reach"
         options = {"observation": "official"} if of_object else {}
         env = envs.make(task, impl=impl, substeps=substeps, worlds=worlds, **options)

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 
 from hgail_jax.io.files import replace_file
 
-_PANELS = (("env_steps", "environment steps of a seed"), ("train_seconds", "seconds, compilation included"))
+_PANELS = (("env_steps", "environment steps of a seed"), ("train_seconds", "seconds, with compilation"))
 
 
 def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:

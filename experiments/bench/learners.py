@@ -22,7 +22,8 @@ _QUICK_METHOD = ("--num-envs", "4", "--iterations", "1")
 def method_rows(task: str, method: str, quick: bool) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Trains `SEEDS` seeds of a method by default, side by side; yields a row for each seed, and what made it.
 
-    A row has lists over the tests of the training: environment steps, seconds, compilation included, and success rates.
+    A row has lists over the tests of the training: environment steps of a seed; seconds, of all seeds together,
+    compilation and tests included; and success rates.
     """
     arguments = ["--task", task, "--method", method, "--seeds", str(SEEDS), *(_QUICK_METHOD if quick else ())]
     with tempfile.TemporaryDirectory() as folder:
@@ -44,11 +45,12 @@ def method_rows(task: str, method: str, quick: bool) -> Iterator[tuple[dict[str,
 def contrastive_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict[str, Any]]:
     """Trains JaxGCRL's learner, one seed after the other; yields a row for each, see `method_rows`.
 
-    Each ends with success, or once it has trained for `time_limit` seconds.
+    Each ends with success, or once it has trained for `time_limit` seconds. Seconds are by its own clock, see
+    `contrastive.Tested`, and each seed has the machine to itself.
 
     Raises:
       ImportError: JaxGCRL is not there.
-      ValueError: it cannot learn the task.
+      ValueError: it cannot learn the task, see `contrastive.TASKS`.
 
     """
     platform = platform_name()

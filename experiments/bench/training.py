@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
@@ -42,12 +43,14 @@ class Training:
         self.compile_seconds = time.perf_counter() - started
 
     def call(self, *phases: Phase) -> Callable[[], Any]:
-        """Returns a function that trains on for a round of these phases; the rest of its row is skipped."""
+        """Returns a function that trains on, from the start, for a round of these phases; its row's rest is skipped."""
         row = np.full_like(self._row, Phase.SKIP)
         row[: len(phases)] = phases
+        states = jax.tree.map(jnp.copy, self._states)  # its own: the step takes what it is given
 
         def call() -> Any:
-            self._states, metrics = self._step(self._states, row)
+            nonlocal states
+            states, metrics = self._step(states, row)
             return metrics
 
         return call
@@ -93,7 +96,7 @@ class RollingOut:
 
 
 class Learning:
-    """The phases of a round that learn, PPO and discriminator as often as by default, to be timed.
+    """The phases of a round that learn, PPO and discriminator as often as by default, to be timed without pre-training.
 
     Args:
       workload: what is trained on.
@@ -101,7 +104,7 @@ class Learning:
 
     """
 
-    def __init__(self, workload: Workload, each_phase: bool = False) -> None:
+    def __init__(self, workload: Workload, each_phase: bool) -> None:
         training = Training(workload)
         phases = training.updates()
         self._env_steps, self._compile_seconds = len(phases) * workload.env_steps, training.compile_seconds

@@ -56,6 +56,7 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--task", "reach", "point"], "bench: task is 'point'; choose from "),
         (["--time-limit", "0"], "bench: time_limit is 0.0; it must be positive and finite"),
         (["--section", "everything"], "bench: --section"),
+        (["--section", "learners", "--task", "grasp"], "bench: task of learners is 'grasp'; choose from "),
     ],
 )
 def test_mistakes_are_refused_in_one_line(tmp_path, monkeypatch, capsys, options, reason):

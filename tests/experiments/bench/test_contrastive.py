@@ -1,12 +1,13 @@
 """Another project's learner on this project's tasks."""
 
 import sys
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.envs.base import State
 
 from envs.fetch import controllers
 from experiments.bench import contrastive
@@ -29,16 +30,32 @@ def test_the_goal_is_about_what_the_indices_name(task):
 
 
 def test_a_goal_that_is_more_than_a_position_is_refused():
-    with pytest.raises(ValueError, match="task is 'grasp'; JaxGCRL learns positions: reach, push"):
+    with pytest.raises(ValueError, match="task is 'grasp'; choose from reach, push"):
         JaxGcrlTask("grasp", "c", 8, 1)
 
 
-def test_success_is_that_of_the_last_step(monkeypatch):
+def test_a_policy_is_tested_for_whole_episodes(monkeypatch):
     monkeypatch.setattr(contrastive, "EPISODES", 8)
     learnt = JaxGcrlTask("reach", "c", substeps=4, worlds=8)
     assert success_rate(learnt, controllers.reach) == 1.0
     learnt.env.episode_length = 1  # nothing is in reach of one step
     assert success_rate(learnt, controllers.reach) < 0.5
+
+
+@pytest.mark.parametrize(("success_at", "rate"), [(3, 1.0), (1, 0.0), (4, 0.0)])
+def test_success_is_that_of_the_last_step(success_at, rate):
+    """In a task that only counts its steps, of which an episode has three."""
+
+    def state(steps):
+        metrics = {"success": (steps == success_at).astype(jnp.float32)}
+        return State(None, steps[None], jnp.zeros(()), jnp.zeros(()), metrics)
+
+    counting = SimpleNamespace(
+        env=SimpleNamespace(episode_length=3),
+        reset=lambda rng: state(jnp.zeros(())),
+        step=lambda before, action: state(before.obs[0] + action[0]),
+    )
+    assert success_rate(counting, jnp.ones_like) == rate
 
 
 class Learner:
