@@ -195,6 +195,14 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{fixed(100.0 * share, digits)} %"
 
 
+def run_means(run: str) -> list[float]:
+    """Returns the success rate in each test of a run's training, the mean over its seeds."""
+    tests: dict[float, list[float]] = {}
+    for row in read_csv(f"runs/{run}/metrics"):
+        tests.setdefault(row["round"], []).append(row["success_rate"])
+    return [mean(rates) for rates in tests.values()]
+
+
 def printed(run: str) -> str:
     """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
     summary = read_json(f"runs/{run}/summary")

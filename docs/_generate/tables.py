@@ -1,6 +1,8 @@
 """Writes the tables of the documentation, as Markdown, from what was measured."""
 
 import dataclasses
+import math
+import statistics
 from typing import Any
 
 import numpy as np
@@ -228,30 +230,46 @@ def peers() -> str:
     )
 
 
+def learners(task: str, wanted: float = 0.98) -> str:
+    """When the seeds of a learner first had a success rate in a test of the training: the middle one and the last."""
+    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "learners" and row["task"] == task]
+    lines = []
+    for what in dict.fromkeys(row["what"] for row in rows):
+        seeds = [row for row in rows if row["what"] == what]
+        line = [what, str(len(seeds))]
+        for column, write in (("env_steps", count), ("train_seconds", seconds)):
+            found = sorted(_first(row, column, wanted) for row in seeds)
+            line += [write(value) if value < math.inf else "never" for value in (statistics.median(found), found[-1])]
+        lines.append([*line, fixed(min(max(row["success"]) for row in seeds), 2)])
+    header = ["learner", "seeds", "env steps, middle seed", "last seed", "seconds, middle seed", "last seed"]
+    return markdown([*header, "the worst seed's best test"], lines)
+
+
+def _first(row: Row, column: str, wanted: float) -> float:
+    """Returns a row's entry at its first test with a success rate, infinity where there is none."""
+    return next((value for value, rate in zip(row[column], row["success"], strict=True) if rate >= wanted), math.inf)
+
+
 def paper_sizes(least: float = 0.1) -> str:
     """What one change to the paper's sizes comes to on reach; those that come to less than `least` share a row."""
     tuning = read_json("suite/paper-sizes-tuning")
-    rows = [row | {"of": tuning["env_steps_per_seed"]} for row in tuning["rows"]]
-    longer = [row | {"of": tuning["longer"]["env_steps_per_seed"]} for row in tuning["longer"]["rows"]]
-    vain = [row for row in rows if row["success_rate"] < least]
-    most = max(row["success_rate"] for row in vain)
-    shown = sorted((row for row in rows if row not in vain), key=lambda row: -row["success_rate"])
+    none, *changed = tuning["rows"]
+    vain = [row for row in changed if row["success_rate"] < least]
+    shown = sorted((row for row in changed if row not in vain), key=lambda row: -row["success_rate"])
+    most = fixed(max(row["success_rate"] for row in vain), 2)
     return markdown(
         ["change", "env steps per seed", "success", "of each seed"],
         [
-            ["none", count(tuning["env_steps_per_seed"]), fixed(rows[0]["success_rate"], 2), ""],
-            [f"each of {len(vain) - 1} others", count(tuning["env_steps_per_seed"]), f"at most {fixed(most, 2)}", ""],
-            *(
-                [
-                    row["setting"],
-                    count(row["of"]),
-                    fixed(row["success_rate"], 2),
-                    ", ".join(fixed(value, 2) for value in row["success_per_seed"]),
-                ]
-                for row in shown + longer
-            ),
+            _tried(none),
+            [f"each of {len(vain)} others", f"about {count(none['env_steps_per_seed'])}", f"at most {most}", ""],
+            *map(_tried, shown + tuning["longer"]),
         ],
     )
+
+
+def _tried(row: Row) -> list[str]:
+    of_each = ", ".join(fixed(value, 2) for value in row["success_per_seed"])
+    return [row["setting"], count(row["env_steps_per_seed"]), fixed(row["success_rate"], 2), of_each]
 
 
 def robots() -> str:

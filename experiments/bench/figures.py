@@ -11,7 +11,10 @@ import matplotlib.pyplot as plt
 
 from hgail_jax.io.files import replace_file
 
-_PANELS = (("env_steps", "environment steps of a seed"), ("train_seconds", "seconds, with compilation"))
+_PANELS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("env_steps", {"xscale": "log", "xlabel": "environment steps of a seed"}),
+    ("train_seconds", {"xlim": (0.0, None), "xlabel": "seconds, with compilation"}),
+)
 
 
 def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:
@@ -24,21 +27,23 @@ def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:
     """
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.6), constrained_layout=True, sharey=True)
     learners = list(dict.fromkeys(row["what"] for row in rows))
-    colors = {name: plt.colormaps["tab10"](index % 10) for index, name in enumerate(learners)}
-    for axis, (column, label) in zip(axes, _PANELS, strict=True):
+    colors: dict[str, Any] = {name: plt.colormaps["tab10"](index % 10) for index, name in enumerate(learners)}
+    for axis, (column, settings) in zip(axes, _PANELS, strict=True):
         named = set()
         for row in rows:
             style = {"color": colors[row["what"]], "linewidth": 1.5, "marker": "o", "markersize": 2.5, "alpha": 0.8}
             name = "_" if row["what"] in named else row["what"]  # once in the legend
             axis.plot(row[column], row["success"], label=name, **style)
             named.add(row["what"])
-        axis.set(xscale="log", xlabel=label, ylim=(-0.02, 1.02))
+        axis.set(ylim=(-0.02, 1.02), **settings)
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("success rate")
     axes[1].legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    device = rows[-1]["made_by"]["device"]
-    figure.suptitle(f"{rows[-1]['task']}, on one {device['platform'].upper()}: {device['kind']}", fontsize=11)
+    made_by = rows[-1]["made_by"]
+    kind = made_by["device"]["kind"]
+    where = f"{made_by['cpu_cores']} CPU cores" if made_by["device"]["platform"] == "cpu" else kind
+    figure.suptitle(f"{rows[-1]['task']}, {where}", fontsize=11)
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
     plt.close(figure)

@@ -119,4 +119,4 @@ def _given(options: Sequence[str]) -> dict[str, str]:
 
 def made_by(summary: dict[str, Any]) -> dict[str, Any]:
     """Returns what made a run, of its summary, and this process's command."""
-    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "versions")}
+    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "cpu_cores", "versions")}

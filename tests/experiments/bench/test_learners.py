@@ -34,7 +34,7 @@ def test_a_method_s_rows_are_its_tests(monkeypatch):
             for steps, seconds, success in ((100, 1.5, "0.25"), (200, 3.0, ""), (300, 4.5, "0.75"))
             for seed in range(4)
         ]
-        return {"wall_seconds": {"compile": 10.0}, "commit": "c", "device": {}, "versions": {}}, rows
+        return {"wall_seconds": {"compile": 10.0}, "commit": "c", "device": {}, "cpu_cores": 2, "versions": {}}, rows
 
     monkeypatch.setattr(learners, "train", train)
     rows = [row for row, made_by in learners.method_rows("reach", "gcsl", False)]
@@ -60,7 +60,12 @@ def test_the_picture_shows_what_ran_on_the_same_device(tmp_path, monkeypatch):
 
 
 def test_each_learner_has_a_colour_of_its_own(tmp_path):
-    curve = {"env_steps": [100, 200], "train_seconds": [1.0, 2.0], "success": [0.0, 1.0], "made_by": HERE}
+    curve = {
+        "env_steps": [100, 200],
+        "train_seconds": [1.0, 2.0],
+        "success": [0.0, 1.0],
+        "made_by": HERE | {"cpu_cores": 2},
+    }
     rows = [{"task": "reach", "what": what, "seed": seed} | curve for what in ("HGAIL", "other") for seed in (0, 1)]
     learners_figure = tmp_path / "learners.png"
     draw_learners(rows, learners_figure)
