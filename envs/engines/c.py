@@ -16,6 +16,7 @@ import os
 import threading
 import weakref
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Self
 
 import jax
@@ -28,6 +29,8 @@ from envs.engines.base import Control, Engine, StateT
 from envs.engines.host_call import host_call
 
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+
+_CGROUP = Path("/sys/fs/cgroup")
 
 _START = 1.0  # seconds on the clock at the start of an action, more than one lasts
 
@@ -212,10 +215,26 @@ def _digest(model: mujoco.MjModel) -> str:
 
 
 def usable_cores() -> int:
-    """Returns how many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Returns how many processors this process may use, by its affinity and by what a container limits it to."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, _container_limit(_CGROUP) or cores)
+
+
+def _container_limit(folder: Path) -> int | None:
+    """Returns the processors whose time a container may use, rounded up, by Linux's cgroups; None without a limit.
+
+    Args:
+      folder: where cgroups are mounted, of version 2 or 1.
+
+    """
+    for files in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
+        try:
+            quota, period = (int(word) for file in files for word in (folder / file).read_text().split())
+        except (OSError, ValueError):  # not there, or "max"
+            continue
+        if quota > 0:
+            return math.ceil(quota / period)
+    return None
 
 
 def _ignore(message: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import envs
-from envs.engines import make_engine
+from envs.engines import c, make_engine
 from envs.engines.c import HostRollout
 from tests.envs.engines.scene import (
     MODEL,
@@ -261,3 +261,25 @@ def test_a_breakdown_says_and_writes_nothing(tmp_path):
 
 def test_a_process_that_was_forked_after_the_first_call_steps_too(tmp_path):
     run_script(FORKS, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("files", "cores"),
+    [
+        ({}, 8),
+        ({"cpu.max": "max 100000"}, 8),
+        ({"cpu.max": "200000 100000"}, 2),
+        ({"cpu.max": "150000 100000"}, 2),
+        ({"cpu.max": "10000 100000"}, 1),
+        ({"cpu.max": "1600000 100000"}, 8),
+        ({"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, 8),
+        ({"cpu/cpu.cfs_quota_us": "300000", "cpu/cpu.cfs_period_us": "100000"}, 3),
+    ],
+)
+def test_a_container_s_limit_is_kept(tmp_path, monkeypatch, files, cores):
+    (tmp_path / "cpu").mkdir()
+    for name, content in files.items():
+        (tmp_path / name).write_text(f"{content}\n")
+    monkeypatch.setattr(c, "_CGROUP", tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    assert c.usable_cores() == cores
