@@ -38,13 +38,13 @@ enough. The clock counts training and its compilation, not the first roll-outs, 
 
 
 class JaxGcrlTask(Env):
-    """A Fetch task as JaxGCRL wants one: a state, somewhere in which is what the goal is about, and then the goal.
+    """A Fetch task as JaxGCRL wants one: observations that are a state and then the goal, which is a part of states.
 
-    As in JaxGCRL's own tasks, brax's wrapper begins each episode of an environment as it began the first one, and with
-    its goal.
-
-    The state is the task's observation without the goal, where there is an object the reference's; the goal is the
+    The state is the task's observation without the goal, or the reference's where there is an object. The goal is the
     position of the gripper or of the object, `[3]`, metres. The reward is 1 where a step is at the goal, else 0.
+
+    In training each environment has the start and the goal of its first episode again and again, as in JaxGCRL's own
+    tasks: brax's wrapper resets it so.
 
     Args:
       task: reach, push, pick-and-place or slide.
@@ -66,7 +66,7 @@ class JaxGcrlTask(Env):
         self.env = env
         self.state_dim = env.feature_size
         self.goal_indices = np.arange(3, 6) if of_object else np.arange(3)
-        """Where in the state the position is that the goal is about."""
+        """Where in a state the position is that a goal wants."""
         self.goal_reach_thresh = env.success_threshold
 
     def reset(self, rng: jax.Array) -> State:

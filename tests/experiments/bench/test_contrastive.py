@@ -90,3 +90,18 @@ def test_training_goes_on_until_its_tests_are_enough(jaxgcrl):
     tests = []
     train_contrastive(JaxGcrlTask("reach", "c", 4, 8), 2, 3, lambda *test: tests.append(test) or len(tests) == 3)
     assert tests == [(400, 10.0, pytest.approx(0.0, abs=0.3)), (800, 20.0, 1.0), (1200, 30.0, 1.0)]
+
+
+def test_what_jaxgcrl_imports_and_does_not_need_may_be_absent(tmp_path, monkeypatch):
+    for name in ("jaxgcrl", "jaxgcrl.agents", *contrastive._ABSENT):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))  # so that it is put back
+        del sys.modules[name]
+    (tmp_path / "jaxgcrl").mkdir()
+    (tmp_path / "jaxgcrl" / "agents.py").write_text(
+        "from brax.v1 import envs\n"
+        "from wandb_osh.hooks import TriggerWandbSyncHook\n"
+        "class CRL:\n"
+        "    annotated = envs.Env, envs.State, envs.Wrapper\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert contrastive._import_learner().annotated[1] is State

@@ -37,7 +37,8 @@ def test_a_method_s_rows_are_its_tests(monkeypatch):
         return {"wall_seconds": {"compile": 10.0}, "commit": "c", "device": {}, "cpu_cores": 2, "versions": {}}, rows
 
     monkeypatch.setattr(learners, "train", train)
-    rows = [row for row, made_by in learners.method_rows("reach", "gcsl", False)]
+    rows, made_by = zip(*learners.method_rows("reach", "gcsl", False), strict=True)
+    assert [(made["commit"], made["cpu_cores"]) for made in made_by] == [("c", 2)] * 4
     assert [row.pop("seed") for row in rows] == [0, 1, 2, 3]
     measured = SimpleNamespace(**rows[3])
     assert measured.what == "GCSL"
