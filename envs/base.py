@@ -234,6 +234,14 @@ class GoalEnv(Env):
         """Does what the first step would otherwise wait for, while the caller compiles; by default nothing."""
         return
 
+    def curriculum(self, progress: jax.Array | float) -> "GoalEnv":
+        """Returns the task as it is learnt from once a share `progress` of the rounds is through; by default itself.
+
+        `progress`, from 0 to 1, may be traced. At 1 it is the task that is measured.
+        """
+        del progress
+        return self
+
     def accurate(self) -> "GoalEnv":
         """Returns the task with its most accurate physics; a task with one physics only returns itself."""
         return self

@@ -13,16 +13,11 @@ MOST_DELAY = 50
 MODEL_FACTORS = ("friction", "object_mass", "object_size", "finger_force", "finger_speed")
 """Fields of `Randomization` that are ranges of those of `ModelFactors`."""
 _FACTORS = ("step_size", *MODEL_FACTORS)
-_NOT_NEGATIVE = (
-    "robot_noise",
-    "robot_offset",
-    "object_noise",
-    "object_offset",
-    "goal_noise",
-    "goal_offset",
-    "posture",
-    "hand_opening",
-)
+_DEVIATIONS = ("robot_noise", "robot_offset", "object_noise", "object_offset", "goal_noise", "goal_offset")
+GROWING = ("delay", "sag", *_FACTORS, *_DEVIATIONS)
+"""Fields of `Randomization` that its `growth` is about."""
+_SHARES = ("hand_opening", "growth")
+_NOT_NEGATIVE = (*_DEVIATIONS, "posture", *_SHARES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +67,9 @@ class Randomization:
     """Share of its widest by which the hand is open at the start at most."""
     history: int = 0
     """Last actions and observations that the policy is shown besides the present observation."""
+    growth: float = 0.0
+    """Share of a training's rounds in which the disturbances grow from none to these sizes; 0 is these from the start.
+    The start of an episode is as different from the first round on."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -133,7 +131,7 @@ class Randomization:
             sound, allowed = sound and numbers[0] >= 0, f"{allowed} from 0"
         if whole:
             sound, allowed = sound and numbers[-1] <= MOST_DELAY, f"{allowed} to {MOST_DELAY}"
-        if name == "hand_opening":
+        if name in _SHARES:
             sound, allowed = sound and numbers[0] <= 1, f"{allowed} to 1"
         if not sound:
             raise ValueError(f"{name} is {value!r}; it must be {allowed}")
@@ -156,6 +154,7 @@ _MILD = Randomization(
     finger_speed=(0.6, 1.1),
     posture=0.02,
     hand_opening=1.0,
+    growth=0.5,
 )
 _FULL = Randomization(
     delay=(0, 3),
@@ -174,6 +173,7 @@ _FULL = Randomization(
     finger_speed=(0.3, 1.2),
     posture=0.04,
     hand_opening=1.0,
+    growth=0.5,
 )
 
 LEVELS: dict[str, Randomization] = {

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from envs.base import Controller, EpisodeMetrics, GoalEnv, State
-from envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
+from envs.randomization import GROWING, LEVELS, MODEL_FACTORS, Randomization, Range
 from envs.variation import ModelFactors, SensorErrors
 
 _SOURCES = ("robot", "object", "goal")  # whose position is observed with an error
@@ -146,10 +146,10 @@ class RandomizedEnv(GoalEnv):
     def _drawn(self, shares: jax.Array, offsets: jax.Array) -> Drawn:
         """Returns what is drawn: shares, `[3]` in [0, 1), of ranges, and offsets, `[3, 3]`, in deviations."""
         least, most = self._sizes["delay"]
-        delay = jnp.floor(_between((least, most + 1), shares[0])).astype(jnp.int32)
+        delay = jnp.floor(_between((least, most + 1), shares[0]))
         deviations = jnp.array([self._sizes[f"{source}_offset"] for source in _SOURCES])
         return Drawn(
-            delay=jnp.minimum(delay, most),
+            delay=jnp.minimum(delay, jnp.ceil(most)).astype(jnp.int32),  # rounded up, a share may be 1
             step_size=_between(self._sizes["step_size"], shares[1]),
             sag=_between(self._sizes["sag"], shares[2]),
             offset=deviations[:, None] * offsets,
@@ -280,6 +280,18 @@ class RandomizedEnv(GoalEnv):
         """
         env = copy.copy(self)
         env._sizes = self._sizes | dict(sizes)
+        return env
+
+    def curriculum(self, progress: jax.Array | float) -> "RandomizedEnv":
+        """See `GoalEnv`: the disturbances grow from none to their sizes, and the task has a curriculum of its own."""
+        growth, none = self.randomization.growth, vars(self.randomization.undisturbed())
+        share = jnp.minimum(progress / growth, 1.0) if growth else jnp.ones(())
+
+        def grown(least: float, most: float) -> jax.Array:
+            return (1.0 - share) * least + share * most
+
+        env = self.with_sizes({name: jax.tree.map(grown, none[name], self._sizes[name]) for name in GROWING})
+        env.task = self.task.curriculum(progress)
         return env
 
     def undisturbed(self) -> "RandomizedEnv":

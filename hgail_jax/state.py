@@ -45,6 +45,10 @@ class TrainState(struct.PyTreeNode):
         hyper, steps = self.hyperparameters, self.actor_critic_optimizer[-1].count
         return jnp.asarray(hyper.action_std) * annealing(config, hyper.final_action_std)(steps)
 
+    def progress(self, config: Config) -> jax.Array:
+        """Returns the share of the rounds that is through, `[]`, by the policy's gradient steps."""
+        return 1.0 - annealing(config, 0.0)(self.actor_critic_optimizer[-1].count)
+
     def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
         """Counts observations, `[S, observation_size]` into the statistics by `weight`, `[S]`.
 

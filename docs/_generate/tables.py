@@ -350,7 +350,7 @@ def parity(table: str = "parity") -> str:
 def levels() -> str:
     """The sizes of the randomisations that have names, but for those that only add a history."""
     named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
-    units = {"delay": "steps", "sag": "of a displacement", "hand_opening": "of the widest"}
+    units = {"delay": "steps", "sag": "of a displacement", "hand_opening": "of the widest", "growth": "of the rounds"}
     rows = []
     for field in dataclasses.fields(Randomization):
         values = [getattr(level, field.name) for level in named.values()]

@@ -232,6 +232,7 @@ def test_what_a_task_lacks_is_refused():
         ("goal_noise", -0.1, "a number from 0"),
         ("robot_offset", True, "a number from 0"),
         ("hand_opening", 1.5, "a number from 0 to 1"),
+        ("growth", 1.5, "a number from 0 to 1"),
     ],
 )
 def test_sizes_out_of_range_are_refused(name, value, allowed):
@@ -251,6 +252,50 @@ def test_undisturbed_is_none_with_the_same_history():
     full = LEVELS["full-history"]
     assert full.undisturbed() == Randomization(history=full.history)
     assert full.history > 0
+
+
+GROWS = Randomization(
+    delay=(1, 3), step_size=(0.6, 1.4), sag=(-0.1, 0.2), goal_offset=0.03, robot_noise=0.02, growth=0.5
+)
+
+
+@pytest.mark.parametrize(
+    ("progress", "present"),
+    [
+        (0.0, Randomization()),
+        (0.25, Randomization(step_size=(0.8, 1.2), sag=(-0.05, 0.1), goal_offset=0.015, robot_noise=0.01)),
+        (0.5, GROWS),
+        (1.0, GROWS),
+    ],
+)
+def test_disturbances_grow_to_their_sizes(progress, present):
+    env = RandomizedEnv(Point(), GROWS)
+    grown = jax.jit(lambda key, progress: env.curriculum(progress).reset(key))(jax.random.key(3), progress)
+    there = jax.jit(RandomizedEnv(Point(), present).reset)(jax.random.key(3))
+    for name in ("step_size", "sag", "offset"):
+        pair = [getattr(state.pipeline_state.drawn, name) for state in (grown, there)]
+        np.testing.assert_allclose(*pair, atol=1e-6)
+    np.testing.assert_allclose(grown.info["observation"], there.info["observation"], atol=1e-6)
+
+
+@pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])
+def test_a_delay_grows_by_whole_steps(progress, delays):
+    env = RandomizedEnv(Point(), GROWS).curriculum(progress)
+    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn.delay
+    assert drawn.dtype == jnp.int32
+    assert set(np.asarray(drawn).tolist()) == delays
+
+
+@pytest.mark.parametrize("progress", [0.0, 0.3])
+def test_without_growth_the_disturbances_are_there_from_the_start(progress):
+    env = RandomizedEnv(Point(), dataclasses.replace(GROWS, growth=0.0))
+    reset = jax.jit(lambda env_reset: env_reset(jax.random.key(3)), static_argnums=0)
+    jax.tree.map(np.testing.assert_array_equal, reset(env.curriculum(progress).reset), reset(env.reset))
+
+
+def test_its_task_has_a_curriculum_of_its_own(monkeypatch):
+    monkeypatch.setattr(Point, "curriculum", lambda self, progress: f"the point after {progress}")
+    assert RandomizedEnv(Point(), GROWS).curriculum(0.25).task == "the point after 0.25"
 
 
 def test_its_task_is_prepared(monkeypatch):

@@ -136,6 +136,37 @@ def test_learning_phases_explore_where_the_config_says_so_and_evaluations_never(
         assert metrics.evaluation.distance_l1 == Told.MEASURED
 
 
+class Progressing(Point):
+    """A point whose goals are as far away along x as the training has come."""
+
+    progress = 1.0
+
+    def curriculum(self, progress):
+        env = copy.copy(self)
+        env.progress = progress
+        return env
+
+    def sample_goal(self, rng, physics):
+        return jnp.zeros(3).at[0].set(self.progress)
+
+    def outcome(self, end, probed):
+        return EpisodeMetrics(distance_l2=end.info["desired_goal"][0])
+
+
+@pytest.mark.parametrize("pretrained", [True, False])
+def test_a_task_with_a_curriculum_is_learnt_as_the_rounds_go_on_and_measured_as_it_is(pretrained):
+    env, config = Progressing(), dataclasses.replace(TINY, rounds=4, policy_phases=1, pretrain=pretrained)
+    state = init_state(env, config, Hyperparameters(), jax.random.key(0))
+    run = functools.partial(jax.lax.scan, functools.partial(train_step, env, config))
+    metrics = jax.jit(run)(state, schedule(config))[1]
+    np.testing.assert_array_equal(metrics.evaluation.distance_l2, np.ones(5))
+    # In each round one phase before the policy's update, and `discriminator_phases` after it.
+    begun = np.arange(4) / 4
+    expected = begun + config.discriminator_phases / (1 + config.discriminator_phases) / 4
+    first = [0.0] if pretrained else [np.nan]
+    np.testing.assert_allclose(metrics.training.distance_l2, [*first, *expected], atol=1e-5)
+
+
 def test_an_evaluation_changes_nothing_in_the_training():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     with_one, without = (
