@@ -9,12 +9,13 @@ from tqdm import tqdm
 
 from envs.engines.c import usable_cores
 from experiments.transfer.conditions import Conditions, NoisyEstimate
-from experiments.transfer.measurement import load_policies, measure
+from experiments.transfer.goal_sources import GOAL_SOURCES
+from experiments.transfer.measurement import measure, measured
 from experiments.transfer.paths import OUT
+from experiments.transfer.policies import find_policies, load_policies
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.studies import GOAL_SOURCES
-from experiments.transfer.sweeps import FETCH, find_policies
+from experiments.transfer.sweeps import FETCH
 from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.trainer.options import unless_given
@@ -51,9 +52,9 @@ class Options:
         RobotName | None,
         tyro.conf.arg(help=_ROBOT_HELP, help_behavior_hint="(default: gymnasium; all with --sweep)"),
     ] = None
-    task: Annotated[
-        TaskName | None, unless_given("reach; reach and grasp with --sweep", f"{{{','.join(get_args(TaskName))}}}")
-    ] = None
+    task: Annotated[TaskName | None, unless_given("reach; all with --sweep", f"{{{','.join(get_args(TaskName))}}}")] = (
+        None
+    )
     """What to do there."""
     policy: Annotated[Path | None, unless_given("all that come with the repository take turns", "FILE")] = None
     """The policy's file."""
@@ -77,9 +78,9 @@ class Options:
     sweep: bool = False
     """Measure success against disturbances and speed instead, into transfer-sweep.csv and .png."""
     policies: tuple[str, ...] = ()
-    """More policies for --sweep beside the plain ones: label=file or label=folder."""
+    """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
-    """Processes for --sweep."""
+    """Processes for --table and --sweep."""
     pictures: bool = False
     """Draw each robot reaching and grasping instead, into transfer-<robot>.png."""
     out: Path = OUT
@@ -93,7 +94,7 @@ def main(arguments: list[str] | None = None) -> None:
         _check(options)
         if options.table:
             sources = [options.goal_source] if options.goal_source else list(GOAL_SOURCES)
-            write_table(_make_folder(options.out), sources, _episodes(options), options.seed)
+            write_table(_make_folder(options.out), sources, _episodes(options), options.seed, _workers(options))
         elif options.sweep:
             _sweep(options)
         elif options.pictures:
@@ -116,8 +117,10 @@ def _check(options: Options) -> None:
         filters = options.sweep and name in ("to", "task")
         if studies and not filters and getattr(options, name) != defaults[name]:
             raise ValueError(f"--{name} does not go with --table, --sweep or --pictures")
-    if (options.policies or options.workers is not None) and not options.sweep:
-        raise ValueError("--policies and --workers go with --sweep")
+    if options.policies and not options.sweep:
+        raise ValueError("--policies goes with --sweep")
+    if options.workers is not None and not (options.sweep or options.table):
+        raise ValueError("--workers goes with --table and --sweep")
     if options.to == FETCH and not options.sweep:
         raise ValueError(f"--to {FETCH} goes with --sweep")
     if options.workers is not None:
@@ -138,13 +141,16 @@ def _episodes(options: Options) -> int:
     return _EPISODES if options.episodes is None else options.episodes
 
 
+def _workers(options: Options) -> int:
+    return usable_cores() if options.workers is None else options.workers
+
+
 def _sweep(options: Options) -> None:
     robots = [FETCH, *ROBOTS] if options.to is None else [options.to]
     tasks = tuple(TASKS) if options.task is None else (options.task,)
-    policies = find_policies(options.policies, tasks)
-    workers = usable_cores() if options.workers is None else options.workers
+    policies = find_policies(tasks, options.policies)
     folder = _make_folder(options.out)
-    write_sweep(folder, policies, robots, tasks, _episodes(options), options.seed, workers)
+    write_sweep(folder, policies, robots, tasks, _episodes(options), options.seed, _workers(options))
 
 
 def _make_folder(path: Path) -> Path:
@@ -162,7 +168,8 @@ def _run(options: Options) -> None:
     robot = make_robot(options.to or "gymnasium", task)
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
     with tqdm(total=episodes, unit="episode") as progress:
-        row = measure(robot, policies, episodes, options.seed, conditions, progress.update)
+        outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
+    row = measured(outcomes, len(policies), episodes)
     print(
         f"success {row['success_rate']:.3f} (95 % interval {row['success_low']:.3f} to {row['success_high']:.3f}),"
         f" L1 distance {row['distance_l1']:.4f} m, {episodes} episodes, {row['policies']} policies"

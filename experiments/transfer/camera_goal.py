@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from envs.vision.rgbd import open_renderer
@@ -11,6 +12,11 @@ from experiments.localisation.localiser import TILTED, Localiser, Noise, overhea
 from experiments.localisation.paths import WEIGHTS
 from experiments.transfer.conditions import Estimate
 from experiments.transfer.robots.base import Robot
+
+
+def check_rendering() -> None:
+    """Raises a RuntimeError if MuJoCo cannot render here."""
+    open_renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 1, 1).close()
 
 
 def camera_estimate(robot: Robot, localiser: Localiser) -> Estimate:
@@ -45,7 +51,6 @@ def overhead_estimate(
       RuntimeError: MuJoCo cannot render here.
 
     """
-    open_renderer(robot.model, 1, 1).close()  # says so before anything is measured
     robot.reset(np.random.default_rng(0))
     start = robot.features()[:3] - robot.offset
     cameras = overhead(start, views=views)

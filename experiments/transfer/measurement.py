@@ -1,93 +1,77 @@
 """Measures how often policies succeed on a robot, and how far from the target they end."""
 
+import concurrent.futures
 import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+import multiprocessing
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from scipy import stats
+from tqdm import tqdm
 
 from envs import EpisodeMetrics
 from experiments.localisation.localiser import TargetNotSeenError
 from experiments.transfer.conditions import Conditions
 from experiments.transfer.episode import run_episodes
-from experiments.transfer.paths import RESULTS
+from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from hgail_jax.io.policy import MeanPolicy, load_policy
 
 Measured = dict[str, float | None]
 """Columns of a row that are measured."""
-_FIELDS = dataclasses.fields(EpisodeMetrics)
-
-
-def policy_paths(task: str) -> list[Path]:
-    """Returns the files of the policies that come with the repository for a task.
-
-    Raises:
-      ValueError: there are none.
-
-    """
-    paths = sorted((RESULTS / "runs" / f"{task}-hgail" / "policies").glob("*.npz"))
-    if not paths:
-        raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
-    return paths
-
-
-def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
-    """Loads one policy, or all that come with the repository for a task.
-
-    Raises:
-      ValueError: a file is not a policy of the task.
-      OSError: a file cannot be read.
-
-    """
-    policies = [load_policy(path) for path in ([path] if path else policy_paths(task))]
-    for policy in policies:
-        if policy.task != task:
-            raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
-    return policies
+_FIELDS = [field.name for field in dataclasses.fields(EpisodeMetrics)]
+_PART = 20  # episodes of a point that a process runs at a time
 
 
 def measure(
     robot: Robot,
     policies: Sequence[MeanPolicy],
-    episodes: int,
+    indices: Sequence[int],
     seed: int,
     conditions: Conditions,
-    on_episode: Callable[[], object],
-) -> Measured:
+    on_episode: Callable[[], object] = lambda: None,
+) -> EpisodeMetrics:
     """Runs episodes, the policies taking turns.
-
-    An episode whose target no camera sees has failed, and has no distance.
 
     Args:
       robot: what acts.
       policies: what decides.
-      episodes: how many.
+      indices: of the episodes.
       seed: of the episodes' starts and of the estimates.
       conditions: what disturbs the episodes.
       on_episode: called after each episode.
 
     Returns:
-      Rates, that of success with its 95 % Wilson interval, and mean distances in metres, None where there is none.
+      How the episodes ended whose target was seen, leaves `[at most the number of indices]`.
 
     """
     outcomes = []
-    for index in range(episodes):
+    for index in indices:
         with contextlib.suppress(TargetNotSeenError):
             outcomes += run_episodes(robot, policies, [index], seed, conditions)
         on_episode()
-    columns: dict[str, Any] = {
-        field.name: np.array([getattr(outcome, field.name) for outcome in outcomes]) for field in _FIELDS
-    }
-    return measured(EpisodeMetrics(**columns), len(policies), episodes)
+    columns: dict[str, Any] = {name: np.array([getattr(outcome, name) for outcome in outcomes]) for name in _FIELDS}
+    return EpisodeMetrics(**columns)
 
 
 def measured(outcomes: EpisodeMetrics, policies: int, episodes: int) -> Measured:
-    """Returns what `measure` does, of outcomes `[n]`; of the other episodes, up to `episodes`, no target was seen."""
+    """Returns what a row has of episodes.
+
+    Args:
+      outcomes: leaves `[n]`. Of the other episodes, up to `episodes`, no target was seen: they have failed, and have no
+        distance.
+      policies: how many took turns.
+      episodes: how many there were.
+
+    Returns:
+      Rates, that of success with its 95 % Wilson interval, and mean distances in metres, None where there is none.
+
+    """
     success, achieved = np.asarray(outcomes.success), np.asarray(outcomes.achieved)
     interval = stats.binomtest(int(success.sum()), episodes).proportion_ci(method="wilson")
     return {
@@ -110,19 +94,25 @@ class Point:
     to: str
     """Name of the robot in `ROBOTS`."""
     task: str
+    policies: tuple[Path, ...]
+    """Their files."""
     conditions: Conditions = Conditions()  # noqa: RUF009  (frozen)
+    goal_source: str | None = None
+    """Name in `GOAL_SOURCES` of what estimates the target's position; None is as the conditions have it."""
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """The robot's options."""
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Columns of the row besides robot, task and what is measured."""
-    policies: tuple[Path, ...] = ()
-    """Files of the policies; by default all that come with the repository for the task."""
 
-    def measure(self, episodes: int, seed: int, on_episode: Callable[[], object]) -> Measured:
-        """Measures the point; see `measure`."""
+    def measure(self, indices: Sequence[int], seed: int) -> EpisodeMetrics:
+        """Runs some of its episodes; see `measure`."""
         robot = make_robot(self.to, self.task, **self.options)
-        policies = [policy for path in self.policies or [None] for policy in load_policies(self.task, path)]
-        return measure(robot, policies, episodes, seed, self.conditions, on_episode)
+        policies, conditions = [load_policy(path) for path in self.policies], self.conditions
+        with contextlib.ExitStack() as stack:
+            if self.goal_source:
+                estimate = GOAL_SOURCES[self.goal_source](robot, stack)
+                conditions = dataclasses.replace(conditions, estimate=estimate)
+            return measure(robot, policies, indices, seed, conditions)
 
     def row(self, measured: Measured) -> dict[str, Any]:
         """Returns the row, given the columns that were measured."""
@@ -130,7 +120,50 @@ class Point:
 
     def key(self) -> tuple:
         """Returns what is equal for points that differ in their labels alone, and so measure the same."""
-        return self.to, self.task, self.conditions, tuple(sorted(self.options.items())), self.policies
+        options = tuple(sorted(self.options.items()))
+        return self.to, self.task, self.policies, self.conditions, self.goal_source, options
+
+
+def measure_rows(points: Sequence[Point], episodes: int, seed: int, workers: int) -> Iterator[dict[str, Any]]:
+    """Yields the rows of points, in order, and shows how far it is; points that measure the same do so once.
+
+    Args:
+      points: what is measured.
+      episodes: for each of them.
+      seed: of the episodes.
+      workers: processes.
+
+    """
+    parts = [range(start, min(start + _PART, episodes)) for start in range(0, episodes, _PART)]
+    work = [(point, part, seed) for point in {point.key(): point for point in points}.values() for part in parts]
+    done: dict[tuple, Measured] = {}
+    with _mapping(workers) as run, tqdm(total=len(work) * episodes // len(parts), unit="episode") as progress:
+        outcomes = run(_measure, work)
+        for point in points:
+            if point.key() not in done:
+                measured_parts = []
+                for part in parts:
+                    measured_parts.append(next(outcomes))
+                    progress.update(len(part))
+                outcome = jax.tree.map(lambda *leaves: np.concatenate(leaves), *measured_parts)
+                done[point.key()] = measured(outcome, len(point.policies), episodes)
+            yield point.row(done[point.key()])
+
+
+@contextlib.contextmanager
+def _mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Gives a `map` that runs in so many processes, or in this one alone."""
+    if workers == 1:
+        yield map
+        return
+    context = multiprocessing.get_context("spawn")  # JAX has threads, which a fork would lose
+    with concurrent.futures.ProcessPoolExecutor(workers, context) as pool:
+        yield pool.map
+
+
+def _measure(work: tuple[Point, Sequence[int], int]) -> EpisodeMetrics:
+    point, indices, seed = work
+    return point.measure(indices, seed)
 
 
 def _mean(distances: np.ndarray) -> float | None:

@@ -1,26 +1,27 @@
 """Measures table 4 and the robustness curves, draws the pictures, and writes their files into a folder."""
 
-import contextlib
 import csv
+import itertools
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
+from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
-from experiments.transfer.measurement import Measured, Point, load_policies
+from experiments.transfer.goal_sources import EXACT, stage
+from experiments.transfer.measurement import measure_rows
+from experiments.transfer.policies import Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.studies import stage, table
-from experiments.transfer.sweeps import FETCH, Policies, axes, fetch_rows, measure_points, robot_points
+from experiments.transfer.studies import table
+from experiments.transfer.sweeps import FETCH, axes, fetch_rows, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
 from hgail_jax.trainer.provenance import provenance
 
 
-def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int) -> None:
+def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, workers: int) -> None:
     """Writes table4.csv, and table4.json that says what made it.
 
     Rows that are there already stay, with what is said of them, where their goal is of another source.
@@ -30,6 +31,7 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int) 
       sources: the `GOAL_SOURCES` whose rows are measured.
       episodes: for each row.
       seed: of the episodes.
+      workers: processes that measure side by side.
 
     Raises:
       RuntimeError: MuJoCo cannot render here, and the goal is to be seen.
@@ -42,8 +44,13 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int) 
             kept = [row for row in csv.DictReader(file) if row["stage"] not in stages]
     if kept:
         made_by = json.loads(path.with_suffix(".json").read_text())
-    with contextlib.ExitStack() as stack:
-        _write_rows(path, list(table(sources, stack)), episodes, seed, kept)
+    points = list(table(sources, find_policies(tuple(TASKS))))
+    if any(point.goal_source != EXACT for point in points):
+        check_rendering()
+    rows = kept
+    for row in measure_rows(points, episodes, seed, workers):
+        rows.append(row)
+        write_csv(path, rows)
     write_json(path.with_suffix(".json"), made_by | dict.fromkeys(stages, _made_by(episodes, seed)))
 
 
@@ -70,24 +77,11 @@ def write_sweep(
     """
     path = folder / "transfer-sweep.csv"
     rows: list[dict[str, Any]] = []
-    with tqdm(unit="point") as progress:
-
-        def add(row: dict[str, Any]) -> None:
-            rows.append(row)
-            write_csv(path, rows)
-            progress.update()
-
-        if FETCH in robots:
-            for row in fetch_rows(policies, tasks, episodes, seed):
-                add(row)
-        points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
-        distinct = list({point.key(): point for point in points}.values())  # each curve has the undisturbed point
-        measured = iter(measure_points(distinct, episodes, seed, workers))
-        done: dict[tuple, Measured] = {}
-        for point in points:
-            if point.key() not in done:
-                done[point.key()] = next(measured)
-            add(point.row(done[point.key()]))
+    points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
+    on_fetch = fetch_rows(policies, tasks, episodes, seed) if FETCH in robots else iter(())
+    for row in itertools.chain(on_fetch, measure_rows(points, episodes, seed, workers)):
+        rows.append(row)
+        write_csv(path, rows)
     write_json(path.with_suffix(".json"), _made_by(episodes, seed))
     draw_sweep(path.with_suffix(".png"), rows, axes())
 
@@ -100,27 +94,12 @@ def write_pictures(folder: Path, seed: int) -> None:
 
     """
     for to in ROBOTS:
-        episodes = [(make_robot(to, name), load_policies(name)[0], task.pictured_steps) for name, task in TASKS.items()]
+        episodes = [
+            (make_robot(to, name), load_policies(name)[0], task.pictured_steps)
+            for name, task in TASKS.items()
+            if name in ROBOTS[to].tasks
+        ]
         draw_strip(folder / f"transfer-{to}.png", episodes, seed)
-
-
-def _write_rows(
-    path: Path, points: Sequence[Point], episodes: int, seed: int, kept: Sequence[dict] = ()
-) -> list[dict[str, Any]]:
-    """Measures points; after each, writes the rows kept and those measured so far, and returns them in the end."""
-    rows = list(kept)
-    measured: dict[tuple, Measured] = {}
-    with tqdm(total=len(points) * episodes, unit="episode") as progress:
-        for point in points:
-            progress.set_description(" ".join(map(str, (point.to, point.task, *point.labels.values()))))
-            key = point.key()
-            if key in measured:  # the undisturbed point is part of every curve
-                progress.update(episodes)
-            else:
-                measured[key] = point.measure(episodes, seed, progress.update)
-            rows.append(point.row(measured[key]))
-            write_csv(path, rows)
-    return rows
 
 
 def _made_by(episodes: int, seed: int) -> dict[str, Any]:

@@ -1,52 +1,35 @@
 """What table 4 measures on other robots."""
 
-import contextlib
-import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from envs.fetch.arm import CONTROL_PERIOD
-from experiments.localisation.localiser import ABOVE, CALIBRATED
-from experiments.transfer.camera_goal import overhead_estimate
-from experiments.transfer.conditions import Conditions, Estimate, NoisyEstimate
+from experiments.transfer.goal_sources import EXACT, stage
 from experiments.transfer.measurement import Point
+from experiments.transfer.policies import Policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.tasks import TASKS
 
-EXACT = "exact"
-GOAL_SOURCES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
-    EXACT: lambda robot, stack: NoisyEstimate(),
-    "camera": overhead_estimate,
-    "noisy-cameras": functools.partial(overhead_estimate, noise=CALIBRATED),
-    "one-camera": functools.partial(overhead_estimate, views=ABOVE),
-    "one-noisy-camera": functools.partial(overhead_estimate, views=ABOVE, noise=CALIBRATED),
-}
-"""Where table 4 takes the target's position from: makes the estimate for a robot, and leaves the stack to close it."""
 
+def table(sources: Iterable[str], policies: Policies) -> Iterator[Point]:
+    """Yields the rows of table 4: each robot, task and policy with each of these `GOAL_SOURCES`.
 
-def stage(source: str) -> str:
-    """Returns what the column `stage` of table 4 says of a goal source.
-
-    >>> stage("camera")
-    'camera goal'
-    """
-    return f"{source} goal"
-
-
-def table(sources: Iterable[str], stack: contextlib.ExitStack) -> Iterator[Point]:
-    """Yields the rows of table 4: each robot and task with each of these `GOAL_SOURCES`.
-
-    With the exact goal a robot has a row for each of its variants, else one. `stack` must stay open until the rows are
-    measured.
+    With the exact goal a robot has a row for each of its variants, else one, of the tasks that cameras were trained
+    for.
     """
     for source in sources:
         for to, robot_class in ROBOTS.items():
-            for task in TASKS:
-                for options in robot_class.variants(task) if source == EXACT else [{}]:
-                    robot = make_robot(to, task, **options)
-                    conditions = Conditions(GOAL_SOURCES[source](robot, stack))
-                    yield Point(to, task, conditions, options, _table_labels(robot, source))
+            for name, task in TASKS.items():
+                if name not in robot_class.tasks or not (source == EXACT or task.seen_by_cameras):
+                    continue
+                for options in robot_class.variants(name) if source == EXACT else [{}]:
+                    for label, files in policies.items():
+                        if name in files:
+                            labels = _table_labels(make_robot(to, name, **options), source) | {"policy": label}
+                            yield Point(
+                                to, name, tuple(files[name]), options=options, goal_source=source, labels=labels
+                            )
 
 
 def _table_labels(robot: Robot, source: str) -> dict[str, Any]:

@@ -7,16 +7,19 @@ import dataclasses
 class Task:
     """A task that policies are transferred on."""
 
-    paper_success: float
-    """Success rate that the paper reports on the real UR5."""
-    paper_distance_l1: float
+    paper_success: float | None
+    """Success rate that the paper reports on the real UR5; None where it has none."""
+    paper_distance_l1: float | None
     """L1 distance that the paper reports there, metres."""
     pictured_steps: tuple[int, ...]
     """Steps to draw of an episode; -1 is the last, the probe's steps included."""
+    seen_by_cameras: bool = True
+    """Whether cameras can tell where the target is: a ball that is put there, or the cube."""
 
 
 TASKS = {
     "reach": Task(paper_success=0.95, paper_distance_l1=0.01, pictured_steps=(0, 2, 4, 6, 10, -1)),
     "grasp": Task(paper_success=0.93, paper_distance_l1=0.02, pictured_steps=(0, 3, 5, 8, 50, -1)),
+    "pick-and-place": Task(None, None, pictured_steps=(0, 3, 6, 9, 12, -1), seen_by_cameras=False),
 }
 """The tasks of the tables, curves and pictures, by their names in `envs.TASKS`; a robot may do others too."""

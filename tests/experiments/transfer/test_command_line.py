@@ -25,7 +25,8 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--policy", "none.npz"], "none.npz"),
         (["--table", "4", "--sweep"], "choose one of"),
         (["--table", "4", "--to", "ur5e"], "--to does not go with"),
-        (["--policies", "a=b.npz"], "--policies and --workers go with --sweep"),
+        (["--policies", "a=b.npz"], "--policies goes with --sweep"),
+        (["--workers", "2"], "--workers goes with --table and --sweep"),
         (["--to", "fetch"], "--to fetch goes with --sweep"),
         (["--sweep", "--workers", "0"], "workers is 0; it must be at least 1"),
         (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
@@ -66,7 +67,10 @@ def test_one_run(capsys):
 @pytest.mark.parametrize(
     ("arguments", "written"),
     [
-        (["--table", "4", "--goal-source", "exact", "--episodes", "1"], {"table4.csv", "table4.json"}),
+        (
+            ["--table", "4", "--goal-source", "exact", "--workers", "1", "--episodes", "1"],
+            {"table4.csv", "table4.json"},
+        ),
         (
             ["--sweep", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
             {f"transfer-sweep.{end}" for end in ("csv", "json", "png")},

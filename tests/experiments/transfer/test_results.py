@@ -12,14 +12,14 @@ import pytest
 
 from experiments.localisation.localiser import CALIBRATED, TargetNotSeenError
 from experiments.transfer import __main__ as transfer
-from experiments.transfer import camera_goal
+from experiments.transfer import camera_goal, results
 from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.disturbances import DISTURBANCES
+from experiments.transfer.goal_sources import GOAL_SOURCES
+from experiments.transfer.policies import find_policies
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
-from experiments.transfer.studies import GOAL_SOURCES
-from experiments.transfer.sweeps import find_policies
 
 
 def read_csv(path):
@@ -27,21 +27,32 @@ def read_csv(path):
         return list(csv.DictReader(file))
 
 
+def measure_table(folder, source):
+    more = ["--goal-source", source, "--workers", "1", "--episodes", "2", "--out", str(folder)]
+    transfer.main(["--table", "4", *more])
+
+
 def test_the_table(tmp_path, monkeypatch):
-    """A row for each goal source, robot, task and variant; measured once where only labels differ."""
+    """A row for each goal source, robot, task, variant and policy; cameras see no place in the air."""
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
     for source in list(GOAL_SOURCES):
         if source != "exact":
             monkeypatch.delitem(GOAL_SOURCES, source)
     monkeypatch.setitem(GOAL_SOURCES, "second", lambda robot, stack: NoisyEstimate())
-    transfer.main(["--table", "4", "--episodes", "2", "--out", str(tmp_path)])
+    plain = find_policies(("reach", "grasp", "pick-and-place"))["plain"]
+    both = {"plain": plain, "other": {"grasp": plain["grasp"][:1]}}
+    monkeypatch.setattr(results, "find_policies", lambda tasks: both)
+    transfer.main(["--table", "4", "--workers", "1", "--episodes", "2", "--out", str(tmp_path)])
     rows = read_csv(tmp_path / "table4.csv")
-    assert [(row["stage"], row["task"]) for row in rows] == [
-        (stage, task) for stage in ("exact goal", "second goal") for task in ("reach", "grasp")
+    seen = [("reach", "plain"), ("grasp", "plain"), ("grasp", "other")]
+    assert [(row["stage"], row["task"], row["policy"]) for row in rows] == [
+        *[("exact goal", *row) for row in [*seen, ("pick-and-place", "plain")]],
+        *[("second goal", *row) for row in seen],
     ]
     assert all(row["episodes"] == "2" and 0 <= float(row["success_low"]) <= float(row["success_rate"]) for row in rows)
-    assert [row["success_rate"] for row in rows[:2]] == [row["success_rate"] for row in rows[2:]]
+    assert [row["distance_l2"] for row in rows[:3]] == [row["distance_l2"] for row in rows[4:]]
+    assert {row["paper_success"] for row in rows if row["task"] == "pick-and-place"} == {""}
     made_by = json.loads((tmp_path / "table4.json").read_text())
     assert made_by["exact goal"] == made_by["second goal"]
     assert made_by["second goal"]["episodes"] == 2
@@ -76,8 +87,9 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
     """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
+    monkeypatch.setattr(results, "find_policies", lambda tasks: find_policies(("reach", "grasp")))
     for source in ("exact", "camera", "camera"):
-        transfer.main(["--table", "4", "--goal-source", source, "--episodes", "2", "--out", str(tmp_path)])
+        measure_table(tmp_path, source)
     rows = read_csv(tmp_path / "table4.csv")
     assert [row["stage"] for row in rows] == ["exact goal"] * 2 + ["camera goal"] * 2
     assert [row["not_seen"] for row in rows] == ["0.0"] * 2 + ["0.5"] * 2
@@ -95,7 +107,7 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
 def test_goals_come_from_the_cameras_that_they_are_said_to(tmp_path, monkeypatch, half_blind, source, cameras, noise):
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
-    transfer.main(["--table", "4", "--goal-source", source, "--episodes", "2", "--out", str(tmp_path)])
+    measure_table(tmp_path, source)
     assert {row["stage"] for row in read_csv(tmp_path / "table4.csv")} == {f"{source} goal"}
     assert half_blind.kinds == [(cameras, noise)] * 2
 
@@ -154,12 +166,12 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
-    write_table(tmp_path, ["exact"], episodes=2, seed=0)
+    write_table(tmp_path, ["exact"], episodes=2, seed=0, workers=1)
     rows = read_csv(tmp_path / "table4.csv")
     assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
     assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
     assert [float(row["success_rate"]) for row in rows] == [1.0, 1.0, 0.0]
-    policies = find_policies([f"other={shipped_policy}"], ["reach", "grasp"])
+    policies = find_policies(["reach", "grasp"], [f"other={shipped_policy}"])
     write_sweep(tmp_path, policies, ["crane"], ["reach", "grasp"], episodes=1, seed=0, workers=1)
     rows = read_csv(tmp_path / "transfer-sweep.csv")
     plain, other = ([row for row in rows if row["policy"] == label] for label in ("plain", "other"))

@@ -1,0 +1,63 @@
+"""Finds the policies that are transferred: those that come with the repository, and others."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from experiments.transfer.paths import RESULTS
+from hgail_jax.io.policy import MeanPolicy, load_policy
+
+PLAIN = "plain"
+"""Label of the policies that were trained without disturbances."""
+RUNS = {PLAIN: "{task}-hgail", "robust": "{task}-hgail-robust"}
+"""Folder of the run that the policies with a label come from."""
+Policies = Mapping[str, Mapping[str, Sequence[Path]]]
+"""Files of policies by label and then by task."""
+
+
+def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
+    """Returns the files of the policies that come with the repository for a task, none if there are none."""
+    return sorted((RESULTS / "runs" / RUNS[label].format(task=task) / "policies").glob("*.npz"))
+
+
+def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
+    """Loads one policy, or all plain ones that come with the repository for a task.
+
+    Raises:
+      ValueError: there is none, or a file is not a policy of the task.
+      OSError: a file cannot be read.
+
+    """
+    policies = [load_policy(path) for path in ([path] if path else policy_paths(task))]
+    if not policies:
+        raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
+    for policy in policies:
+        if policy.task != task:
+            raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
+    return policies
+
+
+def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
+    """Returns the policies that come with the repository, and others.
+
+    Args:
+      tasks: of the former.
+      more: each `label=path`, of a policy's file or of a folder of them; a label may come several times.
+
+    Raises:
+      ValueError: one is not of this form, or there is no policy.
+      OSError: a file cannot be read.
+
+    """
+    found: dict[str, dict[str, list[Path]]] = {}
+    for label in RUNS:
+        found[label] = {task: paths for task in tasks if (paths := policy_paths(task, label))}
+    for entry in more:
+        label, separator, path = entry.partition("=")
+        if not (label and separator and path) or label in RUNS:
+            raise ValueError(f"policies {entry!r} is not label=path, with another label than {' and '.join(RUNS)}")
+        files = sorted(Path(path).glob("*.npz")) if Path(path).is_dir() else [Path(path)]
+        if not files:
+            raise ValueError(f"there is no policy in {path}")
+        for file in files:
+            found.setdefault(label, {}).setdefault(load_policy(file).task, []).append(file)
+    return {label: files for label, files in found.items() if files}
