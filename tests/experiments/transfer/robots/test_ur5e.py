@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from envs.fetch import controllers
-from envs.fetch.arm import CONTROL_PERIOD
+from envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
@@ -46,6 +46,27 @@ def test_the_hand_opens_and_closes_on_the_fetch_s_scale(grasp):
     assert seen[6, 6] == pytest.approx(0.0, abs=5e-3)
     assert seen[12, 6] == pytest.approx(0.1, abs=5e-3)
     assert not seen[:, 7].any()
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(grasp, hand):
+    grasp.reset(np.random.default_rng(0))
+    height = []
+    for _ in range(16):
+        grasp.step(np.array([0.0, 0.0, -1.0, hand]))
+        height.append(grasp.features()[2] - TABLE_HEIGHT)
+    assert height[-1] == pytest.approx(0.022, abs=2e-3)
+    assert min(height) > 0.019
+    assert sum(pressing(grasp.model, grasp.data)) < 10.0  # newtons; without a floor 350
+
+
+def pressing(model, data):
+    """Yields the normal forces between the hand and the table."""
+    for index, pair in enumerate(data.contact.geom):
+        bodies, force = {model.body(model.geom_bodyid[geom]).name for geom in pair}, np.zeros(6)
+        if "world" in bodies and "cube" not in bodies:
+            mujoco.mj_contactForce(model, data, index, force)
+            yield force[0]
 
 
 def test_velocity_is_metres_an_action(grasp):
