@@ -31,8 +31,9 @@ class Options:
 
     task: Annotated[str | None, unless_given(f"what --policy was trained on, or {_TASK}", "STR")] = None
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("the one that comes with the package", "FILE")] = None
-    """The policy's file."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE")] = None
+    """The policy's file. Of those that come with the package it is the plain one, or with --randomize the robust one,
+    where there is one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is disturbed; see docs/robust.md."""
     episodes: int = 3
@@ -126,9 +127,10 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     if envs.find_class(task).scene is None:
         shown = [name for name in envs.TASKS if envs.find_class(name).scene]
         raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
-    if path is None and not _shipped(task).exists():
+    path = path or _shipped(task, level)
+    if path is None:
         raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
-    policy = load_policy(path or _shipped(task))
+    policy = load_policy(path)
     taken = {name: value for name, value in physics.items() if name in envs.accepted_options(task)}
     randomization = policy.randomization
     if level is not None:
@@ -139,8 +141,11 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     return env, policy
 
 
-def _shipped(task: str) -> Path:
-    return assets_directory() / "policies" / f"{task}.npz"
+def _shipped(task: str, level: str | None = None) -> Path | None:
+    """Returns the policy that comes with the package, for episodes that are disturbed if a level of that is named."""
+    folder = assets_directory() / "policies"
+    disturbed = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
+    return next((path for path in (*disturbed, folder / f"{task}.npz") if path.exists()), None)
 
 
 def _serve(options: Options, shown: str) -> None:
@@ -164,7 +169,7 @@ def _serve(options: Options, shown: str) -> None:
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)
-    others = [task for task in envs.TASKS if task != shown and _shipped(task).exists()]
+    others = [task for task in envs.TASKS if task != shown and _shipped(task)]
     print(f"compiling {shown} ...", flush=True)
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)

@@ -76,6 +76,27 @@ def test_a_policy_is_played_as_it_was_trained_unless_told_otherwise(tmp_path, sh
     assert loaded.observation_size == env.observation_size == 9 + more
 
 
+@pytest.mark.parametrize(
+    ("files", "level", "expected"),
+    [
+        (("reach", "reach-robust"), None, "reach"),
+        (("reach", "reach-robust"), "none", "reach"),
+        (("reach", "reach-robust"), "mild", "reach-robust"),
+        (("reach",), "mild", "reach"),
+        ((), "mild", None),
+    ],
+)
+def test_disturbed_episodes_are_played_with_the_robust_policy_where_there_is_one(
+    files, level, expected, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(play, "assets_directory", lambda: tmp_path)
+    (tmp_path / "policies").mkdir()
+    for file in files:
+        (tmp_path / "policies" / f"{file}.npz").touch()
+    path = play._shipped("reach", level)
+    assert (path and path.stem) == expected
+
+
 def test_an_unknown_level_is_refused_in_one_line(capsys):
     for main, arguments in ((run.main, [*SIZES, "--randomize", "wild"]), (play.main, ["--randomize", "wild"])):
         with pytest.raises(SystemExit) as ended:
