@@ -234,10 +234,14 @@ class GoalEnv(Env):
         """Does what the first step would otherwise wait for, while the caller compiles; by default nothing."""
         return
 
-    def curriculum(self, progress: jax.Array | float) -> "GoalEnv":
-        """Returns the task as it is learnt from once a share `progress` of the rounds is through; by default itself.
+    def eased(self, progress: jax.Array | float) -> "GoalEnv":
+        """Returns the task as easy as it is to be learnt from after a share of the rounds; by default it is no easier.
 
-        `progress`, from 0 to 1, may be traced. At 1 it is the task that is measured.
+        Only resets and steps are those of the easier task. Sizes, observations and what the goals mean must not differ.
+
+        Args:
+          progress: the share of the rounds that is through, `[]`, which may be traced. At 1 nothing is easier.
+
         """
         del progress
         return self

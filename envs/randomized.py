@@ -149,7 +149,9 @@ class RandomizedEnv(GoalEnv):
         delay = jnp.floor(_between((least, most + 1), shares[0]))
         deviations = jnp.array([self._sizes[f"{source}_offset"] for source in _SOURCES])
         return Drawn(
-            delay=jnp.minimum(delay, jnp.ceil(most)).astype(jnp.int32),  # rounded up, a share may be 1
+            delay=jnp.minimum(delay, jnp.ceil(most)).astype(
+                jnp.int32
+            ),  # rounding may reach `most + 1`, which is no whole number while it grows
             step_size=_between(self._sizes["step_size"], shares[1]),
             sag=_between(self._sizes["sag"], shares[2]),
             offset=deviations[:, None] * offsets,
@@ -282,8 +284,8 @@ class RandomizedEnv(GoalEnv):
         env._sizes = self._sizes | dict(sizes)
         return env
 
-    def curriculum(self, progress: jax.Array | float) -> "RandomizedEnv":
-        """See `GoalEnv`: the disturbances grow from none to their sizes, and the task has a curriculum of its own."""
+    def eased(self, progress: jax.Array | float) -> "RandomizedEnv":
+        """See `GoalEnv`: the disturbances grow from none to their sizes, and the task may become harder itself."""
         growth, none = self.randomization.growth, vars(self.randomization.undisturbed())
         share = jnp.minimum(progress / growth, 1.0) if growth else jnp.ones(())
 
@@ -291,7 +293,7 @@ class RandomizedEnv(GoalEnv):
             return (1.0 - share) * least + share * most
 
         env = self.with_sizes({name: jax.tree.map(grown, none[name], self._sizes[name]) for name in GROWING})
-        env.task = self.task.curriculum(progress)
+        env.task = self.task.eased(progress)
         return env
 
     def undisturbed(self) -> "RandomizedEnv":

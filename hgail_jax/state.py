@@ -47,6 +47,8 @@ class TrainState(struct.PyTreeNode):
 
     def progress(self, config: Config) -> jax.Array:
         """Returns the share of the rounds that is through, `[]`, by the policy's gradient steps."""
+        if not config.policy_phases:  # there are none to tell it by
+            return jnp.ones(())
         return 1.0 - annealing(config, 0.0)(self.actor_critic_optimizer[-1].count)
 
     def observe(self, observation: jax.Array, weight: jax.Array) -> "TrainState":

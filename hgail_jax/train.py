@@ -187,7 +187,7 @@ def _run_phase(
         rollout_rng, update_rng = jax.random.split(phase_rng)
         policy = make_policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         exploring = ~evaluating if config.explore else False
-        present = env.curriculum(jnp.where(evaluating, 1.0, state.progress(config)))
+        present = env.eased(jnp.where(evaluating, 1.0, state.progress(config)))
         trajectory = rollout(present, policy, rollout_rng, config.num_envs, exploring, probe=evaluating, axis=axis)
         after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
         return after.replace(rng=following_rng), metrics

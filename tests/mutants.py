@@ -28,7 +28,7 @@ TIMEOUT = 120.0  # seconds
 LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
-EXPERTS, PPO, ROLLOUT = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout"))
+EXPERTS, PPO, ROLLOUT, TRAIN = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout", "train"))
 GOALS, PRESETS = "tests/envs/test_goals.py", "tests/hgail_jax/test_presets.py"
 OBJECTS = "tests/envs/fetch/test_objects.py"
 
@@ -41,10 +41,10 @@ TESTS = {
     "hgail_jax/discriminator": ["tests/hgail_jax/test_discriminator.py", UPDATES],
     "hgail_jax/networks": [PPO, UPDATES, LEARNING],
     "hgail_jax/updates": [UPDATES, LEARNING],
-    "hgail_jax/train": [UPDATES, LEARNING],
+    "hgail_jax/train": [UPDATES, TRAIN, LEARNING],
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, UPDATES],
     "hgail_jax/evaluate": [SAMPLES, UPDATES],
-    "hgail_jax/state": [UPDATES, LEARNING],
+    "hgail_jax/state": [UPDATES, TRAIN, LEARNING],
     "hgail_jax/methods": [LEARNING, EXPERTS],
     "envs/base": [GOALS, SAMPLES],
     "envs/point": [GOALS, SAMPLES],

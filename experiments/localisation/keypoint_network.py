@@ -104,6 +104,7 @@ def predictor(params: Any) -> Callable[[np.ndarray, bool], Detection | None]:
     return predict
 
 
+@functools.cache
 def load_detector(path: Path | str) -> Detector:
     """Returns the detector whose weights are in a file; raises what `load_weights` does."""
     predict = predictor(load_weights(path))

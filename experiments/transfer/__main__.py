@@ -56,7 +56,9 @@ class Options:
         None
     )
     """What to do there."""
-    policy: Annotated[Path | None, unless_given("all that come with the repository take turns", "FILE")] = None
+    policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "FILE")] = (
+        None
+    )
     """The policy's file."""
     episodes: Annotated[int | None, unless_given("200", "INT")] = None
     """How many, for each row or point."""
@@ -82,7 +84,7 @@ class Options:
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
     """Processes for --table and --sweep."""
     pictures: bool = False
-    """Draw each robot reaching and grasping instead, into transfer-<robot>.png."""
+    """Draw an episode of each robot and task instead, into transfer-<robot>.png."""
     out: Path = OUT
     """Folder of these files, made where it is missing; what it holds from before is replaced."""
 

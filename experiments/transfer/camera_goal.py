@@ -47,9 +47,6 @@ def overhead_estimate(
       views: of the cameras, see `overhead`.
       noise: of the cameras; None is none.
 
-    Raises:
-      RuntimeError: MuJoCo cannot render here.
-
     """
     robot.reset(np.random.default_rng(0))
     start = robot.features()[:3] - robot.offset

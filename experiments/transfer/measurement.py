@@ -157,8 +157,16 @@ def _mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
         yield map
         return
     context = multiprocessing.get_context("spawn")  # JAX has threads, which a fork would lose
-    with concurrent.futures.ProcessPoolExecutor(workers, context) as pool:
+    pool = concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_keep_to_the_cpu)
+    try:
         yield pool.map
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _keep_to_the_cpu() -> None:
+    """Leaves a GPU, which many processes would fill, to others."""
+    jax.config.update("jax_platforms", "cpu")
 
 
 def _measure(work: tuple[Point, Sequence[int], int]) -> EpisodeMetrics:

@@ -26,7 +26,7 @@ _MOST = Randomization(  # of what the points below ask for; the program is made 
     friction=(0.5, 1.5),
     hand_opening=1.0,
 )
-_SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history"))
+_SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history", "growth"))
 
 
 class ParallelFetch:
@@ -64,7 +64,7 @@ class ParallelFetch:
         """Returns the outcomes of a point's episodes, leaves `[episodes]`.
 
         Args:
-          **sizes: fields of `Randomization` but `posture` and `history`; all others disturb nothing.
+          **sizes: fields of `Randomization` but `posture`, `history` and `growth`; all others disturb nothing.
 
         """
         unknown = set(sizes) - set(_SIZES)

@@ -44,7 +44,7 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
       more: each `label=path`, of a policy's file or of a folder of them; a label may come several times.
 
     Raises:
-      ValueError: one is not of this form, or there is no policy.
+      ValueError: one is not of this form, or there is no policy in it.
       OSError: a file cannot be read.
 
     """

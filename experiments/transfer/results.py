@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.goal_sources import EXACT, stage
 from experiments.transfer.measurement import measure_rows
-from experiments.transfer.policies import Policies, find_policies, load_policies
+from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
 from experiments.transfer.sweeps import FETCH, axes, fetch_rows, robot_points
@@ -41,13 +43,12 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, 
     stages = [stage(source) for source in sources]
     if path.exists():
         with path.open(newline="") as file:
-            kept = [row for row in csv.DictReader(file) if row["stage"] not in stages]
+            kept = [{"policy": PLAIN} | row for row in csv.DictReader(file) if row["stage"] not in stages]
     if kept:
         made_by = json.loads(path.with_suffix(".json").read_text())
-    points = list(table(sources, find_policies(tuple(TASKS))))
-    if any(point.goal_source != EXACT for point in points):
+    if set(sources) - {EXACT}:
         check_rendering()
-    rows = kept
+    points, rows = list(table(sources, find_policies(tuple(TASKS)))), kept
     for row in measure_rows(points, episodes, seed, workers):
         rows.append(row)
         write_csv(path, rows)
@@ -78,8 +79,9 @@ def write_sweep(
     path = folder / "transfer-sweep.csv"
     rows: list[dict[str, Any]] = []
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
-    on_fetch = fetch_rows(policies, tasks, episodes, seed) if FETCH in robots else iter(())
-    for row in itertools.chain(on_fetch, measure_rows(points, episodes, seed, workers)):
+    on_fetch = fetch_rows(policies, tasks, episodes, seed) if FETCH in robots else ()
+    elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
+    for row in itertools.chain(tqdm(on_fetch, unit="point"), elsewhere):
         rows.append(row)
         write_csv(path, rows)
     write_json(path.with_suffix(".json"), _made_by(episodes, seed))

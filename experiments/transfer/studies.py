@@ -15,8 +15,8 @@ from experiments.transfer.tasks import TASKS
 def table(sources: Iterable[str], policies: Policies) -> Iterator[Point]:
     """Yields the rows of table 4: each robot, task and policy with each of these `GOAL_SOURCES`.
 
-    With the exact goal a robot has a row for each of its variants, else one, of the tasks that cameras were trained
-    for.
+    With the exact goal a robot has a row for each of its variants, else one. Tasks whose target cameras cannot see have
+    rows with the exact goal alone.
     """
     for source in sources:
         for to, robot_class in ROBOTS.items():

@@ -32,8 +32,8 @@ class Options:
     task: Annotated[str | None, unless_given(f"what --policy was trained on, or {_TASK}", "STR")] = None
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE")] = None
-    """The policy's file. Of those that come with the package it is the plain one, or with --randomize the robust one,
-    where there is one."""
+    """The policy's file. Of those that come with the package it is the plain one, or the robust one, where there
+    is one, if --randomize names disturbances."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is disturbed; see docs/robust.md."""
     episodes: int = 3
@@ -115,7 +115,7 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
 
     Args:
       task: its name.
-      path: the policy's file; None is the one that comes with the package.
+      path: the policy's file; None is one that comes with the package, see `_shipped`.
       level: of the disturbances; None is what the policy was trained under.
       **physics: options of the task, where it takes them.
 

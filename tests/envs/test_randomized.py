@@ -270,7 +270,7 @@ GROWS = Randomization(
 )
 def test_disturbances_grow_to_their_sizes(progress, present):
     env = RandomizedEnv(Point(), GROWS)
-    grown = jax.jit(lambda key, progress: env.curriculum(progress).reset(key))(jax.random.key(3), progress)
+    grown = jax.jit(lambda key, progress: env.eased(progress).reset(key))(jax.random.key(3), progress)
     there = jax.jit(RandomizedEnv(Point(), present).reset)(jax.random.key(3))
     for name in ("step_size", "sag", "offset"):
         pair = [getattr(state.pipeline_state.drawn, name) for state in (grown, there)]
@@ -280,7 +280,7 @@ def test_disturbances_grow_to_their_sizes(progress, present):
 
 @pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])
 def test_a_delay_grows_by_whole_steps(progress, delays):
-    env = RandomizedEnv(Point(), GROWS).curriculum(progress)
+    env = RandomizedEnv(Point(), GROWS).eased(progress)
     drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn.delay
     assert drawn.dtype == jnp.int32
     assert set(np.asarray(drawn).tolist()) == delays
@@ -290,12 +290,12 @@ def test_a_delay_grows_by_whole_steps(progress, delays):
 def test_without_growth_the_disturbances_are_there_from_the_start(progress):
     env = RandomizedEnv(Point(), dataclasses.replace(GROWS, growth=0.0))
     reset = jax.jit(lambda env_reset: env_reset(jax.random.key(3)), static_argnums=0)
-    jax.tree.map(np.testing.assert_array_equal, reset(env.curriculum(progress).reset), reset(env.reset))
+    jax.tree.map(np.testing.assert_array_equal, reset(env.eased(progress).reset), reset(env.reset))
 
 
-def test_its_task_has_a_curriculum_of_its_own(monkeypatch):
-    monkeypatch.setattr(Point, "curriculum", lambda self, progress: f"the point after {progress}")
-    assert RandomizedEnv(Point(), GROWS).curriculum(0.25).task == "the point after 0.25"
+def test_its_task_may_become_harder_itself(monkeypatch):
+    monkeypatch.setattr(Point, "eased", lambda self, progress: f"the point after {progress}")
+    assert RandomizedEnv(Point(), GROWS).eased(0.25).task == "the point after 0.25"
 
 
 def test_its_task_is_prepared(monkeypatch):

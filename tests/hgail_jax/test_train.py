@@ -141,7 +141,7 @@ class Progressing(Point):
 
     progress = 1.0
 
-    def curriculum(self, progress):
+    def eased(self, progress):
         env = copy.copy(self)
         env.progress = progress
         return env
@@ -154,7 +154,7 @@ class Progressing(Point):
 
 
 @pytest.mark.parametrize("pretrained", [True, False])
-def test_a_task_with_a_curriculum_is_learnt_as_the_rounds_go_on_and_measured_as_it_is(pretrained):
+def test_a_task_that_becomes_harder_is_learnt_so_and_measured_as_it_is(pretrained):
     env, config = Progressing(), dataclasses.replace(TINY, rounds=4, policy_phases=1, pretrain=pretrained)
     state = init_state(env, config, Hyperparameters(), jax.random.key(0))
     run = functools.partial(jax.lax.scan, functools.partial(train_step, env, config))

@@ -25,6 +25,8 @@ class Hand:
     """Bodies whose geoms touch what it grasps, one for each side."""
     widest_gap: float
     """Metres between the pads when it is open."""
+    below_tool: float
+    """Metres from the tool down to the pads' ends when it is closed."""
     lag: float
     """Seconds by which the drive is behind its control: damping over stiffness of the servo."""
 
@@ -129,6 +131,7 @@ UR5E = Arm(
         control_range=(0.0, 255.0),
         pads=(f"{HAND}right_pad", f"{HAND}left_pad"),
         widest_gap=0.085,
+        below_tool=0.022,
         lag=0.1,
     ),
     slowdown=4,
@@ -160,6 +163,7 @@ FRANKA = Arm(
         control_range=(0.04, 0.0),
         pads=("panda0_rightfinger", "panda0_leftfinger"),
         widest_gap=0.08,
+        below_tool=0.018,
         lag=100 / 2800,
     ),
     slowdown=4,

@@ -20,7 +20,6 @@ _SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fe
 _IK_STEPS = 5  # solutions of the inverse kinematics per action
 _SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _SETTLE_STEPS = 1000  # physics steps
-_LOWEST = 0.022  # metres over the table, of a tool: the 2F-85's closed pads end as far below it
 
 
 class ServoArm(Robot):
@@ -150,7 +149,9 @@ class ServoArm(Robot):
     def step(self, action: np.ndarray) -> None:
         """Moves the arm and the hand for `slowdown` times `CONTROL_PERIOD`, by an action, `[4]`."""
         target = self._gripper.lead(self._position(), action[:3])
-        target[2] = max(target[2], _LOWEST)  # the Fetch's pads rest on the table; these servos would press on
+        target[2] = max(
+            target[2], self.arm.hand.below_tool
+        )  # the Fetch's pads rest on the table; these servos would press on
         finger = self._fingers.lead(self._gap(), action[3])
         fetch_time = CONTROL_PERIOD / _IK_STEPS  # of each solution; here it lasts `slowdown` times longer
         commands = self.slowdown * ACCURATE_SUBSTEPS // (_IK_STEPS * _SERVO_STEPS)

@@ -7,7 +7,7 @@ from experiments.localisation.localiser import TargetNotSeenError
 from experiments.transfer import measurement
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.measurement import Point, measure, measure_rows, measured
-from experiments.transfer.policies import find_policies, load_policies, policy_paths
+from experiments.transfer.policies import load_policies, policy_paths
 from experiments.transfer.robots import make_robot
 
 REACH = tuple(policy_paths("reach"))
@@ -55,15 +55,3 @@ def test_points_that_differ_in_their_labels_alone_are_measured_once(monkeypatch)
     assert [row.pop("name") for row in rows] == ["one", "other", "again"]
     assert [point.key() for point in measured_points] == [one.key(), other.key()]
     assert rows[0] == rows[2] != rows[1]
-
-
-def test_the_repository_has_policies_of_each_task():
-    assert len(load_policies("reach")) == 1
-    assert len(load_policies("grasp")) == 8
-    plain = find_policies(("reach", "grasp", "pick-and-place"))["plain"]
-    assert {task: len(paths) for task, paths in plain.items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
-
-
-def test_a_task_without_a_policy_is_refused():
-    with pytest.raises(ValueError, match="no policy of 'point' comes with the repository"):
-        load_policies("point")

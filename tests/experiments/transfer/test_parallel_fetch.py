@@ -42,6 +42,6 @@ def test_points_are_measured_as_each_alone_and_policies_take_turns(shipped_polic
 
 def test_a_size_that_the_program_is_not_made_for_is_refused(shipped_policy):
     fetch = ParallelFetch("reach", [load_policy(shipped_policy)], episodes=1, seed=0)
-    for name in ("posture", "history"):
+    for name in ("posture", "history", "growth"):
         with pytest.raises(ValueError, match=f"a point cannot have '{name}'; it may have delay, step_size"):
             fetch.outcomes(**{name: 1})

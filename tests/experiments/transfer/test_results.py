@@ -16,15 +16,21 @@ from experiments.transfer import camera_goal, results
 from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.disturbances import DISTURBANCES
 from experiments.transfer.goal_sources import GOAL_SOURCES
-from experiments.transfer.policies import find_policies
+from experiments.transfer.policies import RUNS, find_policies
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
+from hgail_jax.io.files import write_csv
 
 
 def read_csv(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
+
+
+@pytest.fixture(autouse=True)
+def plain_alone(monkeypatch):
+    monkeypatch.delitem(RUNS, "robust")
 
 
 def measure_table(folder, source):
@@ -81,6 +87,21 @@ def half_blind(monkeypatch):
     monkeypatch.setattr(camera_goal, "open_renderer", lambda *arguments: types.SimpleNamespace(close=lambda: None))
     monkeypatch.setattr(camera_goal, "Localiser", HalfBlind)
     return counts
+
+
+def test_rows_of_an_older_table_are_of_plain_policies(tmp_path, monkeypatch):
+    for robot in ("ur5e", "franka"):
+        monkeypatch.delitem(ROBOTS, robot)
+    measure_table(tmp_path, "exact")
+    path = tmp_path / "table4.csv"
+    older = [{**row, "stage": "camera goal"} for row in read_csv(path)]
+    for row in older:
+        del row["policy"]
+    write_csv(path, older)
+    measure_table(tmp_path, "exact")
+    rows = read_csv(path)
+    assert [row["stage"] for row in rows] == ["camera goal"] * 3 + ["exact goal"] * 3
+    assert {row["policy"] for row in rows} == {"plain"}
 
 
 def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_blind):
@@ -189,6 +210,6 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
 def test_pictures_of_the_ur5e(tmp_path):
     transfer.main(["--pictures", "--out", str(tmp_path)])
     picture = imageio.imread(tmp_path / "transfer-ur5e.png")
-    assert picture.shape == (480, 6 * 240, 3)
+    assert picture.shape == (3 * 240, 6 * 240, 3)
     assert (picture[:, :240] != picture[:, -240:]).mean() > 0.1
     assert (tmp_path / "transfer-ur5e.png").stat().st_size < 300_000

@@ -250,3 +250,24 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
         play.main(["--task", "grasp", "--policy", str(shipped_policy)])
     assert exit_info.value.code == 2
     assert "the policy is for 'reach', not for 'grasp'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("files", "level", "expected"),
+    [
+        (("reach", "reach-robust"), None, "reach"),
+        (("reach", "reach-robust"), "none", "reach"),
+        (("reach", "reach-robust"), "mild", "reach-robust"),
+        (("reach",), "mild", "reach"),
+        ((), "mild", None),
+    ],
+)
+def test_disturbed_episodes_are_played_with_the_robust_policy_where_there_is_one(
+    files, level, expected, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(play, "assets_directory", lambda: tmp_path)
+    (tmp_path / "policies").mkdir()
+    for file in files:
+        (tmp_path / "policies" / f"{file}.npz").touch()
+    path = play._shipped("reach", level)
+    assert (path and path.stem) == expected

@@ -16,7 +16,7 @@ from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
 from tests.support import compile_once, make_runs_tiny
 
-PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2)
+PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, growth=0.5)
 SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--iterations", "1", "--out", "run"]
 
 
@@ -74,27 +74,6 @@ def test_a_policy_is_played_as_it_was_trained_unless_told_otherwise(tmp_path, sh
     assert isinstance(env, RandomizedEnv)
     assert env.randomization == expected
     assert loaded.observation_size == env.observation_size == 9 + more
-
-
-@pytest.mark.parametrize(
-    ("files", "level", "expected"),
-    [
-        (("reach", "reach-robust"), None, "reach"),
-        (("reach", "reach-robust"), "none", "reach"),
-        (("reach", "reach-robust"), "mild", "reach-robust"),
-        (("reach",), "mild", "reach"),
-        ((), "mild", None),
-    ],
-)
-def test_disturbed_episodes_are_played_with_the_robust_policy_where_there_is_one(
-    files, level, expected, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(play, "assets_directory", lambda: tmp_path)
-    (tmp_path / "policies").mkdir()
-    for file in files:
-        (tmp_path / "policies" / f"{file}.npz").touch()
-    path = play._shipped("reach", level)
-    assert (path and path.stem) == expected
 
 
 def test_an_unknown_level_is_refused_in_one_line(capsys):

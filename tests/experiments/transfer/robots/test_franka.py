@@ -11,7 +11,7 @@ from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.motion import move
-from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE
+from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_table_is_not_pressed
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +34,11 @@ def test_the_hand_opens_and_closes_on_the_fetch_s_scale(grasp):
     assert fingers[0] == pytest.approx(fingers[1], abs=1e-3)
     assert seen[0, 6] == pytest.approx(0.1, abs=3e-3)
     assert seen[6, 6] == pytest.approx(0.0, abs=6e-3)
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(grasp, hand):
+    check_the_table_is_not_pressed(grasp, hand)
 
 
 def test_a_controller_grasps_and_lifts(grasp):

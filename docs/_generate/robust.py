@@ -1,0 +1,74 @@
+"""Writes the tables about policies for a real robot, as Markdown, from what was measured."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from docs._generate.results import RESULTS, count, fixed, read_json, seconds
+from docs._generate.tables import markdown
+from envs.randomization import LEVELS, Randomization
+
+
+def levels() -> str:
+    """The sizes of the randomisations that have names, but for those that only add a history."""
+    named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
+    units = {"delay": "steps", "sag": "of a displacement", "hand_opening": "of the widest", "growth": "of the rounds"}
+    rows = []
+    for field in dataclasses.fields(Randomization):
+        values = [getattr(level, field.name) for level in named.values()]
+        unit = units.get(field.name, "times" if isinstance(values[0], tuple) else "m")
+        texts = [_range(np.atleast_1d(value)) for value in values]
+        if field.name != "history":
+            rows.append([f"`{field.name}`", unit, *texts])
+    return markdown(["size", "unit", *named], rows)
+
+
+def robust() -> str:
+    """What the robust policies that come with the package have on the Fetch, disturbed and not."""
+    header = ["task", "success under `full`", "undisturbed", "plain policies, undisturbed", "env steps", "start to end"]
+    rows = []
+    for folder in sorted((RESULTS / "runs").glob("*-hgail-robust")):
+        row = read_json(f"runs/{folder.name}/summary")
+        plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
+        shares = [row["success_rate"], row["undisturbed_success_rate"], plain["success_rate"]]
+        steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
+        rows.append([row["task"], *(fixed(share["mean"], 3) for share in shares), steps, time])
+    return markdown(header, rows)
+
+
+def robust_tuning() -> str:
+    """How the sizes were chosen that grasp holds under."""
+    return markdown(
+        [
+            "rounds",
+            "width of the cube",
+            "under `full`",
+            "undisturbed",
+            "UR5e, 160 ms",
+            "40 ms",
+            "160 ms, closed at first",
+        ],
+        [
+            [
+                str(row["rounds"]),
+                _range(row["object_size"]),
+                *(_share(row[name]) for name in ("success_rate", "undisturbed", "ur5e", "ur5e_fast", "ur5e_closed")),
+            ]
+            for row in read_json("suite/robust-grasp-tuning")["rows"]
+        ],
+    )
+
+
+def _range(limits: Iterable[float]) -> str:
+    """Writes a least and a most.
+
+    >>> _range([0.5, 1.5])
+    '0.5 to 1.5'
+    """
+    return " to ".join(f"{number:g}" for number in limits)
+
+
+def _share(value: Any) -> str:
+    return "" if value is None else fixed(value, 3)
