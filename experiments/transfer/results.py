@@ -3,7 +3,7 @@
 import csv
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from experiments.transfer.measurement import measure_rows
 from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
-from experiments.transfer.sweeps import FETCH, axes, fetch_rows, robot_points
+from experiments.transfer.sweeps import FETCH, axes, fetch_rows, robot_name, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
@@ -39,16 +39,11 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, 
       RuntimeError: MuJoCo cannot render here, and the goal is to be seen.
 
     """
-    path, kept, made_by = folder / "table4.csv", [], {}
-    stages = [stage(source) for source in sources]
-    if path.exists():
-        with path.open(newline="") as file:
-            kept = [{"policy": PLAIN} | row for row in csv.DictReader(file) if row["stage"] not in stages]
-    if kept:
-        made_by = json.loads(path.with_suffix(".json").read_text())
+    path, stages = folder / "table4.csv", [stage(source) for source in sources]
+    rows, made_by = _kept(path, lambda row: row["stage"] not in stages)
     if set(sources) - {EXACT}:
         check_rendering()
-    points, rows = list(table(sources, find_policies(tuple(TASKS)))), kept
+    points = list(table(sources, find_policies(tuple(TASKS))))
     for row in measure_rows(points, episodes, seed, workers):
         rows.append(row)
         write_csv(path, rows)
@@ -66,6 +61,8 @@ def write_sweep(
 ) -> None:
     """Writes transfer-sweep.csv, its .png, and the .json that says what made it.
 
+    Curves that are there already stay, with what is said of them, where they are of another robot or task.
+
     Args:
       folder: where to.
       policies: what decides, by label and task.
@@ -76,15 +73,15 @@ def write_sweep(
       workers: processes that measure other robots side by side.
 
     """
-    path = folder / "transfer-sweep.csv"
-    rows: list[dict[str, Any]] = []
+    path, curves = folder / "transfer-sweep.csv", [_curve(robot_name(to), task) for to in robots for task in tasks]
+    rows, made_by = _kept(path, lambda row: _curve(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
     on_fetch = fetch_rows(policies, tasks, episodes, seed) if FETCH in robots else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
     for row in itertools.chain(tqdm(on_fetch, unit="point"), elsewhere):
         rows.append(row)
         write_csv(path, rows)
-    write_json(path.with_suffix(".json"), _made_by(episodes, seed))
+    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(curves, _made_by(episodes, seed)))
     draw_sweep(path.with_suffix(".png"), rows, axes())
 
 
@@ -102,6 +99,28 @@ def write_pictures(folder: Path, seed: int) -> None:
             if name in ROBOTS[to].tasks
         ]
         draw_strip(folder / f"transfer-{to}.png", episodes, seed)
+
+
+def _curve(robot: str, task: str) -> str:
+    return f"{robot}: {task}"
+
+
+def _kept(path: Path, stays: Callable[[Mapping[str, Any]], bool]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Returns the rows of a file that stay, and what the file beside it says of all of its rows."""
+    if not path.exists():
+        return [], {}
+    with path.open(newline="") as file:
+        rows = [{"policy": PLAIN} | {name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
+    kept = [row for row in rows if stays(row)]
+    return kept, json.loads(path.with_suffix(".json").read_text()) if kept else {}
+
+
+def _parsed(text: str) -> Any:
+    """Returns what is written in a column: a number or a text."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
 
 
 def _made_by(episodes: int, seed: int) -> dict[str, Any]:

@@ -15,6 +15,11 @@ FETCH = "fetch"
 """What the command line calls this package's Fetch."""
 
 
+def robot_name(to: str) -> str:
+    """Returns what rows call a robot of `ROBOTS`, or this package's Fetch, given what the command line calls it."""
+    return NAME if to == FETCH else ROBOTS[to].name
+
+
 def robot_points(policies: Policies, robots: Sequence[str], tasks: Sequence[str]) -> Iterator[Point]:
     """Yields the points on other robots, each curve's in order: robots' own options, then disturbances."""
     for to, (label, files) in itertools.product(robots, policies.items()):

@@ -163,7 +163,7 @@ FRANKA = Arm(
         control_range=(0.04, 0.0),
         pads=("panda0_rightfinger", "panda0_leftfinger"),
         widest_gap=0.08,
-        below_tool=0.018,
+        below_tool=0.02,
         lag=100 / 2800,
     ),
     slowdown=4,

@@ -201,9 +201,29 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     on_robots = {name for name, disturbance in DISTURBANCES.items() if disturbance.conditions}
     assert {row["quantity"] for row in plain[2:]} == on_robots
     assert {row["quantity"] for row in other[2:]} == on_robots - {"mass"}  # a policy of reach has no object
-    versions = json.loads((tmp_path / "transfer-sweep.json").read_text())["versions"]
-    assert versions["no-such-package"] is None
+    made_by = json.loads((tmp_path / "transfer-sweep.json").read_text())
+    assert made_by["Crane, no simulator: grasp"]["versions"]["no-such-package"] is None
     assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10
+
+
+def test_curves_of_another_task_stay(tmp_path, monkeypatch):
+    for robot in list(ROBOTS):
+        monkeypatch.delitem(ROBOTS, robot)
+    monkeypatch.setitem(ROBOTS, "crane", Crane)
+    policies = find_policies(["reach", "grasp"])
+    for seed, task in enumerate(["reach", "grasp", "grasp"]):
+        write_sweep(tmp_path, policies, ["crane"], [task], episodes=1, seed=seed, workers=1)
+        if task == "reach":
+            of_reach = read_csv(tmp_path / "transfer-sweep.csv")
+    rows = read_csv(tmp_path / "transfer-sweep.csv")
+    assert [row for row in rows if row["task"] == "reach"] == of_reach
+    assert [row["task"] for row in rows].count("grasp") == len(rows) - len(of_reach) > 0
+    assert len({(row["task"], row["quantity"], row["value"]) for row in rows}) == len(rows)  # none is there twice
+    made_by = json.loads((tmp_path / "transfer-sweep.json").read_text())
+    assert {name: made["seed"] for name, made in made_by.items()} == {
+        "Crane, no simulator: reach": 0,
+        "Crane, no simulator: grasp": 2,
+    }
 
 
 @pytest.mark.slow
