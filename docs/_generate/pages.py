@@ -14,7 +14,7 @@ from pathlib import Path
 
 import jinja2
 
-from docs._generate import results, suite, tables
+from docs._generate import results, robust, suite, tables
 
 _FIGURE = re.compile(r"(<!--= .*? -->)(.*?)(<!---->)", re.DOTALL)
 _STATEMENT = re.compile(r"<!--% .*? -->\n?", re.DOTALL)
@@ -75,9 +75,8 @@ def _render(template: str) -> str:
         keep_trailing_newline=True,
         trim_blocks=True,
     )
-    names = {
-        name: value for module in (results, tables, suite) for name, value in vars(module).items() if callable(value)
-    }
+    modules = (results, tables, suite, robust)
+    names = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
     return environment.from_string(template).render(names)
 
 

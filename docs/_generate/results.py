@@ -107,9 +107,12 @@ def bench(**wanted: Any) -> Row:
     return pick(rows, **wanted)
 
 
-def transfer(robot: str, task: str, stage: str = "exact goal", hand: str = "closed", period: int = 40) -> Row:
+def transfer(
+    robot: str, task: str, stage: str = "exact goal", hand: str = "closed", period: int = 40, policy: str = "plain"
+) -> Row:
     """Returns a row of table 4; `robot` is the beginning of its name."""
     rows = [row for row in read_csv("transfer/table4") if row["robot"].startswith(robot)]
+    rows = [row for row in rows if row.get("policy", "plain") == policy]
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 

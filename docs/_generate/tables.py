@@ -1,11 +1,8 @@
 """Writes the tables of the documentation, as Markdown, from what was measured."""
 
-import dataclasses
 import math
 import statistics
 from typing import Any
-
-import numpy as np
 
 from docs._generate.results import (
     Row,
@@ -20,7 +17,6 @@ from docs._generate.results import (
     success,
     trial,
 )
-from envs.randomization import LEVELS, Randomization
 
 _UNBROKEN = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
 
@@ -275,13 +271,15 @@ def _tried(row: Row) -> list[str]:
 def robots() -> str:
     """Table 4: policies run unchanged on other robots."""
     rows = read_csv("transfer/table4")
-    header = ["robot", "task", "hand at the start, action", "goal from", "success", "95 % interval", "L1 distance"]
+    start = "hand at the start, action"
+    header = ["robot", "task", "policies", start, "goal from", "success", "95 % interval", "L1 distance"]
     return markdown(
         header,
         [
             [
                 row["robot"].removesuffix(" on C MuJoCo").removesuffix(", C MuJoCo"),
                 row["task"],
+                row.get("policy", "plain"),
                 f"{row['hand_at_start']}, {row['milliseconds_per_action']:.0f} ms",
                 row["stage"].removesuffix(" goal").replace("exact", "simulator"),
                 fixed(row["success_rate"], 3),
@@ -345,17 +343,3 @@ def parity(table: str = "parity") -> str:
             for row in read_json(f"parity/{table}")["rows"]
         ],
     )
-
-
-def levels() -> str:
-    """The sizes of the randomisations that have names, but for those that only add a history."""
-    named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
-    units = {"delay": "steps", "sag": "of a displacement", "hand_opening": "of the widest", "growth": "of the rounds"}
-    rows = []
-    for field in dataclasses.fields(Randomization):
-        values = [getattr(level, field.name) for level in named.values()]
-        unit = units.get(field.name, "times" if isinstance(values[0], tuple) else "m")
-        texts = [" to ".join(f"{number:g}" for number in np.atleast_1d(value)) for value in values]
-        if field.name != "history":
-            rows.append([f"`{field.name}`", unit, *texts])
-    return markdown(["size", "unit", *named], rows)

@@ -9,7 +9,9 @@ import pytest
 import envs
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD
+from envs.scenes import assets_directory
 from experiments.parity.reference import joint_indices
+from experiments.transfer.conditions import Conditions
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from hgail_jax.io.policy import load_policy
@@ -59,6 +61,15 @@ def test_a_trained_policy_reaches(reach, shipped_policy):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("task", "plain"), [("reach", 1.0), ("grasp", 0.5)])
+def test_robust_policies_withstand_a_delay_that_plain_ones_of_grasp_do_not(task, plain):
+    robot = GymnasiumFetch(task)
+    for name, least, most in ((task, 0.0, plain), (f"{task}-robust", 0.9, 1.0)):
+        policy = load_policy(assets_directory() / "policies" / f"{name}.npz")
+        outcomes = run_episodes(robot, [policy], range(30), conditions=Conditions(delay=2))
+        assert least <= np.mean([outcome.success for outcome in outcomes]) <= most
+
+
 def test_a_trained_policy_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(40))
     assert np.mean([outcome.success for outcome in outcomes]) >= 0.93
