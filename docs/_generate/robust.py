@@ -43,6 +43,7 @@ def robust_tuning() -> str:
     return markdown(
         [
             "rounds",
+            "growth",
             "width of the cube",
             "under `full`",
             "undisturbed",
@@ -53,6 +54,7 @@ def robust_tuning() -> str:
         [
             [
                 str(row["rounds"]),
+                f"{row['growth']:g}",
                 _range(row["object_size"]),
                 *(_share(row[name]) for name in ("success_rate", "undisturbed", "ur5e", "ur5e_fast", "ur5e_closed")),
             ]
