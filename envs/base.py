@@ -235,12 +235,12 @@ class GoalEnv(Env):
         return
 
     def eased(self, progress: jax.Array | float) -> "GoalEnv":
-        """Returns the task as easy as it is to be learnt from after a share of the rounds; by default it is no easier.
+        """Returns the task to learn from once a share of the rounds is through: easier at first; by default this one.
 
-        Only resets and steps are those of the easier task. Sizes, observations and what the goals mean must not differ.
+        Episodes are reset and stepped in it. Sizes, observations and what the goals mean must be those of this one.
 
         Args:
-          progress: the share of the rounds that is through, `[]`, which may be traced. At 1 nothing is easier.
+          progress: the share of the rounds that is through, `[]`, which may be traced. At 1 the task is this one.
 
         """
         del progress

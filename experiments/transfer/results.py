@@ -76,9 +76,9 @@ def write_sweep(
     path, curves = folder / "transfer-sweep.csv", [_curve(robot_name(to), task) for to in robots for task in tasks]
     rows, made_by = _kept(path, lambda row: _curve(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
-    on_fetch = fetch_rows(policies, tasks, episodes, seed) if FETCH in robots else ()
+    on_fetch = tqdm(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
-    for row in itertools.chain(tqdm(on_fetch, unit="point"), elsewhere):
+    for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)
         write_csv(path, rows)
     write_json(path.with_suffix(".json"), made_by | dict.fromkeys(curves, _made_by(episodes, seed)))
@@ -106,13 +106,13 @@ def _curve(robot: str, task: str) -> str:
 
 
 def _kept(path: Path, stays: Callable[[Mapping[str, Any]], bool]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Returns the rows of a file that stay, and what the file beside it says of all of its rows."""
+    """Returns the rows of a file that stay, and what the file beside it says of all rows, if it is there yet."""
     if not path.exists():
         return [], {}
     with path.open(newline="") as file:
         rows = [{"policy": PLAIN} | {name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    kept = [row for row in rows if stays(row)]
-    return kept, json.loads(path.with_suffix(".json").read_text()) if kept else {}
+    kept, beside = [row for row in rows if stays(row)], path.with_suffix(".json")
+    return kept, json.loads(beside.read_text()) if kept and beside.exists() else {}
 
 
 def _parsed(text: str) -> Any:

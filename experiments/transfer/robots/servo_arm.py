@@ -149,9 +149,8 @@ class ServoArm(Robot):
     def step(self, action: np.ndarray) -> None:
         """Moves the arm and the hand for `slowdown` times `CONTROL_PERIOD`, by an action, `[4]`."""
         target = self._gripper.lead(self._position(), action[:3])
-        target[2] = max(
-            target[2], self.arm.hand.below_tool
-        )  # the Fetch's pads rest on the table; these servos would press on
+        # The Fetch's pads come to rest on the table; these servos would press on.
+        target[2] = max(target[2], self.arm.hand.below_tool)
         finger = self._fingers.lead(self._gap(), action[3])
         fetch_time = CONTROL_PERIOD / _IK_STEPS  # of each solution; here it lasts `slowdown` times longer
         commands = self.slowdown * ACCURATE_SUBSTEPS // (_IK_STEPS * _SERVO_STEPS)
