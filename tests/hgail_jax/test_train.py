@@ -167,6 +167,11 @@ def test_a_task_that_becomes_harder_is_learnt_so_and_measured_as_it_is(pretraine
     np.testing.assert_allclose(metrics.training.distance_l2, [*first, *expected], atol=1e-5)
 
 
+def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
+    config = dataclasses.replace(TINY, policy_phases=0)
+    assert init_state(ENV, config, Hyperparameters(), jax.random.key(0)).progress(config) == 1.0
+
+
 def test_an_evaluation_changes_nothing_in_the_training():
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     with_one, without = (
