@@ -58,7 +58,8 @@ class Slide(Push):
             hidden=256,
             trivial_weight=0.3,
             action_std=0.2,
-            final_action_std=0.15,
+            final_action_std=0.075,
+            likelihood_weight=0.03,
             policy_learning_rate=2e-3,
         )
         for platform in ("cpu", "gpu")
