@@ -165,14 +165,17 @@ def check_metrics(metrics: RoundMetrics) -> None:
 
     Raises:
       OverflowError: the simulation ran out of room for contacts.
-      FloatingPointError: each seed had an update in the round that was not finite. Where some seeds had none, the
-        others' are counted in `metrics.diverged`, and were undone.
+      FloatingPointError: each seed had an update in the round that was not finite, or the simulation of all its
+        episodes broke down. Where some seeds are sound, the others are counted in `metrics.diverged`, their updates
+        undone, and in `metrics.dropped`.
 
     """
     if np.any(np.asarray(metrics.overflow) > 0):
         raise OverflowError("the simulation ran out of room for contacts")
     if np.all(np.asarray(metrics.diverged) > 0):
         raise FloatingPointError("no seed's update is finite")
+    if np.all(np.asarray(metrics.dropped) == 1):
+        raise FloatingPointError("the simulation of every episode broke down")
 
 
 def _run_phase(

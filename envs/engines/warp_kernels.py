@@ -2,6 +2,10 @@
 
 import importlib
 import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import mujoco
@@ -21,11 +25,44 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
       model: the scene.
       sizes: of the buffers, see `envs.engines.mjx.buffer_sizes`; their number of rows is in the kernels.
 
+    Raises:
+      Exception: as Warp raises it, where a module cannot be built.
+
     """
     warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_PACKAGE)
     names = [f"{_PACKAGE}._src.{module}" for module in _LARGEST]
     modules = [warp.get_module(name) for name in names if name in sys.modules]
     with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
-        warp.force_load(device, modules, max_workers=len(modules))
+        _load_side_by_side(modules, device)
         mujoco_warp.step(mujoco_warp.put_model(model), mujoco_warp.make_data(model, nworld=1, **sizes))
         warp.synchronize_device(device)
+
+
+def _load_side_by_side(modules: Sequence[Any], device: Any) -> None:
+    """Loads Warp's modules, and lets CUDA's compiler work on all of them at once.
+
+    Code is generated for one module at a time. Warp 1.14 notes what it knows of a function in one place for all modules
+    that call it, and two at once now and then write code that does not compile (NVIDIA/warp#1474, mended since).
+    `warp.force_load` would do just that, and say nothing of a module that could not be built.
+    """
+    compiler: Any = importlib.import_module("warp._src.build")
+    generating = threading.Lock()
+    compile_cuda = compiler.build_cuda
+
+    def compile_beside(*args: Any, **options: Any) -> Any:
+        generating.release()
+        try:
+            return compile_cuda(*args, **options)
+        finally:
+            generating.acquire()
+
+    def load(module: Any) -> None:
+        with generating:
+            module.load(device)
+
+    compiler.build_cuda = compile_beside
+    try:
+        with ThreadPoolExecutor(len(modules)) as threads:
+            list(threads.map(load, modules))
+    finally:
+        compiler.build_cuda = compile_cuda

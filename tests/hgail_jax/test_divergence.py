@@ -98,6 +98,12 @@ def test_a_round_in_which_no_seed_learns_or_one_overflows_is_refused():
         check_metrics(metrics_of(overflow=[0.0, 1e-4], diverged=[1.0, 1.0]))
 
 
+def test_a_round_without_a_sound_episode_is_refused():
+    check_metrics(metrics_of(dropped=[1.0, 0.99]))
+    with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down$"):
+        check_metrics(metrics_of(dropped=[1.0, 1.0]))
+
+
 def program(*settings):
     return Program(ENV, TINY, settings, seeds=1, first_seed=3)
 

@@ -796,7 +796,9 @@ def round_metrics(**changes):
 
 def test_wrong_results_are_refused():
     check_metrics(round_metrics())
-    check_metrics(round_metrics(diverged=np.array([1.0, 0.0]), overflow=np.full(2, np.nan), dropped=np.ones(2)))
+    check_metrics(
+        round_metrics(diverged=np.array([1.0, 0.0]), overflow=np.full(2, np.nan), dropped=np.array([1.0, 0.5]))
+    )
     for overflow in ([0.1, 0.0], [0.0, 1.0]):
         with pytest.raises(OverflowError):
             check_metrics(round_metrics(overflow=np.array(overflow)))
