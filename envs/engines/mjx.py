@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import mjx
 
 from envs.engines.base import Control, Engine, StateT
-from envs.engines.warp_kernels import build_kernels
+from envs.engines.warp_kernels import build_kernels, generate_code_in_turn
 
 
 @jax.jit  # traced once, whatever loops and batches it is then run in
@@ -89,6 +89,7 @@ class WarpEngine(MjxEngine):
     name = "warp"
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
+        generate_code_in_turn()
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
 

@@ -33,36 +33,40 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
     names = [f"{_PACKAGE}._src.{module}" for module in _LARGEST]
     modules = [warp.get_module(name) for name in names if name in sys.modules]
     with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
-        _load_side_by_side(modules, device)
+        load_side_by_side(modules, device)
         mujoco_warp.step(mujoco_warp.put_model(model), mujoco_warp.make_data(model, nworld=1, **sizes))
         warp.synchronize_device(device)
 
 
-def _load_side_by_side(modules: Sequence[Any], device: Any) -> None:
-    """Loads Warp's modules, and lets CUDA's compiler work on all of them at once.
+def generate_code_in_turn() -> None:
+    """Has Warp generate code for one module at a time, while CUDA's compiler may be at work on others.
 
-    Code is generated for one module at a time. Warp 1.14 notes what it knows of a function in one place for all modules
-    that call it, and two at once now and then write code that does not compile (NVIDIA/warp#1474, mended since).
-    `warp.force_load` would do just that, and say nothing of a module that could not be built.
+    Warp 1.14 notes what it knows of a function in one place for all modules that call it. Of two threads that build
+    such modules at once, one now and then writes code that does not compile (NVIDIA/warp#1474). Call it before there
+    are such threads; later versions, which have a lock of their own, are left as they are.
     """
+    context: Any = importlib.import_module("warp._src.context")
     compiler: Any = importlib.import_module("warp._src.build")
-    generating = threading.Lock()
-    compile_cuda = compiler.build_cuda
+    if hasattr(context, "_codegen_lock"):
+        return
+    context._codegen_lock = turn = threading.Lock()
+    compile_cuda, load = compiler.build_cuda, context.Module.load
 
     def compile_beside(*args: Any, **options: Any) -> Any:
-        generating.release()
+        turn.release()
         try:
             return compile_cuda(*args, **options)
         finally:
-            generating.acquire()
+            turn.acquire()
 
-    def load(module: Any) -> None:
-        with generating:
-            module.load(device)
+    def load_in_turn(module: Any, *args: Any, **options: Any) -> Any:
+        with turn:
+            return load(module, *args, **options)
 
-    compiler.build_cuda = compile_beside
-    try:
-        with ThreadPoolExecutor(len(modules)) as threads:
-            list(threads.map(load, modules))
-    finally:
-        compiler.build_cuda = compile_cuda
+    compiler.build_cuda, context.Module.load = compile_beside, load_in_turn
+
+
+def load_side_by_side(modules: Sequence[Any], device: Any) -> None:
+    """Loads Warp's modules in a thread each, and raises what is wrong with one, which `warp.force_load` does not."""
+    with ThreadPoolExecutor(len(modules)) as threads:
+        list(threads.map(lambda module: module.load(device), modules))

@@ -2,26 +2,26 @@
 
 import sys
 import threading
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
 
-from envs.engines.warp_kernels import _load_side_by_side
+from envs.engines.warp_kernels import generate_code_in_turn, load_side_by_side
 
 _MODULES = 4
 
 
 class Module:
-    """A module whose code must be generated while no other's is, and compiled while all others' are."""
+    """A module whose code must be generated while no other's is, and is compiled while all others' are."""
 
     generating = 0
 
-    def __init__(self, build: ModuleType, breaks: bool = False) -> None:
-        self._build, self._breaks, self.device = build, breaks, ""
+    def __init__(self, warp: SimpleNamespace, breaks: bool = False) -> None:
+        self._warp, self._breaks, self.device = warp, breaks, ""
 
     def load(self, device: str) -> None:
         self._generate()
-        assert self._build.build_cuda("code", arch=90) == "compiled"
+        assert self._warp.build.build_cuda("code", arch=90) == "compiled"
         self._generate()
         self.device = device
 
@@ -35,7 +35,7 @@ class Module:
 
 
 @pytest.fixture
-def build(monkeypatch):
+def warp(monkeypatch):
     together = threading.Barrier(_MODULES, timeout=20)
 
     def build_cuda(source: str, arch: int) -> str:
@@ -43,22 +43,33 @@ def build(monkeypatch):
         together.wait()
         return "compiled"
 
-    build = SimpleNamespace(build_cuda=build_cuda)
-    for name, module in {"warp": SimpleNamespace(), "warp._src": SimpleNamespace(), "warp._src.build": build}.items():
-        monkeypatch.setitem(sys.modules, name, module)
+    warp = SimpleNamespace(build=SimpleNamespace(build_cuda=build_cuda), context=SimpleNamespace(Module=Module))
+    for name, module in vars(warp).items():
+        monkeypatch.setitem(sys.modules, f"warp._src.{name}", module)
     monkeypatch.setattr(Module, "generating", 0)
-    return build
+    monkeypatch.setattr(Module, "load", Module.load)  # is put back afterwards
+    return warp
 
 
-def test_modules_are_compiled_at_once_and_their_code_is_generated_one_at_a_time(build):
-    modules, compile_cuda = [Module(build) for _ in range(_MODULES)], build.build_cuda
-    _load_side_by_side(modules, "cuda:0")
+def test_code_is_generated_for_one_module_at_a_time_and_compiled_for_all_at_once(warp):
+    for _ in range(2):  # once is enough
+        generate_code_in_turn()
+    modules = [Module(warp) for _ in range(_MODULES)]
+    another = threading.Thread(target=modules[0].load, args=["cuda:0"])  # of the program that is traced meanwhile
+    another.start()
+    load_side_by_side(modules[1:], "cuda:0")
+    another.join()
     assert [module.device for module in modules] == ["cuda:0"] * _MODULES
-    assert build.build_cuda is compile_cuda
 
 
-def test_a_module_that_cannot_be_built_is_told_of(build):
-    compile_cuda = build.build_cuda
+def test_a_warp_that_takes_turns_itself_is_left_as_it_is(warp):
+    warp.context._codegen_lock = object()
+    before = warp.build.build_cuda, Module.load
+    generate_code_in_turn()
+    assert (warp.build.build_cuda, Module.load) == before
+
+
+def test_a_module_that_cannot_be_built_is_told_of(warp):
+    generate_code_in_turn()
     with pytest.raises(RuntimeError, match="cannot be built"):
-        _load_side_by_side([Module(build, breaks=True)], "cuda:0")
-    assert build.build_cuda is compile_cuda
+        load_side_by_side([Module(warp, breaks=True)], "cuda:0")
