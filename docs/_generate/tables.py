@@ -153,6 +153,26 @@ def stepping() -> str:
     )
 
 
+def engines(table: str) -> str:
+    """How fast two versions of the engine step the same tasks on a GPU: a table of `bench/`, each pair of its rows."""
+    rows = read_json(f"bench/{table}")["rows"]
+    older, newer = rows[::2], rows[1::2]
+    names = [f"MuJoCo {row['mujoco']}, warp-lang {row['warp']}" for row in (older[0], newer[0])]
+    return markdown(
+        ["task, physics steps per action", "environments", *names, "ratio"],
+        [
+            [
+                f"{old['task']}, {old['substeps']}",
+                count(old["num_envs"]),
+                rate(old["env_steps_per_second"]),
+                rate(new["env_steps_per_second"]),
+                fixed(new["env_steps_per_second"] / old["env_steps_per_second"], 2),
+            ]
+            for old, new in zip(older, newer, strict=True)
+        ],
+    )
+
+
 def several_gpus() -> str:
     """Training of reach on two and four H200s."""
     rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "devices"]
