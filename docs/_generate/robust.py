@@ -2,11 +2,10 @@
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
-from docs._generate.results import RESULTS, count, fixed, read_json, seconds
+from docs._generate.results import RESULTS, Row, count, fixed, read_json, seconds
 from docs._generate.tables import markdown
 from envs.randomization import LEVELS, Randomization
 
@@ -38,29 +37,34 @@ def robust() -> str:
     return markdown(header, rows)
 
 
+_ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
+
+
 def robust_tuning() -> str:
     """How the sizes were chosen that grasp holds under."""
     return markdown(
+        ["rounds", "growth", "width of the cube", "under `full`", "undisturbed", *_ON_THE_UR5E],
         [
-            "rounds",
-            "growth",
-            "width of the cube",
-            "under `full`",
-            "undisturbed",
-            "UR5e, 160 ms",
-            "40 ms",
-            "160 ms, closed at first",
-        ],
-        [
-            [
-                str(row["rounds"]),
-                f"{row['growth']:g}",
-                _range(row["object_size"]),
-                *(_share(row[name]) for name in ("success_rate", "undisturbed", "ur5e", "ur5e_fast", "ur5e_closed")),
-            ]
+            [str(row["rounds"]), f"{row['growth']:g}", _range(row["object_size"]), *_successes(row)]
             for row in read_json("suite/robust-grasp-tuning")["rows"]
         ],
     )
+
+
+def robust_noise() -> str:
+    """What the error of the positions that are seen in training makes of grasp."""
+    return markdown(
+        ["seed", "`goal_offset`", "under these sizes", "undisturbed", *_ON_THE_UR5E],
+        [
+            [str(row["seed"]), f"{row['offset']:g} m", *_successes(row)]
+            for row in read_json("suite/robust-grasp-tuning")["noise"]["rows"]
+        ],
+    )
+
+
+def _successes(row: Row) -> list[str]:
+    names = ("success_rate", "undisturbed", "ur5e", "ur5e_fast", "ur5e_closed")
+    return ["" if row[name] is None else fixed(row[name], 3) for name in names]
 
 
 def _range(limits: Iterable[float]) -> str:
@@ -70,7 +74,3 @@ def _range(limits: Iterable[float]) -> str:
     '0.5 to 1.5'
     """
     return " to ".join(f"{number:g}" for number in limits)
-
-
-def _share(value: Any) -> str:
-    return "" if value is None else fixed(value, 3)
