@@ -165,17 +165,18 @@ def check_metrics(metrics: RoundMetrics) -> None:
 
     Raises:
       OverflowError: the simulation ran out of room for contacts.
-      FloatingPointError: each seed had an update in the round that was not finite, or the simulation of all its
-        episodes broke down. Where some seeds are sound, the others are counted in `metrics.diverged`, their updates
-        undone, and in `metrics.dropped`.
+      FloatingPointError: each seed had an update in the round that was not finite, or no episode whose simulation did
+        not break down. Where a seed is sound the others go on: their updates were undone and are counted in
+        `metrics.diverged`, or they learnt nothing, see `metrics.dropped`.
 
     """
     if np.any(np.asarray(metrics.overflow) > 0):
         raise OverflowError("the simulation ran out of room for contacts")
-    if np.all(np.asarray(metrics.diverged) > 0):
-        raise FloatingPointError("no seed's update is finite")
-    if np.all(np.asarray(metrics.dropped) == 1):
+    diverged, broken = np.asarray(metrics.diverged) > 0, np.asarray(metrics.dropped) == 1
+    if np.all(broken):
         raise FloatingPointError("the simulation of every episode broke down")
+    if np.all(diverged | broken):
+        raise FloatingPointError("no seed's update is finite")
 
 
 def _run_phase(

@@ -43,7 +43,7 @@ _ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
 def robust_tuning() -> str:
     """How the sizes were chosen that grasp holds under."""
     return markdown(
-        ["rounds", "growth", "width of the cube", "under `full`", "undisturbed", *_ON_THE_UR5E],
+        ["rounds", "growth", "width of the cube", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
             [str(row["rounds"]), f"{row['growth']:g}", _range(row["object_size"]), *_successes(row)]
             for row in read_json("suite/robust-grasp-tuning")["rows"]
@@ -52,7 +52,7 @@ def robust_tuning() -> str:
 
 
 def robust_noise() -> str:
-    """What the error of the positions that are seen in training makes of grasp."""
+    """What grasp has with two sizes of the errors of what is seen, which `goal_offset` stands for."""
     return markdown(
         ["seed", "`goal_offset`", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [

@@ -154,23 +154,18 @@ def stepping() -> str:
 
 
 def engines(table: str) -> str:
-    """How fast two versions of the engine step the same tasks on a GPU: a table of `bench/`, each pair of its rows."""
+    """How fast an older and a newer version of the engine step the same tasks on a GPU: a table of `bench/`."""
     rows = read_json(f"bench/{table}")["rows"]
-    older, newer = rows[::2], rows[1::2]
-    names = [f"MuJoCo {row['mujoco']}, warp-lang {row['warp']}" for row in (older[0], newer[0])]
-    return markdown(
-        ["task, physics steps per action", "environments", *names, "ratio"],
-        [
-            [
-                f"{old['task']}, {old['substeps']}",
-                count(old["num_envs"]),
-                rate(old["env_steps_per_second"]),
-                rate(new["env_steps_per_second"]),
-                fixed(new["env_steps_per_second"] / old["env_steps_per_second"], 2),
-            ]
-            for old, new in zip(older, newer, strict=True)
-        ],
-    )
+    older, newer = dict.fromkeys((row["mujoco"], row["warp"]) for row in rows)
+    same = ("task", "num_envs", "substeps")
+    cells = []
+    for old in (row for row in rows if row["mujoco"] == older[0]):
+        new = pick(rows, mujoco=newer[0], **{name: old[name] for name in same})
+        rates = [row["env_steps_per_second"] for row in (old, new)]
+        work = [f"{old['task']}, {old['substeps']}", count(old["num_envs"])]
+        cells.append([*work, *map(rate, rates), fixed(rates[1] / rates[0], 2)])
+    names = [f"MuJoCo {mujoco}, warp-lang {warp}" for mujoco, warp in (older, newer)]
+    return markdown(["task, physics steps per action", "environments", *names, "newer / older"], cells)
 
 
 def several_gpus() -> str:

@@ -1,9 +1,10 @@
 """Builds the kernels of MuJoCo Warp before the first step needs them."""
 
+import functools
 import importlib
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -43,30 +44,77 @@ def generate_code_in_turn() -> None:
 
     Warp 1.14 notes what it knows of a function in one place for all modules that call it. Of two threads that build
     such modules at once, one now and then writes code that does not compile (NVIDIA/warp#1474). Call it before there
-    are such threads; later versions, which have a lock of their own, are left as they are.
+    are such threads; a second call changes nothing. Later versions, which take turns themselves, are left as they are.
     """
     context: Any = importlib.import_module("warp._src.context")
     compiler: Any = importlib.import_module("warp._src.build")
-    if hasattr(context, "_codegen_lock"):
-        return
-    context._codegen_lock = turn = threading.Lock()
-    compile_cuda, load = compiler.build_cuda, context.Module.load
+    with _PATCHING:
+        if hasattr(context, "_codegen_lock") or hasattr(compiler.build_cuda, "turn"):
+            return
+        turn = _Turn()
+        compiler.build_cuda = turn.given_up_in(compiler.build_cuda)
+        for name in ("load", "get_module_hash"):  # either may generate code
+            setattr(context.Module, name, turn.taken_in(getattr(context.Module, name)))
 
-    def compile_beside(*args: Any, **options: Any) -> Any:
-        turn.release()
-        try:
-            return compile_cuda(*args, **options)
-        finally:
-            turn.acquire()
 
-    def load_in_turn(module: Any, *args: Any, **options: Any) -> Any:
-        with turn:
-            return load(module, *args, **options)
+_PATCHING = threading.Lock()
 
-    compiler.build_cuda, context.Module.load = compile_beside, load_in_turn
+
+class _Turn:
+    """What one thread has at a time: taken in some functions, given up in others that they call."""
+
+    def __init__(self) -> None:
+        self._lock, self._of_this_thread = threading.Lock(), threading.local()
+
+    def taken_in(self, function: Callable) -> Callable:
+        """Returns a function that takes the turn, unless its thread has it already."""
+
+        @functools.wraps(function)
+        def in_turn(*args: Any, **options: Any) -> Any:
+            if self._is_mine():
+                return function(*args, **options)
+            with self._lock:
+                self._of_this_thread.turn = True
+                try:
+                    return function(*args, **options)
+                finally:
+                    self._of_this_thread.turn = False
+
+        return in_turn
+
+    def given_up_in(self, function: Callable) -> Callable:
+        """Returns a function during which others may have the turn, if its thread has it."""
+
+        @functools.wraps(function)
+        def beside(*args: Any, **options: Any) -> Any:
+            if not self._is_mine():
+                return function(*args, **options)
+            self._of_this_thread.turn = False
+            self._lock.release()
+            try:
+                return function(*args, **options)
+            finally:
+                self._lock.acquire()
+                self._of_this_thread.turn = True
+
+        beside.turn = self  # type: ignore[attr-defined]
+        return beside
+
+    def _is_mine(self) -> bool:
+        return getattr(self._of_this_thread, "turn", False)
 
 
 def load_side_by_side(modules: Sequence[Any], device: Any) -> None:
-    """Loads Warp's modules in a thread each, and raises what is wrong with one, which `warp.force_load` does not."""
-    with ThreadPoolExecutor(len(modules)) as threads:
-        list(threads.map(lambda module: module.load(device), modules))
+    """Loads Warp's modules in several threads.
+
+    Raises:
+      Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.
+
+    """
+
+    def load(module: Any) -> None:
+        if module.load(device) is None:
+            raise RuntimeError(f"Warp cannot build its module {module.name!r}")
+
+    with ThreadPoolExecutor() as threads:
+        list(threads.map(load, modules))

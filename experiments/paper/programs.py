@@ -63,7 +63,7 @@ def train_program(
     Raises:
       OSError: a checkpoint cannot be written.
       OverflowError: the simulation ran out of room for contacts.
-      FloatingPointError: no seed's update was finite in a round.
+      FloatingPointError: no seed's update was finite in a round, or no episode's simulation.
 
     """
     program = make_program(env, trials, demonstrations)

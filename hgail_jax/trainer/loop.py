@@ -129,7 +129,7 @@ def train(
 
     Raises:
       OverflowError: the simulation ran out of room for contacts; the last checkpoint is from before that.
-      FloatingPointError: no seed's update was finite in a round; likewise.
+      FloatingPointError: no seed's update was finite in a round, or no episode's simulation; likewise.
       ReplicaError: devices that should hold the same numbers do not; likewise.
       OSError: a checkpoint cannot be written.
 

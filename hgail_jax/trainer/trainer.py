@@ -141,7 +141,8 @@ class Trainer:
           The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
 
         Raises:
-          FloatingPointError: no seed's update was finite in a round; the last checkpoint is from before that.
+          FloatingPointError: no seed's update was finite in a round, or no episode's simulation; the last checkpoint is
+            from before that.
           OverflowError: the simulation ran out of room for contacts; likewise.
           OSError: something cannot be written.
           ValueError: see `open`; or this trainer has trained already.

@@ -100,8 +100,11 @@ def test_a_round_in_which_no_seed_learns_or_one_overflows_is_refused():
 
 def test_a_round_without_a_sound_episode_is_refused():
     check_metrics(metrics_of(dropped=[1.0, 0.99]))
-    with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down$"):
-        check_metrics(metrics_of(dropped=[1.0, 1.0]))
+    for dropped in ([1.0, 1.0], 1.0):
+        with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down$"):
+            check_metrics(metrics_of(dropped=dropped))
+    with pytest.raises(FloatingPointError):
+        check_metrics(metrics_of(dropped=[0.0, 1.0], diverged=[1.0, 0.0]))
 
 
 def program(*settings):
@@ -130,4 +133,16 @@ def test_a_training_stops_where_all_diverge(step):
     progress = begin(all_of_them)
     with pytest.raises(FloatingPointError, match=r"^no seed's update is finite in round 0$"):
         train(all_of_them, step, progress)
+    assert progress.rounds == 0
+
+
+def test_a_training_stops_where_every_episode_breaks_down(step):
+    progress = begin(program(SOUND, SOUND))
+
+    def broken_step(states, phases):
+        states, metrics = step(states, phases)
+        return states, metrics.replace(dropped=np.ones_like(metrics.dropped))
+
+    with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down in round 0$"):
+        train(program(SOUND, SOUND), broken_step, progress)
     assert progress.rounds == 0

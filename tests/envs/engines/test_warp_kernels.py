@@ -1,4 +1,7 @@
-"""How the kernels of MuJoCo Warp are built, with a stand-in for Warp; `test_warp.py` builds them on a GPU."""
+"""How the kernels of MuJoCo Warp are built, with a stand-in for Warp.
+
+`tests/envs/fetch/test_warp.py` builds them on a GPU.
+"""
 
 import sys
 import threading
@@ -16,60 +19,93 @@ class Module:
 
     generating = 0
 
-    def __init__(self, warp: SimpleNamespace, breaks: bool = False) -> None:
-        self._warp, self._breaks, self.device = warp, breaks, ""
+    def __init__(self, warp: SimpleNamespace, name: str = "sound") -> None:
+        self._warp, self.name, self.device = warp, name, ""
 
-    def load(self, device: str) -> None:
-        self._generate()
-        assert self._warp.build.build_cuda("code", arch=90) == "compiled"
+    def load(self, device: str) -> "Module | None":
+        self.get_module_hash()
+        assert self._warp.build.build_cuda(self.name, arch=90) == "compiled"
         self._generate()
         self.device = device
+        return None if self.name == "failed before" else self
+
+    def get_module_hash(self) -> None:
+        self._generate()
 
     def _generate(self) -> None:
         Module.generating += 1
         threading.Event().wait(0.01)
         assert Module.generating == 1
         Module.generating -= 1
-        if self._breaks:
-            raise RuntimeError("cannot be built")
 
 
 @pytest.fixture
 def warp(monkeypatch):
     together = threading.Barrier(_MODULES, timeout=20)
 
-    def build_cuda(source: str, arch: int) -> str:
-        assert (source, arch) == ("code", 90)
-        together.wait()
+    def build_cuda(name: str, arch: int) -> str:
+        assert arch == 90
+        if name == "broken":
+            raise ArithmeticError("cannot be compiled")
+        if name == "sound":
+            together.wait()
         return "compiled"
 
     warp = SimpleNamespace(build=SimpleNamespace(build_cuda=build_cuda), context=SimpleNamespace(Module=Module))
     for name, module in vars(warp).items():
         monkeypatch.setitem(sys.modules, f"warp._src.{name}", module)
     monkeypatch.setattr(Module, "generating", 0)
-    monkeypatch.setattr(Module, "load", Module.load)  # is put back afterwards
+    for name in ("load", "get_module_hash"):
+        monkeypatch.setattr(Module, name, getattr(Module, name))  # which are put back afterwards
     return warp
 
 
+def patched(warp):
+    return warp.build.build_cuda, Module.load, Module.get_module_hash
+
+
 def test_code_is_generated_for_one_module_at_a_time_and_compiled_for_all_at_once(warp):
-    for _ in range(2):  # once is enough
-        generate_code_in_turn()
+    generate_code_in_turn()
     modules = [Module(warp) for _ in range(_MODULES)]
-    another = threading.Thread(target=modules[0].load, args=["cuda:0"])  # of the program that is traced meanwhile
-    another.start()
+    others = [  # of the program that is traced meanwhile
+        threading.Thread(target=modules[0].load, args=["cuda:0"]),
+        threading.Thread(target=Module(warp).get_module_hash),
+    ]
+    for thread in others:
+        thread.start()
     load_side_by_side(modules[1:], "cuda:0")
-    another.join()
+    for thread in others:
+        thread.join()
     assert [module.device for module in modules] == ["cuda:0"] * _MODULES
+    assert Module.generating == 0
 
 
-def test_a_warp_that_takes_turns_itself_is_left_as_it_is(warp):
+def test_a_warp_that_takes_turns_is_left_as_it_is(warp):
+    generate_code_in_turn()
+    before = patched(warp)
+    generate_code_in_turn()
+    assert patched(warp) == before
+
+
+def test_a_newer_warp_is_left_as_it_is(warp):
     warp.context._codegen_lock = object()
-    before = warp.build.build_cuda, Module.load
+    before = patched(warp)
     generate_code_in_turn()
-    assert (warp.build.build_cuda, Module.load) == before
+    assert patched(warp) == before
 
 
-def test_a_module_that_cannot_be_built_is_told_of(warp):
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [("broken", ArithmeticError, "cannot be compiled"), ("failed before", RuntimeError, "'failed before'")],
+)
+def test_a_module_that_cannot_be_built_is_told_of_and_keeps_no_other_from_it(warp, name, error, message):
     generate_code_in_turn()
-    with pytest.raises(RuntimeError, match="cannot be built"):
-        load_side_by_side([Module(warp, breaks=True)], "cuda:0")
+    with pytest.raises(error, match=message):
+        load_side_by_side([Module(warp, name)], "cuda:0")
+    load_side_by_side([Module(warp, "alone")], "cuda:0")
+
+
+def test_what_is_compiled_out_of_turn_leaves_the_turn_alone(warp):
+    generate_code_in_turn()
+    assert warp.build.build_cuda("alone", arch=90) == "compiled"
+    load_side_by_side([Module(warp, "alone")], "cuda:0")
