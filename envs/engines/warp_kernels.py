@@ -13,6 +13,7 @@ import mujoco
 
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
 _LARGEST = ("smooth", "sensor", "solver", "passive", "forward", "support")
+_PATCHING = threading.Lock()
 
 
 def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
@@ -55,9 +56,6 @@ def generate_code_in_turn() -> None:
         compiler.build_cuda = turn.given_up_in(compiler.build_cuda)
         for name in ("load", "get_module_hash"):  # either may generate code
             setattr(context.Module, name, turn.taken_in(getattr(context.Module, name)))
-
-
-_PATCHING = threading.Lock()
 
 
 class _Turn:

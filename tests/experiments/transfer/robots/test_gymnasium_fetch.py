@@ -70,6 +70,7 @@ def test_robust_policies_withstand_a_delay_that_plain_ones_of_grasp_do_not(task,
         assert least <= np.mean([outcome.success for outcome in outcomes]) <= most
 
 
+@pytest.mark.slow
 def test_a_trained_policy_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(40))
     assert np.mean([outcome.success for outcome in outcomes]) >= 0.93
