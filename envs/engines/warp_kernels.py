@@ -2,9 +2,8 @@
 
 import functools
 import importlib
-import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,7 +11,7 @@ import jax
 import mujoco
 
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
-_LARGEST = ("smooth", "sensor", "solver", "passive", "forward", "support")
+_SOME_BLOCK = 256  # threads
 _PATCHING = threading.Lock()
 
 
@@ -20,8 +19,8 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
     """Builds the kernels that a physics step of a model takes, or finds them in Warp's cache.
 
     Warp builds a module of kernels when one of them is first launched, one module after another: on a fresh machine
-    most of a minute. The largest are built here side by side; a step of one world, outside of any program, asks for the
-    others, which Warp writes for the model.
+    most of a minute. Here a step of one world, outside of any program, first only tells which modules it wants. They
+    are built side by side, and then the step is taken.
 
     Args:
       model: the scene.
@@ -32,12 +31,45 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
 
     """
     warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_PACKAGE)
-    names = [f"{_PACKAGE}._src.{module}" for module in _LARGEST]
-    modules = [warp.get_module(name) for name in names if name in sys.modules]
     with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
-        load_side_by_side(modules, device)
-        mujoco_warp.step(mujoco_warp.put_model(model), mujoco_warp.make_data(model, nworld=1, **sizes))
+        warp_model, data = mujoco_warp.put_model(model), mujoco_warp.make_data(model, nworld=1, **sizes)
+
+        def step() -> None:
+            mujoco_warp.step(warp_model, data)
+
+        warp_model.opt.graph_conditional = False  # else the solver waits for a kernel that is not launched
+        wanted = wanted_modules(step)
+        warp_model.opt.graph_conditional = True
+        load_side_by_side(wanted, device)
+        step()
         warp.synchronize_device(device)
+
+
+def wanted_modules(function: Callable[[], None]) -> dict[Any, list[int]]:
+    """Returns the modules that a function's launches want, with the sizes of their blocks; nothing is launched."""
+    warp: Any = importlib.import_module("warp")
+    module_class: Any = importlib.import_module("warp._src.context").Module
+    load, suggest, own_thread = module_class.load, warp.get_suggested_block_size, threading.get_ident()
+    wanted: dict[Any, list[int]] = {}
+
+    def note(module: Any, device: Any, block_dim: int | None = None, **options: Any) -> Any:
+        if threading.get_ident() != own_thread:
+            return load(module, device, block_dim, **options)
+        block_dims = wanted.setdefault(module, [])
+        if block_dim is not None and block_dim not in block_dims:
+            block_dims.append(block_dim)
+        return None  # on which Warp launches nothing
+
+    def suggest_some(kernel: Any, device: Any = None) -> tuple[int, int]:  # without its module, which is not built yet
+        return suggest(kernel, device) if threading.get_ident() != own_thread else (_SOME_BLOCK, 1)
+
+    with _PATCHING:
+        module_class.load, warp.get_suggested_block_size = note, suggest_some
+        try:
+            function()
+        finally:
+            module_class.load, warp.get_suggested_block_size = load, suggest
+    return wanted
 
 
 def generate_code_in_turn() -> None:
@@ -102,8 +134,8 @@ class _Turn:
         return getattr(self._of_this_thread, "turn", False)
 
 
-def load_side_by_side(modules: Sequence[Any], device: Any) -> None:
-    """Loads Warp's modules in several threads.
+def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
+    """Loads Warp's modules in several threads, each for the sizes of blocks that it is wanted for.
 
     Raises:
       Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.
@@ -111,8 +143,10 @@ def load_side_by_side(modules: Sequence[Any], device: Any) -> None:
     """
 
     def load(module: Any) -> None:
-        if module.load(device) is None:
-            raise RuntimeError(f"Warp cannot build its module {module.name!r}")
+        block_dims: Sequence[int | None] = wanted[module] or [None]
+        for block_dim in block_dims:
+            if module.load(device, block_dim) is None:
+                raise RuntimeError(f"Warp cannot build its module {module.name!r}")
 
     with ThreadPoolExecutor() as threads:
-        list(threads.map(load, modules))
+        list(threads.map(load, wanted))

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from envs.engines.warp_kernels import generate_code_in_turn, load_side_by_side
+from envs.engines.warp_kernels import generate_code_in_turn, load_side_by_side, wanted_modules
 
 _MODULES = 4
 
@@ -20,13 +20,14 @@ class Module:
     generating = 0
 
     def __init__(self, warp: SimpleNamespace, name: str = "sound") -> None:
-        self._warp, self.name, self.device = warp, name, ""
+        self._warp, self.name = warp, name
+        self.loaded: list[tuple[str, int | None]] = []
 
-    def load(self, device: str) -> "Module | None":
+    def load(self, device: str, block_dim: int | None = None) -> "Module | None":
         self.get_module_hash()
         assert self._warp.build.build_cuda(self.name, arch=90) == "compiled"
         self._generate()
-        self.device = device
+        self.loaded.append((device, block_dim))
         return None if self.name == "failed before" else self
 
     def get_module_hash(self) -> None:
@@ -51,9 +52,14 @@ def warp(monkeypatch):
             together.wait()
         return "compiled"
 
-    warp = SimpleNamespace(build=SimpleNamespace(build_cuda=build_cuda), context=SimpleNamespace(Module=Module))
-    for name, module in vars(warp).items():
-        monkeypatch.setitem(sys.modules, f"warp._src.{name}", module)
+    warp = SimpleNamespace(
+        build=SimpleNamespace(build_cuda=build_cuda),
+        context=SimpleNamespace(Module=Module),
+        get_suggested_block_size=lambda kernel, device=None: (768, 132),
+    )
+    monkeypatch.setitem(sys.modules, "warp", warp)
+    for name in ("build", "context"):
+        monkeypatch.setitem(sys.modules, f"warp._src.{name}", getattr(warp, name))
     monkeypatch.setattr(Module, "generating", 0)
     for name in ("load", "get_module_hash"):
         monkeypatch.setattr(Module, name, getattr(Module, name))  # which are put back afterwards
@@ -73,10 +79,10 @@ def test_code_is_generated_for_one_module_at_a_time_and_compiled_for_all_at_once
     ]
     for thread in others:
         thread.start()
-    load_side_by_side(modules[1:], "cuda:0")
+    load_side_by_side({module: [] for module in modules[1:]}, "cuda:0")
     for thread in others:
         thread.join()
-    assert [module.device for module in modules] == ["cuda:0"] * _MODULES
+    assert [module.loaded for module in modules] == [[("cuda:0", None)]] * _MODULES
     assert Module.generating == 0
 
 
@@ -101,11 +107,59 @@ def test_a_newer_warp_is_left_as_it_is(warp):
 def test_a_module_that_cannot_be_built_is_told_of_and_keeps_no_other_from_it(warp, name, error, message):
     generate_code_in_turn()
     with pytest.raises(error, match=message):
-        load_side_by_side([Module(warp, name)], "cuda:0")
-    load_side_by_side([Module(warp, "alone")], "cuda:0")
+        load_side_by_side({Module(warp, name): []}, "cuda:0")
+    load_side_by_side({Module(warp, "alone"): []}, "cuda:0")
 
 
 def test_what_is_compiled_out_of_turn_leaves_the_turn_alone(warp):
     generate_code_in_turn()
     assert warp.build.build_cuda("alone", arch=90) == "compiled"
-    load_side_by_side([Module(warp, "alone")], "cuda:0")
+    load_side_by_side({Module(warp, "alone"): []}, "cuda:0")
+
+
+def test_what_a_step_wants_is_noted_and_neither_built_nor_launched(warp):
+    one, other = Module(warp, "alone"), Module(warp, "alone")
+
+    def step() -> None:
+        assert one.load("cuda:0") is None
+        for block_dim in (64, 32, 64):
+            assert other.load("cuda:0", block_dim) is None
+        assert warp.get_suggested_block_size("kernel of a module that is not built") != (768, 132)
+
+    assert wanted_modules(step) == {one: [], other: [64, 32]}
+    assert one.loaded == other.loaded == []
+
+
+def test_a_module_is_built_for_each_size_of_its_blocks(warp):
+    generate_code_in_turn()
+    module = Module(warp, "alone")
+    load_side_by_side({module: [64, 32]}, "cuda:0")
+    assert module.loaded == [("cuda:0", 64), ("cuda:0", 32)]
+
+
+def test_what_other_threads_load_meanwhile_is_loaded(warp):
+    module, suggested = Module(warp, "alone"), []
+
+    def load_and_launch() -> None:
+        module.load("cuda:0", 64)
+        suggested.append(warp.get_suggested_block_size("kernel"))
+
+    def step() -> None:
+        other = threading.Thread(target=load_and_launch)
+        other.start()
+        other.join()
+
+    assert wanted_modules(step) == {}
+    assert module.loaded == [("cuda:0", 64)]
+    assert suggested == [(768, 132)]
+
+
+def test_after_a_step_that_fails_warp_is_as_it_was(warp):
+    before = patched(warp), warp.get_suggested_block_size
+
+    def step() -> None:
+        raise ArithmeticError("no step")
+
+    with pytest.raises(ArithmeticError, match="no step"):
+        wanted_modules(step)
+    assert (patched(warp), warp.get_suggested_block_size) == before
