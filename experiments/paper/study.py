@@ -20,12 +20,17 @@ class Setting:
     hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's class beside those of its training, e.g. `observation`."""
-    steps: float = 1
-    """Environment steps, as a multiple of those that HGAIL takes by default."""
+    steps: float | dict[str, float] = 1
+    """Environment steps, as a multiple of those that HGAIL takes by default; by task, and 1 on others,
+    where tasks differ."""
     preset: str = "parallel"
     demonstrations: int = 0
     paper: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
     """By task, the paper's success rate and L1 distance (m)."""
+
+    def steps_on(self, task: str) -> float:
+        """Returns the multiple of steps on a task."""
+        return self.steps.get(task, 1) if isinstance(self.steps, dict) else self.steps
 
     @property
     def label(self) -> str:

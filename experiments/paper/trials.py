@@ -108,7 +108,7 @@ class Trial:
         An evaluation costs as much as a roll-out to learn from, and changes nothing in the training. Many are more than
         `FEW_ROUNDS`.
         """
-        multiple = int(self.setting.steps) if self.config.rounds + 1 > FEW_ROUNDS else 1
+        multiple = int(self.setting.steps_on(self.task)) if self.config.rounds + 1 > FEW_ROUNDS else 1
         return max(self.usual_evaluate_every, multiple)
 
     def key(self) -> str:
@@ -137,7 +137,7 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
     base = METHODS[setting.method].apply(scale.preset(setting.preset))
     config = dataclasses.replace(base.config, **setting.config)
     if "rounds" not in setting.config:
-        wanted = setting.steps * _steps(env, scale.preset().config)
+        wanted = setting.steps_on(scale.task) * _steps(env, scale.preset().config)
         before = _steps(env, dataclasses.replace(config, rounds=0))
         each = _steps(env, dataclasses.replace(config, rounds=1)) - before
         config = dataclasses.replace(config, rounds=max(round((wanted - before) / each), 1))

@@ -390,7 +390,7 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert len(group_by_program(trials_of(BY_NAME["table2"], "reach"))) == 4
     parts = trials_of(BY_NAME["parts"], "push")
     assert [len(group) for group in group_by_program(parts)] == [6, 1, 1, 1]
-    assert {trial.config.rounds for trial in parts} == {60}  # half of its own
+    assert {trial.config.rounds for trial in parts} == {40}  # a third of its own
     assert {trial.evaluate_every for trial in parts} == {5}
     assert [trial.task_options.get("observation") for trial in parts] == [None] * 8 + ["official"]
     assert len({trial.key() for trial in parts}) == 8  # one of the trivial weights is the task's own
