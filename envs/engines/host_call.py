@@ -152,7 +152,7 @@ def host_call(
     return tuple(jax.ffi.ffi_call(_PREFIX + name, tuple(results), vmap_method="broadcast_all")(*arguments))
 
 
-_new_capsule = ctypes.pythonapi.PyCapsule_New
+_new_capsule = ctypes.pythonapi["PyCapsule_New"]  # our own: as an attribute it is shared, and Warp retypes that
 _new_capsule.restype = ctypes.py_object
 _new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 

@@ -11,6 +11,7 @@ import jax
 import mujoco
 
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
+_CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, and is built all the same
 _SOME_BLOCK = 256  # threads
 _PATCHING = threading.Lock()
 
@@ -38,7 +39,7 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
             mujoco_warp.step(warp_model, data)
 
         warp_model.opt.graph_conditional = False  # else the solver waits for a kernel that is not launched
-        wanted = wanted_modules(step)
+        wanted = wanted_modules(step) | {warp.get_module(_CALLED_BY_JAX): []}
         warp_model.opt.graph_conditional = True
         load_side_by_side(wanted, device)
         step()

@@ -1,5 +1,6 @@
 """Functions of NumPy arrays within compiled programs, against the same functions called by hand."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -36,6 +37,16 @@ def test_it_returns_what_the_function_does_for_any_batch(shape):
         call = jax.vmap(call)
     for ours, expected in zip(jax.jit(call)(*vectors), spin(*vectors), strict=True):
         np.testing.assert_array_equal(ours, expected)
+
+
+def test_it_works_beside_packages_that_retype_what_python_offers(monkeypatch):
+    """As Warp does, in a process that has both engines."""
+    shared = ctypes.pythonapi.PyCapsule_New
+    monkeypatch.setattr(shared, "argtypes", [ctypes.c_void_p, ctypes.c_char_p, ctypes.CFUNCTYPE(None, ctypes.c_void_p)])
+    monkeypatch.setattr(shared, "restype", ctypes.c_void_p)
+    first, second = random_vectors()
+    sums = host_call("beside others", lambda one, other: (one + other,), [VECTOR], first, second)
+    np.testing.assert_array_equal(sums[0], first + second)
 
 
 def test_a_batch_is_one_call_and_an_argument_without_it_is_repeated():
