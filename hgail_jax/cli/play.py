@@ -8,11 +8,12 @@ from typing import Annotated
 import jax
 
 import envs
-from envs.randomization import LEVELS
+from envs.randomization import LEVELS, Randomization
 from envs.randomized import randomize
 from envs.scenes import assets_directory
 from envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.io.files import from_here
 from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.playback import film, show
@@ -111,7 +112,7 @@ def _default_task(path: Path | None) -> str:
 
 
 def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
-    """Returns the task and the policy.
+    """Returns the task and the policy, and prints the policy's file and what the episodes are disturbed by.
 
     Args:
       task: its name.
@@ -138,7 +139,16 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     env = randomize(envs.make(task, **taken), randomization)
     if policy.task != task or policy.observation_size != env.observation_size:
         raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
+    print(f"policy {from_here(path)}, {_disturbances(randomization, level)}", flush=True)
     return env, policy
+
+
+def _disturbances(randomization: Randomization, level: str | None) -> str:
+    """Names the level of the disturbances, which need not be the `level` asked for: the policy has its own history."""
+    if randomization == randomization.undisturbed():
+        return "undisturbed"
+    name = next((name for name, sizes in LEVELS.items() if sizes == randomization), level)
+    return f"disturbances {name or 'as in its training'}"
 
 
 def _shipped(task: str, level: str | None = None) -> Path | None:

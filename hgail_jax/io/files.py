@@ -55,6 +55,11 @@ def check_writable(path: Path) -> None:
             raise OSError(number, os.strerror(number), str(place))
 
 
+def from_here(path: Path) -> Path:
+    """Returns a path as seen from the working directory, if it lies in there; else the path itself."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
 def remove_partial_files(folder: Path) -> None:
     """Removes from a folder the temporary files of a process that was killed."""
     for path in folder.glob(f".*{_PARTIAL}"):

@@ -3,6 +3,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio
 import jax
@@ -11,6 +12,8 @@ import pytest
 from PIL import Image
 
 import envs
+from envs.randomization import LEVELS, Randomization
+from envs.randomized import randomize
 from hgail_jax.cli import play
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.playback import Playback, film
@@ -40,8 +43,39 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
         assert written.get_meta_data()["size"] == (64, 48)
         assert written.count_frames() == 50 + 10
     shown = capsys.readouterr()
-    assert shown.out.splitlines() == ["reach.mp4", "1 of 1 episodes succeeded"]
+    assert shown.out.splitlines()[1:] == ["reach.mp4", "1 of 1 episodes succeeded"]
     assert shown.err == "compiling and filming ...\n"
+
+
+OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
+
+
+@pytest.mark.parametrize(
+    ("trained", "level", "told"),
+    [
+        (LEVELS["none"], None, "undisturbed"),
+        (LEVELS["none"], "mild", "disturbances mild"),
+        (LEVELS["full-history"], None, "disturbances full-history"),
+        (LEVELS["full-history"], "none", "undisturbed"),
+        (LEVELS["mild-history"], "full", "disturbances full-history"),  # the policy sees as much as in its training
+        (OF_ITS_OWN, None, "disturbances as in its training"),
+        (OF_ITS_OWN, "full", "disturbances full"),
+    ],
+)
+def test_the_policy_s_file_and_the_disturbances_are_told(trained, level, told, in_folder, shipped_policy, capsys):
+    policy, size = load_policy(shipped_policy), randomize(envs.make("reach"), trained).observation_size
+    first, *others = policy.layers
+    layers = ((np.zeros((size, first[1].size), np.float32), first[1]), *others)
+    normalisation = {"mean": np.zeros(size, np.float32), "std": np.ones(size, np.float32)}
+    save_policy("mine.npz", dataclasses.replace(policy, layers=layers, randomization=trained, **normalisation))
+    for path in (Path("mine.npz"), in_folder / "mine.npz"):
+        play._load("reach", path, level)
+        assert capsys.readouterr().out == f"policy mine.npz, {told}\n"
+
+
+def test_the_file_of_a_policy_from_elsewhere_is_told_as_it_is(in_folder, shipped_policy, capsys):
+    play._load("reach", None, None)
+    assert capsys.readouterr().out == f"policy {shipped_policy}, undisturbed\n"
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
@@ -181,7 +215,7 @@ def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkey
     policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
     save_policy("near.npz", policy)
     play.main(["--task", "my_reach:Near", "--policy", "near.npz", "--episodes", "1", "--out", "near.webp"])
-    assert capsys.readouterr().out.splitlines()[0] == "near.webp"
+    assert capsys.readouterr().out.splitlines()[:2] == ["policy near.npz, undisturbed", "near.webp"]
     with Image.open(in_folder / "near.webp") as written:
         assert written.size == (64, 48)
         assert written.n_frames > 1
