@@ -3,7 +3,11 @@
 import argparse
 import contextlib
 import dataclasses
+import itertools
+import shlex
+import shutil
 import sys
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
@@ -11,6 +15,7 @@ import jax
 from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
 from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.distributed.sharding import ReplicaError
+from hgail_jax.io.files import from_here
 from hgail_jax.playback import film
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer import Trainer, TrainOptions
@@ -40,7 +45,8 @@ class Command(TrainOptions):
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
-    command = parse(Command, PROGRAM, _description(arguments), arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    command = parse(Command, PROGRAM, _description(words), words)
     with contextlib.ExitStack() as held:
         try:
             auto = command.distributed == "auto"
@@ -55,25 +61,25 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         config = trainer.run.config
         print(f"{command.method} on {command.task}, {command.seeds} seeds × {config.num_envs} envs -> {trainer.folder}")
-        summary = _train(trainer)
+        go_on = _go_on(words, trainer.folder)
+        summary = _train(trainer, go_on)
         if not trainer.writes:
             return
         if summary is None:
             done = trainer.checkpoints.saved  # with round 0
             where = f"after round {done - 1} of {config.rounds}" if done else "before round 0"
-            print(f"stopped {where}; go on with --resume {trainer.folder}")
+            print(f"stopped {where}; {go_on}")
             return
         _report(summary, trainer)
         if command.video:
             _film(trainer)
 
 
-def _description(arguments: list[str] | None) -> str:
+def _description(words: list[str]) -> str:
     """Returns what stands above the options: in the help also the numbers of the task that is named."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("task", "method", "preset"):
         parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
-    words = sys.argv[1:] if arguments is None else arguments
     if not {"-h", "--help"} & set(words):
         return __doc__ or ""
     try:
@@ -85,13 +91,13 @@ def _description(arguments: list[str] | None) -> str:
     return f"{__doc__}\n\n{named.method} on {named.task} has {said}."
 
 
-def _train(trainer: Trainer) -> dict[str, Any] | None:
+def _train(trainer: Trainer, go_on: str) -> dict[str, Any] | None:
     """Trains; ends the process with one line if the training diverges or something cannot be written."""
 
     def nothing_to_save() -> str | None:
         if trainer.in_rounds or jax.process_count() > 1:  # the others would wait for this one
             return None
-        return f"\n{PROGRAM}: stopped between rounds; go on with --resume {trainer.folder}"
+        return f"\n{PROGRAM}: stopped between rounds; {go_on}"
 
     try:
         with stop_on_signal(nothing_to_save) as stop:
@@ -101,7 +107,7 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
         last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
-        fail(PROGRAM, f"the run stops: {error}; go on with --resume {trainer.folder}", 1)
+        fail(PROGRAM, f"the run stops: {error}; {go_on}", 1)
     except (MemoryError, jax.errors.JaxRuntimeError, ValueError) as error:
         if is_out_of_memory(error):
             fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
@@ -109,6 +115,15 @@ def _train(trainer: Trainer) -> dict[str, Any] | None:
             raise
         # What an exchange with a process that died raises
         end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
+
+
+def _go_on(words: list[str], folder: Path) -> str:
+    """Says by which command a run goes on in its folder: the one with these words, without another folder."""
+    pairs = itertools.pairwise(["", *words])
+    kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
+    script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated
+    hgail = from_here(script) if script.exists() and not shutil.which("hgail") else "hgail"
+    return f"go on with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
 
 
 def _film(trainer: Trainer) -> None:

@@ -1,6 +1,7 @@
 import csv
 import json
 import os
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -287,6 +288,43 @@ def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_fold
     assert [path.name for path in in_folder.iterdir()] == ["mistaken.py"]
 
 
+@pytest.mark.parametrize(
+    ("words", "goes_on"),
+    [
+        ([], ["--resume", "my run"]),
+        (["--seeds", "2", "--out", "my run", "--no-pretrain"], ["--seeds", "2", "--no-pretrain", "--resume", "my run"]),
+        (["--out=other", "--task-options", "a=1", "b=2"], ["--task-options", "a=1", "b=2", "--resume", "my run"]),
+        (["--resume", "auto", "--action-std", "1", "2"], ["--action-std", "1", "2", "--resume", "my run"]),
+        (["--resume=auto"], ["--resume", "my run"]),
+    ],
+)
+def test_a_run_goes_on_by_its_own_command_line(words, goes_on, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: f"/bin/{name}")
+    said, command = run._go_on(words, Path("my run")).split(": ")
+    assert said == "go on with"
+    assert shlex.split(command) == ["hgail", "train", *goes_on]
+
+
+@pytest.mark.parametrize(
+    ("executable", "program"), [("venv/bin/python", "venv/bin/hgail"), ("usr/bin/python", "hgail")]
+)
+def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
+    in_folder, monkeypatch, executable, program
+):
+    (in_folder / "venv" / "bin").mkdir(parents=True)
+    (in_folder / "venv" / "bin" / "hgail").touch()
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    monkeypatch.setattr(sys, "executable", str(in_folder / executable))
+    assert run._go_on([], Path("run")) == f"go on with: {program} train --resume run"
+
+
+def is_told_to_go_on(done, said):
+    """Whether the last line says that, and has the command of the processes below with the folder of their run."""
+    begun, _, command = done.stderr.splitlines()[-1].partition("; go on with: ")
+    options = ["--task", "point", "--num-envs", "4", "--resume", "run"]
+    return begun == f"hgail train: {said}" and shlex.split(command)[1:] == ["train", *options]
+
+
 WHILE_COMPILING = """
 import os, signal, sys, time
 from hgail_jax.cli import main
@@ -304,7 +342,7 @@ def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
     command = [sys.executable, "-c", WHILE_COMPILING]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 130
-    assert done.stderr.splitlines()[-1] == "hgail train: stopped between rounds; go on with --resume run"
+    assert is_told_to_go_on(done, "stopped between rounds")
     assert "Traceback" not in done.stderr
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
 
@@ -341,5 +379,5 @@ def test_a_second_interrupt_ends_a_stopped_run_that_waits_for_the_compiler(tmp_p
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 130
     assert "SIGINT: stopping after this round; once more stops at once" in done.stderr
-    assert done.stderr.splitlines()[-1] == "hgail train: stopped between rounds; go on with --resume run"
+    assert is_told_to_go_on(done, "stopped between rounds")
     assert "Traceback" not in done.stderr

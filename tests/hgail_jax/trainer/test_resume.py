@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import random
+import shlex
 import shutil
 import signal
 import subprocess
@@ -152,11 +153,14 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
         start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
     shown = capsys.readouterr()
     assert "SIGTERM: stopping after this round" in shown.err
-    assert "stopped after round 1 of 4; go on with --resume run" in shown.out
+    said, _, command = shown.out.splitlines()[-1].partition("; go on with: ")
+    assert said == "stopped after round 1 of 4"
     assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
     assert not Path("run/summary.json").exists()
     assert handlers == [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
-    start("--resume", "run")
+    program, name, *words = shlex.split(command)
+    assert (Path(program).name, name) == ("hgail", "train")
+    run.main(words)
     assert "run goes on after round 1 of 4" in capsys.readouterr().out
     assert outcome(tmp_path / "run") == whole("hgail")
 
