@@ -66,9 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
         if not trainer.writes:
             return
         if summary is None:
-            done = trainer.checkpoints.saved  # with round 0
-            where = f"after round {done - 1} of {config.rounds}" if done else "before round 0"
-            print(f"stopped {where}; {go_on}")
+            print(f"{_stopped(trainer)}; {go_on}")
             return
         _report(summary, trainer)
         if command.video:
@@ -97,7 +95,7 @@ def _train(trainer: Trainer, go_on: str) -> dict[str, Any] | None:
     def nothing_to_save() -> str | None:
         if trainer.in_rounds or jax.process_count() > 1:  # the others would wait for this one
             return None
-        return f"\n{PROGRAM}: stopped between rounds; {go_on}"
+        return f"\n{PROGRAM}: {_stopped(trainer)}; {go_on}"
 
     try:
         with stop_on_signal(nothing_to_save) as stop:
@@ -115,6 +113,12 @@ def _train(trainer: Trainer, go_on: str) -> dict[str, Any] | None:
             raise
         # What an exchange with a process that died raises
         end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
+
+
+def _stopped(trainer: Trainer) -> str:
+    """Says how far a run is that was stopped, by its last checkpoint."""
+    done = trainer.checkpoints.saved  # with round 0
+    return f"stopped after round {done - 1} of {trainer.run.config.rounds}" if done else "stopped before round 0"
 
 
 def _go_on(words: list[str], folder: Path) -> str:

@@ -13,6 +13,7 @@ import pytest
 from envs.engines.c import usable_cores
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
+from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.options import plan
 from tests.support import ROOT, compile_once, make_runs_tiny
 
@@ -342,9 +343,24 @@ def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
     command = [sys.executable, "-c", WHILE_COMPILING]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 130
-    assert is_told_to_go_on(done, "stopped between rounds")
+    assert is_told_to_go_on(done, "stopped before round 0")
     assert "Traceback" not in done.stderr
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
+
+
+@pytest.mark.parametrize(
+    ("saved", "said"),
+    [
+        (None, "stopped before round 0"),
+        (1, "stopped after round 0 of 4"),  # as of a run that went on, while its program is compiled
+        (5, "stopped after round 4 of 4"),  # as in the final evaluation
+    ],
+)
+def test_a_stopped_run_says_how_far_it_is(saved, said):
+    trainer = run.Trainer(task="point", iterations=4)
+    trainer._checkpoints = Checkpoints("checkpoints", {})
+    trainer.checkpoints.saved = saved
+    assert run._stopped(trainer) == said
 
 
 WHILE_THE_EVALUATION_COMPILES = """
@@ -379,5 +395,5 @@ def test_a_second_interrupt_ends_a_stopped_run_that_waits_for_the_compiler(tmp_p
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 130
     assert "SIGINT: stopping after this round; once more stops at once" in done.stderr
-    assert is_told_to_go_on(done, "stopped between rounds")
+    assert is_told_to_go_on(done, "stopped before round 0")
     assert "Traceback" not in done.stderr
