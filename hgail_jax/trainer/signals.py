@@ -17,7 +17,7 @@ from hgail_jax.interrupts import exit_at_once, watch_signals
 def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator[threading.Event]:
     """Yields an event that the first SIGTERM or SIGINT sets; a second ends the process at once, with 128 + its number.
 
-    Enter it in the main thread.
+    Each is one line on stderr. Enter it in the main thread.
 
     Args:
       refusal: returns a line where there is nothing to save; then the first ends the process at once, with this line.
@@ -26,13 +26,14 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
     stop = threading.Event()
 
     def note(number: int) -> None:
+        name = signal.Signals(number).name
         line = refusal()
-        if stop.is_set() or line is not None:
-            if line is not None:
-                print(line, file=sys.stderr, flush=True)
+        if line is None and stop.is_set():
+            line = f"\n{name}: stopped at once; what was done since the last checkpoint is lost"
+        if line is not None:
+            print(line, file=sys.stderr, flush=True)
             exit_at_once(number)
         stop.set()
-        name = signal.Signals(number).name
         print(f"\n{name}: stopping after this round; once more stops at once", file=sys.stderr, flush=True)
 
     with watch_signals(note):
