@@ -77,7 +77,8 @@ class TrainOptions:
     out: Annotated[Path | None, unless_given("runs/<task>-<method>-<number>", "FOLDER")] = None
     """Folder to write, which must not exist."""
     resume: Annotated[str | None, unless_given("begins a run", "FOLDER|auto")] = None
-    """Folder of a run to go on with; auto takes the newest of the task and method in runs/, or begins one."""
+    """Folder of a run to go on with; auto takes the run of the task and method in runs/ that was saved last, or
+    begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
     evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None

@@ -18,14 +18,27 @@ def next_folder(parent: Path, stem: str) -> Path:
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
-    """Returns `parent/stem-N` for the largest N there is, or None."""
-    numbers = _numbers(parent, stem)
-    return parent / f"{stem}-{max(numbers)}" if numbers else None
+    """Returns the `parent/stem-N` of the run that was saved, or begun, last; None where there is no run."""
+    folders = [parent / f"{stem}-{number}" for number in sorted(_numbers(parent, stem), reverse=True)]
+    return max(filter(_last_saved, folders), key=_last_saved, default=None)
 
 
 def _numbers(parent: Path, stem: str) -> list[int]:
     endings = [path.name.removeprefix(f"{stem}-") for path in parent.glob(f"{stem}-*")]
     return [int(ending) for ending in endings if ending.isdecimal()]
+
+
+def _last_saved(folder: Path) -> int:
+    """Returns the time of a run's last checkpoint, or of its beginning, in nanoseconds; 0 for a folder of no run."""
+    config, checkpoints = folder / "config.json", folder / "checkpoints"
+    if config.exists():
+        return (checkpoints if checkpoints.exists() else config).stat().st_mtime_ns
+    return folder.stat().st_mtime_ns if folder.is_dir() and _is_empty(folder) else 0
+
+
+def _is_empty(folder: Path) -> bool:
+    """Returns whether a run can begin in a folder that is there: nothing is in it, or what a killed process left."""
+    return all(path.name.startswith(".") for path in folder.iterdir())
 
 
 def create_folder(path: Path) -> None:
@@ -54,7 +67,7 @@ def reopen_folder(path: Path, identity: dict) -> None:
     """
     if not path.is_dir():
         raise ValueError(f"there is no folder {path} to resume")
-    if not any(entry for entry in path.iterdir() if not entry.name.startswith(".")):
+    if _is_empty(path):
         return
     try:
         content = json.loads((path / "config.json").read_text())

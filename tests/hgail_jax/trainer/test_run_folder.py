@@ -7,12 +7,41 @@ from hgail_jax.trainer.run_folder import create_folder, newest_folder, next_fold
 
 
 def test_next_folder_counts_on(tmp_path):
-    assert newest_folder(tmp_path, "reach-hgail") is None
     assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-1"
     for name in ("reach-hgail-2", "reach-hgail-10", "reach-hgail-no-30", "reach-hgail-x"):
         (tmp_path / name).mkdir()
     assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-11"
-    assert newest_folder(tmp_path, "reach-hgail").name == "reach-hgail-10"
+
+
+def saved_at(path, seconds):
+    """Makes a file, and the folder that it is in as of that time, too."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    for written in (path, path.parent):
+        os.utime(written, (seconds, seconds))
+
+
+def test_the_newest_folder_is_of_the_run_that_was_saved_last(tmp_path):
+    def newest():
+        found = newest_folder(tmp_path, "reach-hgail")
+        return found and found.name
+
+    assert newest() is None
+    saved_at(tmp_path / "reach-hgail-7" / "photograph.png", 900)
+    saved_at(tmp_path / "reach-hgail-9", 900)
+    assert newest() is None  # neither is the folder of a run
+    saved_at(tmp_path / "reach-hgail-2" / "config.json", 100)
+    saved_at(tmp_path / "reach-hgail-10" / "config.json", 200)
+    saved_at(tmp_path / "reach-hgail-no-30" / "config.json", 900)  # another method's
+    assert newest() == "reach-hgail-10"
+    saved_at(tmp_path / "reach-hgail-2" / "checkpoints" / "1", 300)
+    assert newest() == "reach-hgail-2"  # which went on
+    saved_at(tmp_path / "reach-hgail-10" / "checkpoints" / "2", 400)
+    assert newest() == "reach-hgail-10"
+    saved_at(tmp_path / "reach-hgail-1" / ".config.json.17.partial", 500)
+    assert newest() == "reach-hgail-1"  # killed before its first file
+    saved_at(tmp_path / "reach-hgail-3" / "config.json", 500)
+    assert newest() == "reach-hgail-3"  # the higher number, where the times are the same
 
 
 def test_a_folder_is_made_once(tmp_path):
