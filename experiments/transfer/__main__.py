@@ -50,7 +50,11 @@ class Options:
 
     to: Annotated[
         RobotName | None,
-        tyro.conf.arg(help=_ROBOT_HELP, help_behavior_hint="(default: gymnasium; all with --sweep)"),
+        tyro.conf.arg(
+            help=_ROBOT_HELP,
+            help_behavior_hint="(default: gymnasium; all with --sweep)",
+            metavar=f"{{{','.join(get_args(RobotName))}}}",
+        ),
     ] = None
     task: Annotated[TaskName | None, unless_given("reach; all with --sweep", f"{{{','.join(get_args(TaskName))}}}")] = (
         None

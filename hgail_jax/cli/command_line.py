@@ -3,6 +3,7 @@
 import contextlib
 import os
 import sys
+import typing
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,19 +51,27 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
         case tyro_errors.UnrecognizedArgs():
             return f"unrecognized options: {' '.join(event.tokens)}"
         case tyro_errors.InvalidChoice():
-            return (
-                f"{known.argument.lowered.name_or_flags[-1]} is {event.value!r}; choose from {', '.join(event.choices)}"
-            )
+            return f"{_flag(known.argument)} is {event.value!r}; choose from {', '.join(_choices(known))}"
         case tyro_errors.BadValue():
-            return f"{known.argument.lowered.name_or_flags[-1]} has too few values, or one that it does not take"
+            return f"{_flag(known.argument)} has too few values, or one that it does not take"
         case tyro_errors.MissingArgs():
-            missing = [wanted.arg.lowered.name_or_flags[-1] for wanted in known.missing_arguments]
+            missing = [_flag(wanted.arg) for wanted in known.missing_arguments]
             return f"missing options: {', '.join([*missing, *event.unrecognized_tokens])}"
         case tyro_errors.MissingSubcommand():
             return f"choose a command: {', '.join(known.subcommand_spec.parser_from_name)}"
         case tyro_errors.InstantiationFailure():
             return event.message
     return f"it cannot be read ({type(event).__name__})"
+
+
+def _flag(argument: Any) -> str:
+    return argument.lowered.name_or_flags[-1]
+
+
+def _choices(event: Any) -> list[str]:
+    """Returns the choices in their own order, which tyro loses where None is one more; that is for nobody to type."""
+    members = typing.get_args(event.argument.field.type_stripped)  # of a union
+    return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
 
 
 @contextlib.contextmanager

@@ -16,8 +16,8 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
     ("arguments", "message"),
     [
         (["--episodes", "0"], "episodes is 0; it must be at least 1"),
-        (["--to", "mars"], "mars"),
-        (["--task", "point"], "point"),
+        (["--to", "mars"], "--to is 'mars'; choose from fetch, gymnasium, ur5e, franka\n"),
+        (["--task", "point"], "--task is 'point'; choose from reach, grasp, push, pick-and-place, slide\n"),
         (["--delay", "-1"], "delay is -1; it must be at least 0"),
         (["--noise", "-0.1"], "noise is -0.1; it must be at least 0"),
         (["--stride", "3"], "stride is 3.0; it must be from 0 to 2.0"),
@@ -47,6 +47,14 @@ def test_bad_input_is_one_line(arguments, message, capsys, tmp_path, monkeypatch
     assert error.count("\n") == 1
     assert message in error
     assert not list(tmp_path.iterdir())
+
+
+def test_help_lists_what_can_be_chosen(capsys):
+    with pytest.raises(SystemExit):
+        transfer.main(["--help"])
+    shown = capsys.readouterr().out
+    assert "--to {fetch,gymnasium,ur5e,franka}" in shown
+    assert "None" not in shown
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
