@@ -59,8 +59,12 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
             return f"missing options: {', '.join([*missing, *event.unrecognized_tokens])}"
         case tyro_errors.MissingSubcommand():
             return f"choose a command: {', '.join(known.subcommand_spec.parser_from_name)}"
-        case tyro_errors.InstantiationFailure():
+        case tyro_errors.InstantiationFailure(argument=None):
             return event.message
+        case tyro_errors.InstantiationFailure():
+            *_, last = event.message.splitlines()  # of a union tyro says why it is none of its types, a line for each
+            why = last.partition(": ")[2] if last.startswith("- ") else last
+            return f"{_flag(known.argument)} takes {known.argument.lowered.metavar}: {why}"
     return f"it cannot be read ({type(event).__name__})"
 
 

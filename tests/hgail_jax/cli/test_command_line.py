@@ -1,11 +1,12 @@
 """What is said of a command line that cannot be read."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 
 from hgail_jax.cli.command_line import parse
+from hgail_jax.trainer.options import unless_given
 
 
 @dataclasses.dataclass
@@ -15,6 +16,11 @@ class Options:
     robot: Literal["fetch", "ur5e", "franka", "sawyer"] | None = None
     physics: Literal["c", "warp", "jax"] = "c"
     tables: tuple[Literal[1, 2, 3], ...] = ()
+    seeds: int = 8
+    envs: Annotated[int | None, unless_given("the task's", "INT")] = None
+    share: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
+    offset: tuple[float, float] = (0.0, 0.0)
+    std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
 
 
 def refusal(capsys, *arguments):
@@ -30,3 +36,19 @@ def refusal(capsys, *arguments):
 )
 def test_choices_are_listed_in_their_own_order(capsys, option, choices):
     assert refusal(capsys, f"--{option}", "x") == f"it: --{option} is 'x'; choose from {choices}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--seeds", "eight"], "--seeds takes INT: invalid literal for int() with base 10: 'eight'"),
+        (["--envs", "- a: b"], "--envs takes INT: invalid literal for int() with base 10: '- a: b'"),
+        (["--share", "half"], "--share takes FLOAT: could not convert string to float: 'half'"),
+        (["--offset", "0", "x"], "--offset takes FLOAT FLOAT: Could not parse arguments ['0', 'x']"),
+        (["--std", "1", "x"], "--std takes FLOAT [FLOAT ...]: Could not find valid parse for arguments: ['1', 'x']"),
+    ],
+)
+def test_a_value_that_cannot_be_read_is_said_with_its_option(capsys, words, said):
+    error = refusal(capsys, *words)
+    assert error.startswith(f"it: {said}")
+    assert error.count("\n") == 1
