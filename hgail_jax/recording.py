@@ -12,6 +12,7 @@ from hgail_jax.io.versions import installed
 from hgail_jax.presets import platform_name
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.validation import check_count, check_name
+from hgail_jax.wording import counted
 
 
 def run_controller(env: envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:
@@ -63,7 +64,10 @@ def record(env: envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demons
     trajectory = run_controller(env, name, _attempts(episodes), seed)
     succeeded = np.flatnonzero(np.asarray(trajectory.outcome.success))[:episodes]
     if len(succeeded) < episodes:
-        raise ValueError(f"{name} succeeds too rarely on {task}: {len(succeeded)} times, for {episodes} demonstrations")
+        raise ValueError(
+            f"{name} succeeds too rarely on {task}: {counted(len(succeeded), 'time')}, for"
+            f" {counted(episodes, 'demonstration')}"
+        )
 
     def in_order(values: jax.Array, steps: int) -> np.ndarray:
         """Time comes first in a trajectory; the last state has no action."""

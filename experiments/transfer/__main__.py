@@ -20,6 +20,7 @@ from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.validation import check_count, check_not_negative
+from hgail_jax.wording import counted
 
 if TYPE_CHECKING:
     RobotName = str
@@ -178,7 +179,8 @@ def _run(options: Options) -> None:
     row = measured(outcomes, len(policies), episodes)
     print(
         f"success {row['success_rate']:.3f} (95 % interval {row['success_low']:.3f} to {row['success_high']:.3f}),"
-        f" L1 distance {row['distance_l1']:.4f} m, {episodes} episodes, {row['policies']} policies"
+        f" L1 distance {row['distance_l1']:.4f} m,"
+        f" {counted(episodes, 'episode')}, {counted(min(len(policies), episodes), 'policy', 'policies')}"
     )
 
 

@@ -11,6 +11,7 @@ from hgail_jax.recording import make_for_demonstrations, record
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.status import StatusLine
 from hgail_jax.validation import MOST_SEED, check_count
+from hgail_jax.wording import counted
 
 PROGRAM = "hgail demos"
 
@@ -40,14 +41,14 @@ def main(arguments: list[str] | None = None) -> None:
             raise ValueError(f"{path} exists already; name another file")
         check_writable(path)
         env = make_for_demonstrations(options.task, options.episodes)
-        with StatusLine(f"compiling and running {options.episodes} episodes of {options.task}"):
+        with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):
             demonstrations = record(env, options.task, options.episodes, options.seed)
         path.parent.mkdir(parents=True, exist_ok=True)
         save_demonstrations(path, demonstrations)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     print(
-        f"{options.episodes} episodes of {options.task}: return {demonstrations.returns.mean():.1f},"
+        f"{counted(options.episodes, 'episode')} of {options.task}: return {demonstrations.returns.mean():.1f},"
         f" L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )
 

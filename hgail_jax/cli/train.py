@@ -21,6 +21,7 @@ from hgail_jax.presets import platform_name
 from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.options import task_defaults, unless_given
 from hgail_jax.trainer.signals import stop_on_signal
+from hgail_jax.wording import counted
 
 PROGRAM = "hgail train"
 
@@ -60,7 +61,8 @@ def main(arguments: list[str] | None = None) -> None:
         except (ValueError, OSError) as error:
             fail(PROGRAM, error, 2)
         config = trainer.run.config
-        print(f"{command.method} on {command.task}, {command.seeds} seeds × {config.num_envs} envs -> {trainer.folder}")
+        size = f"{counted(command.seeds, 'seed')} × {counted(config.num_envs, 'env')}"
+        print(f"{command.method} on {command.task}, {size} -> {trainer.folder}")
         go_on = _go_on(words, trainer.folder)
         summary = _train(trainer, go_on)
         if not trainer.writes:

@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from hgail_jax.distributed.sharding import is_first_process, make_mesh, most_devices
 from hgail_jax.distributed.stderr_filter import filter_stderr
 from hgail_jax.validation import check_count
+from hgail_jax.wording import counted
 
 _MOST_PORT = 65535
 _PATIENCE = 300.0  # seconds to wait for the first process
@@ -105,8 +106,9 @@ def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
     check_count("devices", devices, most=len(available))
     if jax.process_count() > 1 and devices < len(available):
         raise ValueError(
-            f"{seeds} seeds of {num_envs} environments on {devices} devices leave some of the {len(available)} devices"
-            f" of {jax.process_count()} processes without work; they must divide over all"
+            f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} on {counted(devices, 'device')} would"
+            f" leave some of the {len(available)} devices of {jax.process_count()} processes without work; they must"
+            " divide over all"
         )
     return make_mesh(seeds, num_envs, available[:devices])
 

@@ -21,6 +21,7 @@ from hgail_jax.state import TrainState, init_state, split_key
 from hgail_jax.train import RoundMetrics, train_step
 from hgail_jax.updates import make_policy
 from hgail_jax.validation import check_count
+from hgail_jax.wording import counted
 
 _MOST_SEEDS = 2**31 - 1
 
@@ -132,8 +133,8 @@ def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh |
     on_a_device = len(states.rng) * config.num_envs // (1 if mesh is None else mesh.size)
     if env.max_worlds is not None and on_a_device > env.max_worlds:
         raise ValueError(
-            f"{len(states.rng)} seeds of {config.num_envs} environments are {on_a_device} on a device; the task was"
-            f" made for {env.max_worlds}: make it with worlds={on_a_device}"
+            f"{counted(len(states.rng), 'seed')} of {counted(config.num_envs, 'environment')} make {on_a_device} on a"
+            f" device; the task was made for {env.max_worlds}: make it with worlds={on_a_device}"
         )
 
 

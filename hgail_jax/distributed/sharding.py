@@ -20,6 +20,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from hgail_jax.wording import counted
+
 SEEDS, ENVS = "seeds", "envs"
 """The axes of a mesh."""
 
@@ -47,8 +49,8 @@ def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
     along_envs = len(devices) // along_seeds
     if num_envs % along_envs:
         raise ValueError(
-            f"{seeds} seeds of {num_envs} environments do not divide over {len(devices)} devices; with"
-            f" {along_seeds} along the seeds, num_envs must be a multiple of {along_envs}"
+            f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} cannot be divided over"
+            f" {len(devices)} devices; with {along_seeds} along the seeds, num_envs must be a multiple of {along_envs}"
         )
     return Mesh(np.array(devices).reshape(along_seeds, along_envs), (SEEDS, ENVS))
 

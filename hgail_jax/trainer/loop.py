@@ -26,6 +26,7 @@ from hgail_jax.state import TrainState
 from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, schedule
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 from hgail_jax.trainer.status import StatusLine, short
+from hgail_jax.wording import counted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,7 +221,8 @@ def _refuse(metrics: RoundMetrics, index: int) -> None:
 
 def _beginning(program: Program, progress: Progress) -> str:
     """Says what happens before the first round is through; round 0 is the pre-training."""
-    settings = f" of {len(program.settings)} settings × {program.seeds} seeds" if len(program.settings) > 1 else ""
+    count = len(program.settings)
+    settings = f" of {count} settings × {counted(program.seeds, 'seed')}" if count > 1 else ""
     kernels = ", which builds physics kernels" if getattr(program.env, "impl", None) == "warp" else ""
     return f"round {progress.rounds}/{program.config.rounds}{settings}{kernels}"
 

@@ -10,6 +10,7 @@ import jax
 
 from hgail_jax.trainer.run import Run
 from hgail_jax.validation import MOST
+from hgail_jax.wording import counted
 
 # Measured as the temporaries of compiled training steps on a CPU (point, reach and grasp, 1 to 64 seeds, 16 to 16,384
 # environments): the estimate was 9 % too low to 3 % too high. Relabelling weighs all steps of an episode against all.
@@ -37,8 +38,9 @@ def check_memory(run: Run) -> None:
         if (count := _most(functools.partial(_fits, run, name, free)))
     ]
     raise ValueError(
-        f"{run.seeds} seeds of {run.config.num_envs} environments need about {_gigabytes(needed)} of memory on a device"
-        f" and {_gigabytes(free)} are free; at most {' or '.join(smaller) or 'a smaller task'} would fit"
+        f"{counted(run.seeds, 'seed')} of {counted(run.config.num_envs, 'environment')} would need about"
+        f" {_gigabytes(needed)} of memory on a device and {_gigabytes(free)} are free;"
+        f" at most {' or '.join(smaller) or 'a smaller task'} would fit"
     )
 
 

@@ -14,6 +14,7 @@ from hgail_jax.state import TrainState
 from hgail_jax.trainer.curves import draw_curves
 from hgail_jax.trainer.loop import Progress, diverged_seeds
 from hgail_jax.trainer.run import Run
+from hgail_jax.wording import counted
 
 
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
@@ -22,7 +23,8 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
     for index in range(run.seeds):
         policy = from_state(run.task, run.env, jax.tree.map(lambda leaf, i=index: leaf[i], states))
         save_policy(folder / "policies" / f"seed-{run.first_seed + index}.npz", policy)
-    title = f"{run.method} on {run.task}: {run.seeds} seeds, {run.config.num_envs} environments each"
+    size = f"{counted(run.seeds, 'seed')}, {counted(run.config.num_envs, 'environment')} each"
+    title = f"{run.method} on {run.task}: {size}"
     steps = np.array([record["env_steps"] for record in history])
     success, distance = (
         np.array([record[name] for record in history], float) for name in ("success_rate", "distance_l1")

@@ -69,7 +69,7 @@ def test_one_run(capsys):
     printed = capsys.readouterr().out
     # Wilson for 2 of 2 by its formula: from n / (n + z²) to 1
     assert f"success 1.000 (95 % interval {2 / (2 + 1.959964**2):.3f} to 1.000)" in printed
-    assert "2 episodes, 1 policies" in printed
+    assert "2 episodes, 1 policy\n" in printed
 
 
 @pytest.mark.parametrize(

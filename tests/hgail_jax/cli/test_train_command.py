@@ -192,6 +192,13 @@ def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
     assert "cannot make the folder closed/run" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("seeds", "envs", "said"), [(1, 1, "1 seed × 1 env"), (8, 2, "8 seeds × 2 envs")])
+def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs, said):
+    monkeypatch.setattr(run.Trainer, "train", lambda *_: None)
+    run.main(["--task", "point", "--seeds", str(seeds), "--num-envs", str(envs), "--out", "run"])
+    assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
+
+
 @pytest.mark.parametrize("likelihood, batch", [(None, 512), (0.5, 512), (0.0, 0)])
 def test_no_likelihood_costs_none(likelihood, batch):
     """Also of a method that has it by default."""

@@ -46,7 +46,7 @@ def test_more_environments_than_the_physics_has_room_for_are_refused(monkeypatch
     few.max_worlds = 12
     assert compile_train_step(few, TINY, states, schedule(TINY)[0]) == "compiled"
     few.max_worlds = 11
-    message = "3 seeds of 4 environments are 12 on a device; the task was made for 11: make it with worlds=12"
+    message = "3 seeds of 4 environments make 12 on a device; the task was made for 11: make it with worlds=12"
     with pytest.raises(ValueError, match=message):
         compile_train_step(few, TINY, states, schedule(TINY)[0])
     few.max_worlds = 6

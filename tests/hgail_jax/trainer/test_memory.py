@@ -32,7 +32,7 @@ def test_the_estimate_is_near_what_the_compiled_program_takes(monkeypatch, sizes
 
 def test_what_is_too_large_is_refused_with_what_would_fit(one_gigabyte):
     with pytest.raises(
-        ValueError, match=r"8 seeds of 1000000 environments need about .* GB .* 1.0 GB are free"
+        ValueError, match=r"8 seeds of 1000000 environments would need about .* GB .* 1.0 GB are free"
     ) as told:
         Trainer(task="point", num_envs=1_000_000)
     most = int(str(told.value).split("--num-envs ")[1].split()[0])
