@@ -100,7 +100,7 @@ def train(
     environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
     own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH", own_cache / "warp"))
-    environment["XDG_CACHE_HOME"] = str(programs)
+    environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
     command = [*_TRAIN, *arguments, "--out", str(folder)]
     subprocess.run(command, check=True, env=environment, preexec_fn=_end_with_parent)
     with (folder / "metrics.csv").open() as file:

@@ -112,6 +112,7 @@ def fail(program: str, message: object, code: int) -> NoReturn:
 
 def prepare_process() -> None:
     """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # which JAX has read
+        cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
     sys.path.append(os.getcwd())  # as `python -m` does; a console command has its own folder there instead

@@ -81,12 +81,18 @@ class Near(Point):
 """
 
 
-def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache(tmp_path):
+@pytest.mark.parametrize(
+    ("named", "cache"),
+    [({}, "cache/hgail_jax"), ({"JAX_COMPILATION_CACHE_DIR": "programs"}, "programs")],
+)
+def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache(tmp_path, named, cache):
     (tmp_path / "my_tasks.py").write_text(TASK_OF_ONE_S_OWN)
-    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"} | {
+    kept = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+    environment = kept | {
         "PYTHONPATH": str(ROOT),
         "PYTHONSAFEPATH": "1",  # as of a console command, whose own folder Python looks in, not the user's
         "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        **{name: str(tmp_path / folder) for name, folder in named.items()},
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
     command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
@@ -101,7 +107,8 @@ def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("3 episodes of my_tasks:Near: return 0.0")  # wherever it is, it is near enough
     assert (tmp_path / "near.npz").exists()
-    assert list((tmp_path / "cache" / "hgail_jax").iterdir())
+    assert [folder for folder in ("cache/hgail_jax", "programs") if (tmp_path / folder).exists()] == [cache]
+    assert list((tmp_path / cache).iterdir())
 
 
 def test_a_reader_who_leaves_ends_the_command_silently():
