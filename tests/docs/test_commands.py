@@ -1,5 +1,6 @@
 """Commands and options in README and pages: those that there are, and they can be read."""
 
+import contextlib
 import re
 import shlex
 
@@ -29,14 +30,15 @@ PLACEHOLDERS = {"<robot>": "ur5e"}
 OF_OTHERS = {"--help", "--gpus-per-task", "--gpu-bind", "--sample"}  # Slurm's, and the mutants'
 PAGES = [ROOT / "CONTRIBUTING.md", ROOT / "experiments" / "README.md", *pages.pages()]
 
-_BLOCK = re.compile(r"^```(?:bash|sh)?\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 _COMMAND = re.compile(rf"^(?:srun )?({'|'.join(map(re.escape, COMMANDS))})(?= |$)(.*)")
 
 
 def typed(page):
     """Returns what a page gives to type, line by line, without comments."""
-    lines = [line for block in _BLOCK.findall(page) for line in block.replace("\\\n", " ").splitlines()]
+    blocks = [block.replace("\\\n", " ") for language, block in _BLOCK.findall(page) if language in ("", "bash", "sh")]
+    lines = [line for block in blocks for line in block.splitlines()]
     return [line.split(" #")[0].strip() for line in [*lines, *_INLINE.findall(page)]]
 
 
@@ -53,6 +55,31 @@ def test_commands_can_be_read(path, capsys):
                 assert stop.code == 0, f"{line}: {capsys.readouterr().err}"
 
 
+def written(page):
+    """Returns what the commands of a page write that must not exist, on a machine without a display."""
+    found = [_COMMAND.match(line) for line in dict.fromkeys(typed(page))]
+    names = []
+    for program, words in [each.groups() for each in found if each and each[1].startswith("hgail") and each[2]]:
+        with contextlib.suppress(SystemExit):  # of --help
+            options = command_line.parse(COMMANDS[program], program, "", shlex.split(words))
+            if options.out is not None:
+                names.append(str(options.out))
+            elif program == "hgail play" and not options.web:
+                names.append(f"{options.task or options.policy}.mp4")
+    return names
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_no_command_of_a_page_is_refused_for_what_another_wrote(path):
+    names = written(path.read_text())
+    assert sorted(set(names)) == sorted(names)
+
+
+def test_a_film_that_is_written_twice_would_be_found():
+    page = "`hgail play --task grasp`, `hgail play --task grasp --web` and `hgail play --task push --out grasp.mp4`"
+    assert written(page) == ["grasp.mp4", "grasp.mp4"]
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_make_and_pytest_have_what_is_asked_for(path):
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -63,7 +90,7 @@ def test_make_and_pytest_have_what_is_asked_for(path):
 
 
 def test_a_command_that_is_not_there_would_be_found(capsys):
-    (line,) = typed("```\nhgail train --sedes 8  # a comment\n```")
+    (line,) = typed("```python\nimport envs\n```\nand\n```\nhgail train --sedes 8  # a comment\n```")
     found = _COMMAND.match(line)
     with pytest.raises(SystemExit):
         command_line.parse(COMMANDS[found[1]], found[1], "", shlex.split(found[2]))
