@@ -3,6 +3,7 @@
 import contextlib
 import re
 import shlex
+import tomllib
 
 import pytest
 
@@ -87,6 +88,16 @@ def test_make_and_pytest_have_what_is_asked_for(path):
         program, *words = line.split() or [""]
         assert program != "make" or set(words) <= set(targets), line
         assert program != "pytest" or (ROOT / words[-1]).exists(), line
+
+
+def test_make_installs_all_extras_but_those_for_a_gpu():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    wanted = {
+        re.split(r"[<>=\[]", need)[0].lower() for name in extras.keys() - {"gpu", "warp"} for need in extras[name]
+    }
+    locked = set(re.findall(r"^([\w-]+)(?:==| )", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+    assert wanted <= locked
+    assert "warp-lang" not in locked
 
 
 def test_a_command_that_is_not_there_would_be_found(capsys):
