@@ -4,10 +4,10 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.localisation.localiser import Detector, Noise, estimate
 from experiments.localisation.random_scenes import Sample, Studio, View
+from hgail_jax.trainer.status import progress_bar
 
 SWEEPS: dict[str, tuple[float, ...]] = {
     "pixel": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
@@ -75,7 +75,7 @@ def measure(
             rng = np.random.default_rng([seed, marker, randomised])
             samples = [
                 studio.draw(rng, marker, randomised)
-                for _ in tqdm(range(count), desc=f"{target}, {scene} scenes", unit="scene")
+                for _ in progress_bar(range(count), desc=f"{target}, {scene} scenes", unit="scene")
             ]
             examples[f"{target}, {scene}"] = samples[:_EXAMPLES]
             for cameras in (1, 2):

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from tqdm import tqdm
 
 from experiments.localisation.keypoint_network import KeypointNetwork, labels, predictor
 from experiments.localisation.localiser import PIXELS
 from experiments.localisation.random_scenes import Studio
+from hgail_jax.trainer.status import progress_bar
 
 _BATCH = 64
 _LEARNING_RATE, _WEIGHT_DECAY = 3e-3, 1e-4
@@ -42,7 +42,7 @@ def take_pictures(studio: Studio, count: int, rng: np.random.Generator, title: s
     """Takes one picture of each of `count` randomised scenes, alternately with the cube and with the ball."""
     rgb = np.empty((count, PIXELS, PIXELS, 3), np.uint8)
     pixels, seen, markers = np.empty((count, 2)), np.empty(count, bool), np.arange(count) % 2 == 1
-    for index in tqdm(range(count), desc=title, unit="picture"):
+    for index in progress_bar(range(count), desc=title, unit="picture"):
         view = studio.draw(rng, bool(markers[index]), randomised=True, cameras=None).views[0]
         rgb[index], pixels[index], seen[index] = view.picture.rgb, view.pixel, view.seen
     return Pictures(rgb, pixels, seen, markers)
@@ -75,7 +75,7 @@ def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
     optimiser = optax.adamw(rate, weight_decay=_WEIGHT_DECAY)
     update, opt_state = _make_update(network, optimiser), jax.jit(optimiser.init)(params)
     rows = []
-    with tqdm(total=steps, desc="training", unit="batch") as progress:
+    with progress_bar(total=steps, desc="training", unit="batch") as progress:
         for epoch in range(epochs):
             losses = []
             for batch in _batches(training, rng):

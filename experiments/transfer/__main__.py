@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
-from tqdm import tqdm
 
 from envs.engines.c import usable_cores
 from experiments.transfer.conditions import Conditions, NoisyEstimate
@@ -19,6 +18,7 @@ from experiments.transfer.sweeps import FETCH
 from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.status import progress_bar
 from hgail_jax.validation import check_count, check_not_negative
 from hgail_jax.wording import counted
 
@@ -174,7 +174,7 @@ def _run(options: Options) -> None:
     policies = load_policies(task, options.policy)
     robot = make_robot(options.to or "gymnasium", task)
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
-    with tqdm(total=episodes, unit="episode") as progress:
+    with progress_bar(total=episodes, unit="episode") as progress:
         outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
     row = measured(outcomes, len(policies), episodes)
     print(

@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import numpy as np
 from scipy import stats
-from tqdm import tqdm
 
 from envs import EpisodeMetrics
 from experiments.localisation.localiser import TargetNotSeenError
@@ -21,6 +20,7 @@ from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.trainer.status import progress_bar
 
 Measured = dict[str, float | None]
 """Columns of a row that are measured."""
@@ -137,7 +137,7 @@ def measure_rows(points: Sequence[Point], episodes: int, seed: int, workers: int
     parts = [range(start, min(start + _PART, episodes)) for start in range(0, episodes, _PART)]
     work = [(point, part, seed) for point in {point.key(): point for point in points}.values() for part in parts]
     done: dict[tuple, Measured] = {}
-    with _mapping(workers) as run, tqdm(total=len(work) * episodes // len(parts), unit="episode") as progress:
+    with _mapping(workers) as run, progress_bar(total=len(work) * episodes // len(parts), unit="episode") as progress:
         outcomes = run(_measure, work)
         for point in points:
             if point.key() not in done:

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.goal_sources import EXACT, stage
@@ -21,6 +19,7 @@ from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
 from hgail_jax.trainer.provenance import provenance
+from hgail_jax.trainer.status import progress_bar
 
 
 def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, workers: int) -> None:
@@ -76,7 +75,7 @@ def write_sweep(
     path, curves = folder / "transfer-sweep.csv", [_curve(robot_name(to), task) for to in robots for task in tasks]
     rows, made_by = _kept(path, lambda row: _curve(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
-    on_fetch = tqdm(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()
+    on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
     for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)

@@ -1,16 +1,18 @@
 """Says what a run is doing: on a terminal one line that is rewritten each second, in a log file plain lines."""
 
+import contextlib
+import os
 import sys
 import threading
 import time
-from typing import Self, TextIO
+from typing import Any, Self, TextIO
 
 from tqdm import tqdm
 
 from hgail_jax.distributed.sharding import is_first_process
 
 _TICK = 1.0  # seconds
-_WIDTH = 79
+_WIDTH, _HEIGHT = 80, 24  # of a terminal that does not tell
 
 
 class StatusLine:
@@ -39,7 +41,7 @@ class StatusLine:
         if self._silent:
             return self
         if self._stream.isatty():
-            self._bar = tqdm(file=self._stream, bar_format="{desc}", ncols=_WIDTH, leave=False)
+            self._bar = progress_bar(file=self._stream, bar_format="{desc}", leave=False)
             self._draw()
             self._ticker.start()
         else:
@@ -82,6 +84,22 @@ class StatusLine:
 
     def _write(self, line: str) -> None:
         print(line, file=self._stream, flush=True)
+
+
+def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) -> tqdm:
+    """Returns tqdm's bar as it would be, and on a terminal that says it has no size a plain one, not none at all.
+
+    Args:
+      *arguments: tqdm's.
+      file: where to; None is stderr.
+      **options: tqdm's.
+
+    """
+    stream = file or sys.stderr
+    columns = rows = 0
+    with contextlib.suppress(OSError, AttributeError):  # it is no terminal, or none of the system's
+        columns, rows = os.get_terminal_size(stream.fileno())
+    return tqdm(*arguments, file=stream, ncols=(columns or _WIDTH) - 1, nrows=rows or _HEIGHT, **options)
 
 
 def clock(seconds: float) -> str:

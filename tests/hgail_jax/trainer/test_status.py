@@ -1,8 +1,14 @@
 """The status line as a terminal and as a log file get it."""
 
+import contextlib
 import dataclasses
 import io
+import os
+import pty
 import re
+import subprocess
+import sys
+import termios
 import threading
 import time
 
@@ -14,7 +20,7 @@ from hgail_jax.trainer import status
 from hgail_jax.trainer.loop import Program, train
 from hgail_jax.trainer.status import StatusLine
 from tests.hgail_jax.trainer.test_loop import measured, start, told
-from tests.support import TINY
+from tests.support import ROOT, TINY
 
 
 class Terminal(io.StringIO):
@@ -59,6 +65,38 @@ def test_no_line_wraps(clock):
         line.show("round 100/100, success 0.812, 2 diverged, 1.23M env steps/s", left=9e3)
         wait_for(terminal, "1.23M env steps/s")
     assert max(map(len, terminal.frames())) <= 79
+
+
+def output_of_a_terminal(code, rows, columns):
+    """Returns what a program shows on a terminal of that size."""
+    terminal, inner = pty.openpty()
+    termios.tcsetwinsize(inner, (rows, columns))
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=inner, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    os.close(inner)
+    shown = b""
+    with contextlib.suppress(OSError):  # at its end, on Linux
+        while read := os.read(terminal, 4096):
+            shown += read
+    os.close(terminal)
+    assert process.wait() == 0, shown
+    return [frame.rstrip() for frame in re.split("[\r\n]+", shown.decode()) if frame.strip()]
+
+
+BAR = """
+from hgail_jax.trainer.status import StatusLine, progress_bar
+with StatusLine("x" * 200):
+    pass
+for _ in progress_bar(range(3), mininterval=0):
+    pass
+"""
+
+
+@pytest.mark.parametrize(("rows", "columns", "width"), [(0, 0, 79), (24, 60, 59), (24, 80, 79)])
+def test_a_line_and_a_bar_are_as_wide_as_the_terminal_which_may_not_tell(rows, columns, width):
+    line, *bars = output_of_a_terminal(BAR, rows, columns)
+    assert line == "x" * width
+    assert bars[-1].startswith("100%|") and "3/3" in bars[-1]
+    assert max(map(len, bars)) <= width
 
 
 def test_a_log_file_has_plain_lines_and_only_those_worth_it():
