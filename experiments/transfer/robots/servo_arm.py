@@ -17,7 +17,6 @@ from experiments.transfer.robots.responses import FingerResponse, GripperRespons
 
 _FETCH_GAPS = (0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP)  # metres
 _SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
-_IK_STEPS = 5  # solutions of the inverse kinematics per action
 _SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _SETTLE_STEPS = 1000  # physics steps
 
@@ -35,15 +34,15 @@ class ServoArm(Robot):
     stays closed.
 
     Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
-    tenths of it instead of 80. So an action lasts `slowdown` times longer, and unlike the Fetch's the hand is open at
-    the start; experiments/results/transfer/table4.csv shows the effect of each.
+    tenths of it instead of 80. So an action lasts `slowdown` times longer. With actions as fast as the Fetch's the hand
+    cannot open on the way, and must start open. experiments/results/transfer/table4.csv shows the effect of each.
 
     A subclass sets `arm`.
 
     Args:
       task: `"reach"`, `"grasp"` or `"pick-and-place"`.
       slowdown: how many times longer an action lasts than `CONTROL_PERIOD`; None is the arm's own.
-      start_closed: start with a closed hand where there is a cube too.
+      start_open: start with an open hand, unlike the Fetch, where there is a cube.
 
     """
 
@@ -58,9 +57,9 @@ class ServoArm(Robot):
             task="grasp",
             option="slowdown",
             values=(1, 2, 3, 4),
-            fixed={"start_closed": hand == "closed"},
+            fixed={"start_open": hand == "open"},
         )
-        for hand in ("open", "closed")
+        for hand in ("closed", "open")
     )
 
     cube = "cube"
@@ -69,14 +68,14 @@ class ServoArm(Robot):
     def __init_subclass__(cls) -> None:
         cls.name, cls.extra, cls.packages = cls.arm.name, cls.arm.extra, cls.arm.packages
 
-    def __init__(self, task: str, slowdown: int | None = None, start_closed: bool = False) -> None:
+    def __init__(self, task: str, slowdown: int | None = None, start_open: bool = False) -> None:
         # Here, so that the class can be read without its extra.
         from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm, load_cell
         from experiments.transfer.robots.inverse_kinematics import DownwardArm
 
         arm = self.arm
         self.task, self.slowdown = task, arm.slowdown if slowdown is None else slowdown
-        self.starts_closed = start_closed or task == "reach"
+        self.starts_closed = task == "reach" or not start_open
         start = settle(load_scene(_SCENES[task])).site("grip").xpos
         self.offset = np.array([*(start[:2] - arm.workspace), TABLE_HEIGHT])  # its own table's top is at 0
         self._start = start - self.offset
@@ -103,9 +102,10 @@ class ServoArm(Robot):
 
     @classmethod
     def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
-        """Returns the options of its rows in the table: slow, as fast as the Fetch, and with a closed hand."""
-        closed = [] if task == "reach" else [{"start_closed": True}]
-        return [{}, {"slowdown": 1}, *closed]
+        """Returns the options of its rows in the table: slow, as fast as the Fetch, and slow with an open hand."""
+        if task == "reach":
+            return [{}, {"slowdown": 1}]
+        return [{}, {"slowdown": 1, "start_open": True}, {"start_open": True}]
 
     def reset(self, rng: np.random.Generator) -> None:
         """Starts an episode: the cube on the table, or the point to reach, at random, and where the cube is to go."""
@@ -152,18 +152,17 @@ class ServoArm(Robot):
         # The Fetch's pads come to rest on the table; these servos would press on.
         target[2] = max(target[2], self.arm.hand.below_tool)
         finger = self._fingers.lead(self._gap(), action[3])
-        fetch_time = CONTROL_PERIOD / _IK_STEPS  # of each solution; here it lasts `slowdown` times longer
-        commands = self.slowdown * ACCURATE_SUBSTEPS // (_IK_STEPS * _SERVO_STEPS)
+        commands = self.slowdown * ACCURATE_SUBSTEPS // _SERVO_STEPS
+        fetch_time = CONTROL_PERIOD / commands  # here it lasts `slowdown` times longer
         period, lag = _SERVO_STEPS * self.model.opt.timestep, np.array(self.arm.lag)
-        for _ in range(_IK_STEPS):
+        for _ in range(commands):
             self._gripper.follow(target, fetch_time)
             before = self._ik.joints
-            velocity = self._ik.approach(self._gripper.position, fetch_time * self.slowdown)
-            for command in range(commands):
-                self.data.ctrl[: self.arm.joints] = before + ((command + 1) * period + lag) * velocity
-                if self.task != "reach":
-                    self.data.ctrl[self.arm.joints :] = self._hand_control(finger, fetch_time / commands)
-                mujoco.mj_step(self.model, self.data, nstep=_SERVO_STEPS)
+            velocity = self._ik.approach(self._gripper.position, period)
+            self.data.ctrl[: self.arm.joints] = before + (period + lag) * velocity
+            if self.task != "reach":
+                self.data.ctrl[self.arm.joints :] = self._hand_control(finger, fetch_time)
+            mujoco.mj_step(self.model, self.data, nstep=_SERVO_STEPS)
         mujoco.mj_forward(self.model, self.data)
 
     def _hand_control(self, finger: float, time: float) -> float:

@@ -20,5 +20,5 @@ def test_responses_are_the_fetch_s():
         goal = fingers.lead(fingers.gap, 1.0 if number <= 3 else -1.0)
         for _ in range(20):
             fingers.follow(goal, CONTROL_PERIOD / 20)
-        np.testing.assert_allclose(gripper.position - before, seen[:3] - last[:3], atol=3e-3)
+        np.testing.assert_allclose(gripper.position - before, seen[:3] - last[:3], atol=1e-3)
         assert fingers.gap == pytest.approx(seen[6], abs=8e-3)
