@@ -112,14 +112,14 @@ def transfer(
 ) -> Row:
     """Returns a row of table 4; `robot` is the beginning of its name."""
     rows = [row for row in read_csv("transfer/table4") if row["robot"].startswith(robot)]
-    rows = [row for row in rows if row.get("policy", "plain") == policy]
+    rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
 def disturbed(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
     """Returns a point of the curves of success against disturbances."""
     rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
-    rows = [row for row in rows if row.get("policy", "plain") == policy]
+    rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, quantity=quantity, value=value)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from envs.fetch.arm import LEAD
 from envs.fetch.grasp import WIDEST_GAP
 
-# The weld of assets/fetch/robot.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long, as the
-# gripper drags the arm along: this constant fits the reference's steps.
+# The weld of assets/fetch/robot.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
+# as the gripper drags the arm along; this constant fits the reference.
 _TIME_CONSTANT = 0.0203  # seconds
 _SLACK = 0.003  # metres between the gripper and its reference at most: how hard it presses on what it meets
 
