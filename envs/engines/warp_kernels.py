@@ -39,7 +39,7 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int]) -> None:
             mujoco_warp.step(warp_model, data)
 
         warp_model.opt.graph_conditional = False  # else the solver waits for a kernel that is not launched
-        wanted = wanted_modules(step) | {warp.get_module(_CALLED_BY_JAX): []}
+        wanted: dict[Any, list[int]] = {warp.get_module(_CALLED_BY_JAX): []} | wanted_modules(step)
         warp_model.opt.graph_conditional = True
         load_side_by_side(wanted, device)
         step()
@@ -50,8 +50,8 @@ def wanted_modules(function: Callable[[], None]) -> dict[Any, list[int]]:
     """Returns the modules that a function's launches want, with the sizes of their blocks; nothing is launched."""
     warp: Any = importlib.import_module("warp")
     module_class: Any = importlib.import_module("warp._src.context").Module
-    load, suggest, own_thread = module_class.load, warp.get_suggested_block_size, threading.get_ident()
     wanted: dict[Any, list[int]] = {}
+    own_thread = threading.get_ident()
 
     def note(module: Any, device: Any, block_dim: int | None = None, **options: Any) -> Any:
         if threading.get_ident() != own_thread:
@@ -65,6 +65,7 @@ def wanted_modules(function: Callable[[], None]) -> dict[Any, list[int]]:
         return suggest(kernel, device) if threading.get_ident() != own_thread else (_SOME_BLOCK, 1)
 
     with _PATCHING:
+        load, suggest = module_class.load, warp.get_suggested_block_size
         module_class.load, warp.get_suggested_block_size = note, suggest_some
         try:
             function()

@@ -128,7 +128,7 @@ def _go_on(words: list[str], folder: Path) -> str:
     pairs = itertools.pairwise(["", *words])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
     script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated
-    hgail = from_here(script) if script.exists() and not shutil.which("hgail") else "hgail"
+    hgail = from_here(script) if script.exists() and shutil.which("hgail") != str(script) else "hgail"
     return f"go on with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
 
 

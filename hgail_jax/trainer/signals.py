@@ -17,7 +17,7 @@ from hgail_jax.interrupts import exit_at_once, watch_signals
 def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator[threading.Event]:
     """Yields an event that the first SIGTERM or SIGINT sets; a second ends the process at once, with 128 + its number.
 
-    Each is one line on stderr. Enter it in the main thread.
+    Each prints one line on stderr. Enter it in the main thread.
 
     Args:
       refusal: returns a line where there is nothing to save; then the first ends the process at once, with this line.

@@ -87,7 +87,7 @@ class StatusLine:
 
 
 def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) -> tqdm:
-    """Returns tqdm's bar as it would be, and on a terminal that says it has no size a plain one, not none at all.
+    """Returns tqdm's bar, as wide as the terminal; 79 columns where there is none, or none that tells its size.
 
     Args:
       *arguments: tqdm's.

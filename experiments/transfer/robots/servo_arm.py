@@ -35,7 +35,7 @@ class ServoArm(Robot):
 
     Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
     tenths of it instead of 80. So an action lasts `slowdown` times longer. With actions as fast as the Fetch's the hand
-    cannot open on the way, and must start open. experiments/results/transfer/table4.csv shows the effect of each.
+    hardly opens on the way; let it start open.
 
     A subclass sets `arm`.
 

@@ -48,6 +48,12 @@ def test_the_hand_opens_and_closes_on_the_fetch_s_scale(grasp):
     assert not seen[:, 7].any()
 
 
+def test_the_hand_starts_open_where_that_is_asked_for():
+    robot = UR5e("grasp", start_open=True)
+    robot.reset(np.random.default_rng(0))
+    assert robot.features()[6] == pytest.approx(0.1, abs=2e-3)
+
+
 @pytest.mark.parametrize("hand", [1.0, -1.0])
 def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(grasp, hand):
     check_the_table_is_not_pressed(grasp, hand)
