@@ -163,3 +163,16 @@ def test_after_a_step_that_fails_warp_is_as_it_was(warp):
     with pytest.raises(ArithmeticError, match="no step"):
         wanted_modules(step)
     assert (patched(warp), warp.get_suggested_block_size) == before
+
+
+def test_of_two_threads_that_note_at_once_none_leaves_warp_changed(warp):
+    before, others = (patched(warp), warp.get_suggested_block_size), []
+
+    def step() -> None:
+        others.append(threading.Thread(target=wanted_modules, args=[lambda: None]))
+        others[0].start()
+        others[0].join(timeout=0.1)  # it waits for this one
+
+    wanted_modules(step)
+    others[0].join()
+    assert (patched(warp), warp.get_suggested_block_size) == before
