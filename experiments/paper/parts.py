@@ -4,7 +4,7 @@ from typing import Any
 
 from experiments.paper.study import Setting, Study
 
-_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}  # of their own: 7 to 11 million
+_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}  # of their own: 8 to 10 million
 
 
 def _part(
