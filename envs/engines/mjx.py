@@ -29,7 +29,8 @@ class MjxEngine(Engine):
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
-        self.mjx_model = mjx.put_model(self.model, impl=self.name)
+        # NumPy's arrays: to make others a constant of a program, it waits for the GPU, which may be loading kernels.
+        self.mjx_model = jax.device_get(mjx.put_model(self.model, impl=self.name))
         self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
 
     def _buffer_sizes(self, worlds: int) -> dict[str, int]:
@@ -79,7 +80,7 @@ class MjxEngine(Engine):
         engine.substeps = substeps
         engine.model = copy.copy(self.model)
         engine.model.opt.timestep = self.period / substeps
-        engine.mjx_model = self.mjx_model.tree_replace({"opt.timestep": jnp.float32(self.period / substeps)})
+        engine.mjx_model = self.mjx_model.tree_replace({"opt.timestep": np.float32(self.period / substeps)})
         return engine
 
 

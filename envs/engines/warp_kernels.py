@@ -75,7 +75,7 @@ def wanted_modules(function: Callable[[], None]) -> dict[Any, list[int]]:
 
 
 def generate_code_in_turn() -> None:
-    """Has Warp generate code for one module at a time, while CUDA's compiler may be at work on others.
+    """Has Warp generate code for one module at a time, while others may be compiled or loaded onto the GPU.
 
     Warp 1.14 notes what it knows of a function in one place for all modules that call it. Of two threads that build
     such modules at once, one now and then writes code that does not compile (NVIDIA/warp#1474). Call it before there
@@ -87,7 +87,8 @@ def generate_code_in_turn() -> None:
         if hasattr(context, "_codegen_lock") or hasattr(compiler.build_cuda, "turn"):
             return
         turn = _Turn()
-        compiler.build_cuda = turn.given_up_in(compiler.build_cuda)
+        for name in ("build_cuda", "load_cuda"):
+            setattr(compiler, name, turn.given_up_in(getattr(compiler, name)))
         for name in ("load", "get_module_hash"):  # either may generate code
             setattr(context.Module, name, turn.taken_in(getattr(context.Module, name)))
 
@@ -139,6 +140,8 @@ class _Turn:
 def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
     """Loads Warp's modules in several threads, each for the sizes of blocks that it is wanted for.
 
+    Those with a Cholesky factorisation are the last: Warp compiles it, for seconds, while it generates their code.
+
     Raises:
       Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.
 
@@ -151,4 +154,4 @@ def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
                 raise RuntimeError(f"Warp cannot build its module {module.name!r}")
 
     with ThreadPoolExecutor() as threads:
-        list(threads.map(load, wanted))
+        list(threads.map(load, sorted(wanted, key=lambda module: "cholesky" in module.name)))

@@ -109,7 +109,7 @@ class FetchEnv(GoalEnv):
         self.max_worlds = self.engine.max_worlds
         self._scene_model = SceneModel(self.model)
         self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
-        self._initial_physics = jax.jit(self.place)(settled.qpos, settled.qvel)
+        self._initial_physics = jax.device_get(jax.jit(self.place)(settled.qpos, settled.qvel))
         self._settled: dict[float, FetchPhysics] = {}
 
     @property
@@ -133,7 +133,7 @@ class FetchEnv(GoalEnv):
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         del rng  # the arm always starts from the same pose
-        return self._initial_physics
+        return jax.tree.map(jnp.asarray, self._initial_physics)
 
     def random_position(self, rng: jax.Array) -> jax.Array:
         """Draws a position to bring the gripper to, `[3]`: around its start, and not in the table."""

@@ -98,8 +98,8 @@ class Grasp(FetchEnv):
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         cube = jnp.append(self.random_place(rng, CUBE_RANGE), _CUBE_HEIGHT)
-        qpos = self._initial_physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube)
-        return self._initial_physics.replace(qpos=qpos)
+        physics = super().reset_physics(rng)
+        return physics.replace(qpos=physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube))
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3], action[3])

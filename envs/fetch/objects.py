@@ -99,8 +99,8 @@ class ObjectEnv(FetchEnv):
 
     def reset_physics(self, rng: jax.Array) -> ObjectPhysics:
         start = jnp.append(self.random_place(rng, self.object_range), self.object_height)
-        qpos = self._initial_physics.qpos.at[self._object_qpos].set(start)
-        return self._initial_physics.replace(qpos=qpos, object_start=start)
+        physics: Any = super().reset_physics(rng)
+        return physics.replace(qpos=physics.qpos.at[self._object_qpos].set(start), object_start=start)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)

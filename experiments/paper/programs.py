@@ -72,7 +72,7 @@ def train_program(
         step = program.compile()
     seconds = {"compile": time.perf_counter() - started}
     with Checkpoints(folder, {"trials": [trial.identity() for trial in trials]}) as checkpoints:
-        progress = begin(program, checkpoints.restore(jax.eval_shape(program.init)))
+        progress = begin(program, program.init(), checkpoints.restore(jax.eval_shape(program.init)))
         train(program, step, progress, checkpoints, SavingPolicy(seconds=_CHECKPOINT_SECONDS), stop)
     if stop.is_set():
         return None
@@ -126,7 +126,7 @@ def time_sweep(env: envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
         compiled = time.perf_counter()
         for group in groups:
             program = make_program(env, group, None)
-            train(program, step, begin(program))
+            train(program, step, begin(program, program.init()))
         return {"compile": compiled - started, "train": time.perf_counter() - compiled}
 
     together = measure([trials])

@@ -158,9 +158,16 @@ def train(
     save(checkpoints, progress)
 
 
-def begin(program: Program, restored: Checkpoint | None = None) -> Progress:
-    """Returns where a training starts, on the devices. Of several processes the first alone may have a checkpoint."""
-    progress = Progress(program.init())
+def begin(program: Program, untrained: TrainState, restored: Checkpoint | None = None) -> Progress:
+    """Returns where a training starts, on the devices. Of several processes the first alone may have a checkpoint.
+
+    Args:
+      program: what to train.
+      untrained: from `Program.init`.
+      restored: what to go on from; None begins anew.
+
+    """
+    progress = Progress(untrained)
     if restored is not None:
         progress = Progress(restored.state, restored.record["history"], restored.record["seconds"])
     progress.history, progress.seconds = json_from_first_process([progress.history, progress.seconds])

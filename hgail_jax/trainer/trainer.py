@@ -224,18 +224,20 @@ class Trainer:
         run, program = self.run, self.run.program()
         self._open_loggers(settings, self._restored.record["history"] if self._restored else [])
         timing: dict[str, float] = {}
-        # Other threads prepare the physics and trace the final evaluation while this one compiles the training; the
-        # evaluation is compiled while the training runs. They must have done with the device by then: what MuJoCo Warp
-        # records in its first steps, to repeat it later, cannot bear another thread's work beside it.
-        background = ThreadPoolExecutor(2)
+        # Other threads prepare the physics, make the untrained states and trace the final evaluation while this one
+        # compiles the training; the evaluation is compiled while the training runs. They must have done with the device
+        # by then: what MuJoCo Warp records in its first steps, to repeat it later, cannot bear another thread's work
+        # beside it.
+        background = ThreadPoolExecutor(3)
         try:
             with _timed(timing, "compile"), StatusLine("compiling the training program"):
                 preparing = background.submit(run.env.prepare)
+                initialising = background.submit(program.init)
                 tracing = background.submit(self._trace_evaluations)
                 step = program.compile()
                 preparing.result()
-                traced = tracing.result()
-            progress = begin(program, self._restored)
+                untrained, traced = initialising.result(), tracing.result()
+            progress = begin(program, untrained, self._restored)
             compiling = background.submit(lambda: {name: compile_one() for name, compile_one in traced.items()})
             self._train_rounds(step, progress, stop)
         finally:

@@ -3,19 +3,22 @@
 `tests/envs/fetch/test_warp.py` builds them on a GPU.
 """
 
+import functools
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
 
+from envs.engines import warp_kernels
 from envs.engines.warp_kernels import generate_code_in_turn, load_side_by_side, wanted_modules
 
 _MODULES = 4
 
 
 class Module:
-    """A module whose code must be generated while no other's is, and is compiled while all others' are."""
+    """A module whose code must be generated while no other's is, and is compiled and loaded while all others' are."""
 
     generating = 0
 
@@ -27,6 +30,7 @@ class Module:
         self.get_module_hash()
         assert self._warp.build.build_cuda(self.name, arch=90) == "compiled"
         self._generate()
+        assert self._warp.build.load_cuda(self.name, device) == "handle"
         self.loaded.append((device, block_dim))
         return None if self.name == "failed before" else self
 
@@ -52,8 +56,14 @@ def warp(monkeypatch):
             together.wait()
         return "compiled"
 
+    def load_cuda(name: str, device: str) -> str:
+        assert device == "cuda:0"
+        if name == "sound":
+            together.wait()
+        return "handle"
+
     warp = SimpleNamespace(
-        build=SimpleNamespace(build_cuda=build_cuda),
+        build=SimpleNamespace(build_cuda=build_cuda, load_cuda=load_cuda),
         context=SimpleNamespace(Module=Module),
         get_suggested_block_size=lambda kernel, device=None: (768, 132),
     )
@@ -67,10 +77,10 @@ def warp(monkeypatch):
 
 
 def patched(warp):
-    return warp.build.build_cuda, Module.load, Module.get_module_hash
+    return warp.build.build_cuda, warp.build.load_cuda, Module.load, Module.get_module_hash
 
 
-def test_code_is_generated_for_one_module_at_a_time_and_compiled_for_all_at_once(warp):
+def test_code_is_generated_for_one_module_at_a_time_and_compiled_and_loaded_for_all_at_once(warp):
     generate_code_in_turn()
     modules = [Module(warp) for _ in range(_MODULES)]
     others = [  # of the program that is traced meanwhile
@@ -135,6 +145,15 @@ def test_a_module_is_built_for_each_size_of_its_blocks(warp):
     module = Module(warp, "alone")
     load_side_by_side({module: [64, 32]}, "cuda:0")
     assert module.loaded == [("cuda:0", 64), ("cuda:0", 32)]
+
+
+def test_factorisations_which_hold_up_all_others_are_the_last(warp, monkeypatch):
+    monkeypatch.setattr(warp_kernels, "ThreadPoolExecutor", functools.partial(ThreadPoolExecutor, 1))
+    built = []
+    monkeypatch.setattr(Module, "load", lambda self, device, block_dim: built.append(self.name) or self)
+    names = ["smooth", "_update_gradient_cholesky_1", "sensor", "_tile_cholesky_2", "forward"]
+    load_side_by_side({Module(warp, name): [] for name in names}, "cuda:0")
+    assert built == ["smooth", "sensor", "forward", "_update_gradient_cholesky_1", "_tile_cholesky_2"]
 
 
 def test_what_other_threads_load_meanwhile_is_loaded(warp):

@@ -54,7 +54,7 @@ def told(*rounds, given=None):
 
 
 def start(of):
-    progress = begin(of)
+    progress = begin(of, of.init())
     return dataclasses.replace(progress, states=progress.states.replace(expert=jnp.zeros(of.seeds)))
 
 
@@ -178,9 +178,11 @@ def test_what_was_not_measured_is_none():
 
 
 def test_a_training_begins_with_its_seeds_own_states():
-    progress = begin(program(seeds=2, first_seed=5))
+    of = program(seeds=2, first_seed=5)
+    progress = begin(of, of.init())
     for index in range(2):
-        alone = begin(program(seeds=1, first_seed=5 + index)).states
+        one = program(seeds=1, first_seed=5 + index)
+        alone = begin(one, one.init()).states
         jax.tree.map(
             lambda ours, theirs, i=index: np.testing.assert_array_equal(ours[i], theirs[0]),
             progress.states.replace(rng=None),
