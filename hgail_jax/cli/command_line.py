@@ -111,8 +111,13 @@ def fail(program: str, message: object, code: int) -> NoReturn:
 
 
 def prepare_process() -> None:
-    """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # which JAX has read
-        cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-        jax.config.update("jax_compilation_cache_dir", str(cache))
+    """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before.
+
+    JAX would keep what took a second to compile; a run has more programs that take just less.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
+    wanted = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.1}
+    for name, value in wanted.items():
+        if name not in os.environ:  # which JAX has read
+            jax.config.update(name.lower(), value)
     sys.path.append(os.getcwd())  # as `python -m` does; a console command has its own folder there instead

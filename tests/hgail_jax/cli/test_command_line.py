@@ -1,11 +1,13 @@
 """What is said of a command line that cannot be read."""
 
 import dataclasses
+import sys
 from typing import Annotated, Literal
 
+import jax
 import pytest
 
-from hgail_jax.cli.command_line import parse
+from hgail_jax.cli.command_line import parse, prepare_process
 from hgail_jax.trainer.options import unless_given
 
 
@@ -52,3 +54,23 @@ def test_a_value_that_cannot_be_read_is_said_with_its_option(capsys, words, said
     error = refusal(capsys, *words)
     assert error.startswith(f"it: {said}")
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("of_user", "set_here"),
+    [
+        ({}, {"jax_compilation_cache_dir": "/cache/hgail_jax", "jax_persistent_cache_min_compile_time_secs": 0.1}),
+        ({"JAX_COMPILATION_CACHE_DIR": "/mine", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "2"}, {}),
+    ],
+)
+def test_what_the_user_says_of_jax_s_cache_holds(monkeypatch, of_user, set_here):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/cache")
+    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in of_user.items():
+        monkeypatch.setenv(name, value)
+    changed = {}
+    monkeypatch.setattr(jax.config, "update", changed.__setitem__)
+    monkeypatch.setattr(sys, "path", [])
+    prepare_process()
+    assert changed == set_here
