@@ -113,7 +113,7 @@ def program(*settings):
 
 def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_do(step):
     mixed = program(SOUND, DIVERGES)
-    progress = begin(mixed)
+    progress = begin(mixed, mixed.init())
     train(mixed, step, progress)
     assert progress.rounds == 3
     np.testing.assert_allclose(
@@ -122,7 +122,8 @@ def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_
     assert diverged_seeds(mixed, progress) == ["seed 3 of setting 1"]
     json.dumps(progress.history, allow_nan=False)  # what was not finite is None
     assert progress.history[1]["policy_loss"][1] is None
-    alone, of_sound = program(SOUND, SOUND), begin(program(SOUND, SOUND))
+    alone = program(SOUND, SOUND)
+    of_sound = begin(alone, alone.init())
     train(alone, step, of_sound)
     assert_same(one(progress.states, 0), one(of_sound.states, 0))
     assert diverged_seeds(alone, of_sound) == []
@@ -130,19 +131,20 @@ def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_
 
 def test_a_training_stops_where_all_diverge(step):
     all_of_them = program(DIVERGES, DIVERGES)
-    progress = begin(all_of_them)
+    progress = begin(all_of_them, all_of_them.init())
     with pytest.raises(FloatingPointError, match=r"^no seed's update is finite in round 0$"):
         train(all_of_them, step, progress)
     assert progress.rounds == 0
 
 
 def test_a_training_stops_where_every_episode_breaks_down(step):
-    progress = begin(program(SOUND, SOUND))
+    sound = program(SOUND, SOUND)
+    progress = begin(sound, sound.init())
 
     def broken_step(states, phases):
         states, metrics = step(states, phases)
         return states, metrics.replace(dropped=np.ones_like(metrics.dropped))
 
     with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down in round 0$"):
-        train(program(SOUND, SOUND), broken_step, progress)
+        train(sound, broken_step, progress)
     assert progress.rounds == 0
