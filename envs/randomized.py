@@ -146,12 +146,11 @@ class RandomizedEnv(GoalEnv):
     def _drawn(self, shares: jax.Array, offsets: jax.Array) -> Drawn:
         """Returns what is drawn: shares, `[3]` in [0, 1), of ranges, and offsets, `[3, 3]`, in deviations."""
         least, most = self._sizes["delay"]
-        delay = jnp.floor(_between((least, most + 1), shares[0]))
+        # Rounding may reach `most + 1`, which is no whole number while it grows.
+        delay = jnp.minimum(jnp.floor(_between((least, most + 1), shares[0])), jnp.ceil(most))
         deviations = jnp.array([self._sizes[f"{source}_offset"] for source in _SOURCES])
         return Drawn(
-            delay=jnp.minimum(delay, jnp.ceil(most)).astype(
-                jnp.int32
-            ),  # rounding may reach `most + 1`, which is no whole number while it grows
+            delay=delay.astype(jnp.int32),
             step_size=_between(self._sizes["step_size"], shares[1]),
             sag=_between(self._sizes["sag"], shares[2]),
             offset=deviations[:, None] * offsets,

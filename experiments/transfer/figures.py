@@ -33,14 +33,16 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
 
     Args:
       path: where to.
-      rows: the points of the sweep, as measured; each task and quantity has a panel, each robot and policy a line.
+      rows: the points of the sweep, as measured; each task and quantity has a panel, each robot a colour, each policy a
+        style.
       axes: the label of the x axis for each quantity.
 
     """
     panels: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for row in rows:
+    tasks = list(dict.fromkeys(row["task"] for row in rows))
+    for row in sorted(rows, key=lambda row: tasks.index(row["task"])):
         panels.setdefault((row["task"], row["quantity"].partition(", ")[0]), []).append(row)
-    colours = {name: f"C{index}" for index, name in enumerate(dict.fromkeys(map(_robot, rows)))}
+    colours = {name: f"C{index}" for index, name in enumerate(dict.fromkeys(map(_acting, rows)))}
     styles = dict(
         zip(dict.fromkeys(row.get("policy", "plain") for row in rows), itertools.cycle(_STYLES), strict=False)
     )
@@ -51,7 +53,7 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
     drawn: dict[str, Any] = {}
     for panel, ((task, quantity), points) in zip(grid.flat, panels.items(), strict=False):
         for name, line in _lines(points).items():
-            drawn[name] = _draw_line(panel, line, colours[_robot(line[0])], styles[line[0].get("policy", "plain")])
+            drawn[name] = _draw_line(panel, line, colours[_acting(line[0])], styles[line[0].get("policy", "plain")])
         panel.set(xlabel=axes[quantity], title=task, ylim=(-0.03, 1.03))
         panel.xaxis.label.set_size(8)
         panel.grid(alpha=0.3)
@@ -86,16 +88,17 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
         file.write(imageio.imwrite("<bytes>", np.concatenate(strips), extension=".png"))
 
 
-def _robot(row: Mapping[str, Any]) -> str:
-    return row["robot"].partition(",")[0]
+def _acting(row: Mapping[str, Any]) -> str:
+    """Returns the robot of a row, and the option of it that a quantity's line has, which share a colour."""
+    robot, option = row["robot"].partition(",")[0], row["quantity"].partition(", ")[2]
+    return f"{robot}, {option}" if option else robot
 
 
 def _lines(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Returns the rows of each line of a panel, by the line's name in the legend."""
     lines: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        line, policy = row["quantity"].partition(", ")[2], row.get("policy", "plain")
-        lines.setdefault(", ".join(filter(None, (_robot(row), line, policy))), []).append(row)
+        lines.setdefault(f"{_acting(row)}, {row.get('policy', 'plain')}", []).append(row)
     return lines
 
 

@@ -1,5 +1,7 @@
 import imageio.v3 as imageio
+import numpy as np
 import pytest
+from matplotlib import colors
 
 from experiments.transfer.figures import draw_sweep
 
@@ -22,3 +24,24 @@ def test_curves_have_an_ink_for_each_line(tmp_path, second):
         pictures.append(imageio.imread(tmp_path / "curves.png"))
     assert (pictures[0] != pictures[1]).any()
     assert list(tmp_path.iterdir()) == [tmp_path / "curves.png"]
+
+
+def inks(path):
+    """Returns which of matplotlib's first three colours a picture has, by name."""
+    pixels = {tuple(pixel[:3]) for pixel in imageio.imread(path).reshape(-1, 4)}
+    names = ("C0", "C1", "C2")
+    return [name for name in names if tuple(np.round(255 * np.array(colors.to_rgb(name))).astype(int)) in pixels]
+
+
+@pytest.mark.parametrize(
+    ("second", "wanted"),
+    [
+        ({"robot": "C, d"}, ["C0", "C1"]),
+        ({"quantity": "noise, hand open"}, ["C0", "C1"]),
+        ({"policy": "robust"}, ["C0"]),
+    ],
+)
+def test_robots_and_their_options_differ_in_colour_and_policies_do_not(tmp_path, second, wanted):
+    apart = {"success_rate": 0.2, "success_low": 0.1, "success_high": 0.3}
+    draw_sweep(tmp_path / "curves.png", [ROW, ROW | apart | second], {"noise": "noise (m)"})
+    assert inks(tmp_path / "curves.png") == wanted
