@@ -125,7 +125,7 @@ def _film(robot: Robot, policy: MeanAction, seed: int) -> list[np.ndarray]:
 
 
 def _picture(renderer: mujoco.Renderer, robot: Robot, camera: mujoco.MjvCamera) -> np.ndarray:
-    robot.model.site(robot.marker).pos = robot.target() - robot.offset
     mujoco.mj_kinematics(robot.model, robot.data)
+    robot.data.site(robot.marker).xpos = robot.target() - robot.offset
     renderer.update_scene(robot.data, camera)
     return renderer.render()

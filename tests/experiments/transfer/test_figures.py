@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from matplotlib import colors
 
-from experiments.transfer.figures import draw_sweep
+from experiments.transfer.figures import draw_strip, draw_sweep
+from experiments.transfer.robots import make_robot
 
 ROW = {"robot": "A, b", "task": "reach", "quantity": "noise", "value": 0.0, "success_rate": 0.5}
 ROW |= {"success_low": 0.4, "success_high": 0.6}
@@ -45,3 +46,14 @@ def test_robots_and_their_options_differ_in_colour_and_policies_do_not(tmp_path,
     apart = {"success_rate": 0.2, "success_low": 0.1, "success_high": 0.3}
     draw_sweep(tmp_path / "curves.png", [ROW, ROW | apart | second], {"noise": "noise (m)"})
     assert inks(tmp_path / "curves.png") == wanted
+
+
+def test_a_strip_shows_the_place_that_the_cube_is_brought_to(tmp_path):
+    """In Gymnasium's scene too, whose marker is not a child of the world."""
+    robot = make_robot("gymnasium", "pick-and-place")
+    draw_strip(tmp_path / "strip.png", [(robot, lambda observation: np.zeros(4), [0, 1])], seed=0)
+    red, green, blue = np.moveaxis(imageio.imread(tmp_path / "strip.png").astype(int), -1, 0)
+    assert red.shape == (240, 2 * 240)
+    ball = (red > 100) & (green < 40) & (blue < 40)
+    assert ball[:, :240].sum() > 20
+    assert ball[:, 240:].sum() > 20
