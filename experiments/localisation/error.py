@@ -1,12 +1,12 @@
 """Measures the error of localised positions, without noise and with each kind of it."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.localisation.localiser import Detector, Noise, estimate
-from experiments.localisation.random_scenes import Sample, Studio, View
+from experiments.localisation.localiser import Detector, Noise, Sighting, locate, sight
+from experiments.localisation.random_scenes import Sample, Studio
 from hgail_jax.trainer.status import progress_bar
 
 SWEEPS: dict[str, tuple[float, ...]] = {
@@ -26,11 +26,10 @@ _SCENES = {"plain": False, "randomised": True}
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """The best view of a target, and where the detector takes its middle to be."""
+    """A target that was found."""
 
-    view: View
-    pixel: np.ndarray
-    """`[2]`: (u, v)."""
+    sightings: Sequence[Sighting]
+    """At least one, that of the highest score first."""
     position: np.ndarray
     """`[3]`: the target's true centre, metres."""
     marker: bool
@@ -38,21 +37,16 @@ class Found:
 
 
 def find(sample: Sample, detect: Detector) -> Found | None:
-    """Returns where a detector finds a sample's target, in the view of the highest score; None if in no view."""
-    best, score = None, -np.inf
-    for view in sample.views:
-        detection = detect(view.picture, view.camera, sample.marker)
-        if detection is not None and detection.score > score:
-            best, score = Found(view, detection.pixel, sample.position, sample.marker), detection.score
-    return best
+    """Returns where a detector finds a sample's target; None if in no view."""
+    sightings = sight(((view.picture, view.camera) for view in sample.views), detect, sample.marker)
+    return Found(sightings, sample.position, sample.marker) if sightings else None
 
 
 def errors(found: list[Found], noise: Noise, rng: np.random.Generator, repeats: int = 1) -> np.ndarray:
     """Returns distances of the estimates from the truth, `[repeats * len(found)]`, millimetres."""
 
     def error(one: Found) -> float:
-        position = estimate(one.pixel, one.view.picture.depth, one.view.camera, one.marker, noise, rng)
-        return 1e3 * float(np.linalg.norm(position - one.position))
+        return 1e3 * float(np.linalg.norm(locate(one.sightings, one.marker, noise, rng) - one.position))
 
     return np.array([error(one) for _ in range(repeats) for one in found])
 

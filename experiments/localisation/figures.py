@@ -60,13 +60,14 @@ def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: M
         axes[0].set_title(title, fontsize=9, loc="left")
         for axis, sample in zip(axes, samples, strict=False):
             found = {name: find(sample, detect) for name, detect in detectors.items()}
-            shown = next((one.view for one in reversed(found.values()) if one is not None), sample.views[0])
-            height, width = shown.picture.depth.shape
-            axis.imshow(shown.picture.rgb, extent=(0, width, height, 0))
-            for name, one in found.items():
-                if one is not None and one.view is shown:
+            best = {name: one.sightings[0] for name, one in found.items() if one is not None}
+            shown = next((sighting.picture for sighting in reversed(best.values())), sample.views[0].picture)
+            height, width = shown.depth.shape
+            axis.imshow(shown.rgb, extent=(0, width, height, 0))
+            for name, sighting in best.items():
+                if sighting.picture is shown:
                     mark, colour = _MARKS[name]
-                    axis.plot(*one.pixel, mark, color=colour, ms=9, mew=1.5)
+                    axis.plot(*sighting.detection.pixel, mark, color=colour, ms=9, mew=1.5)
         for axis in axes:
             axis.set_axis_off()
     handles = [

@@ -1,9 +1,9 @@
 """Estimates the target's position from pictures of RGB-D cameras, as a real robot would have to.
 
 The target is the cube, painted red, or for reach a red ball at the goal (`MARKER_RADIUS`), which only the cameras see.
-Each camera takes a picture at the episode's start. In the one that shows the target best, a detector finds the pixel
-at its middle; the paper's Eq. 8 turns pixel and depth into a point on the surface, from which the target's known size
-leads to its centre.
+Each camera takes a picture at the episode's start, in which a detector finds the pixel at the target's middle. The
+paper's Eq. 8 turns pixel and depth into a point on the surface, from which the target's known size leads to its centre.
+Cameras that agree count the same.
 
     localiser = Localiser(overhead(gripper_start), detect=load_detector(WEIGHTS), noise=Noise(pixel=1.0))
     position = localiser(model, data, rng)                 # the cube's centre, [3], metres, world frame
@@ -14,7 +14,7 @@ leads to its centre.
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import mujoco
 import numpy as np
@@ -40,6 +40,8 @@ cubes would the detector find, which has learnt from pictures of the two."""
 _DISTANCE = 1.0  # metres from the middle of the workspace
 _BELOW_START = 0.05  # metres from the gripper's start down to the middle of the workspace
 _FOVY = 34.0  # degrees, vertical field of view; every goal of reach is in the picture
+
+_AGREEMENT = 0.03  # metres between the first estimate and others that count
 
 _LEAST_REDNESS = 0.5  # (red - the larger of green and blue) / red
 _LEAST_RED = 50  # of 255
@@ -84,6 +86,15 @@ class Detection:
     """`[2]`: (u, v)."""
     score: float
     """Larger where the target is seen better; comparable between pictures, not between detectors."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sighting:
+    """A detection, the picture that it is in, and the true pose of its camera."""
+
+    detection: Detection
+    picture: Picture
+    camera: Camera
 
 
 CALIBRATED = Noise(pixel=1.0, depth=0.003, rotation=0.25, translation=0.002)
@@ -161,6 +172,29 @@ def estimate(
     return surface_to_centre(calibrated, calibrated.to_world(noisy, distance), marker)
 
 
+def sight(pictures: Iterable[tuple[Picture, Camera]], detect: Detector, marker: bool) -> list[Sighting]:
+    """Returns where a detector finds the ball, or else the cube, in pictures of one scene, the highest score first."""
+    found = [Sighting(detection, *each) for each in pictures if (detection := detect(*each, marker)) is not None]
+    return sorted(found, key=lambda sighting: sighting.detection.score, reverse=True)
+
+
+def locate(sightings: Sequence[Sighting], marker: bool, noise: Noise, rng: np.random.Generator) -> np.ndarray:
+    """Returns the target's centre, `[3]`, metres, world frame: the mean of the estimates that agree with the first.
+
+    Args:
+      sightings: from `sight`, at least one.
+      marker: whether the target is the ball.
+      noise: of each camera on its own.
+      rng: what the noise is drawn with.
+
+    """
+    estimates = np.array(
+        [estimate(each.detection.pixel, each.picture.depth, each.camera, marker, noise, rng) for each in sightings]
+    )
+    agree = np.linalg.norm(estimates - estimates[0], axis=1) <= _AGREEMENT
+    return estimates[agree].mean(axis=0)
+
+
 def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
     """Returns a stage that paints a geom of the model, whose name is given.
 
@@ -229,16 +263,11 @@ class Localiser(contextlib.AbstractContextManager):
         """
         stage = paint(model, self._cube) if marker is None else ball(marker)
         photographer = self._open(model)
-        found = []
-        for camera in self._cameras:
-            picture = photographer.shoot(data, camera, stage)
-            detection = self._detect(picture, camera, marker is not None)
-            if detection is not None:
-                found.append((detection, picture, camera))
-        if not found:
+        pictures = ((photographer.shoot(data, camera, stage), camera) for camera in self._cameras)
+        sightings = sight(pictures, self._detect, marker is not None)
+        if not sightings:
             raise TargetNotSeenError(f"none of {len(self._cameras)} cameras sees the target")
-        detection, picture, camera = max(found, key=lambda view: view[0].score)
-        return estimate(detection.pixel, picture.depth, camera, marker is not None, self._noise, rng)
+        return locate(sightings, marker is not None, self._noise, rng)
 
     def _open(self, model: mujoco.MjModel) -> Photographer:
         if self._photographer is None or self._model is not model:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from envs.vision.camera import look_at
+from envs.vision.rgbd import Picture
 from experiments.localisation.localiser import (
     ABOVE,
     MARKER_RADIUS,
@@ -12,9 +13,11 @@ from experiments.localisation.localiser import (
     Detection,
     Localiser,
     Noise,
+    Sighting,
     TargetNotSeenError,
     detect_colour,
     estimate,
+    locate,
     overhead,
     surface_to_centre,
 )
@@ -55,7 +58,7 @@ def test_any_model_and_any_camera(rendering, network, detect):
 
 
 @pytest.mark.parametrize("best", [0, 1])
-def test_the_view_of_the_higher_score_is_taken(rendering, best):
+def test_of_views_that_disagree_that_of_the_higher_score_is_taken(rendering, best):
     model = mujoco.MjModel.from_xml_string(STRANGER)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -99,6 +102,27 @@ def test_noise_displaces_as_geometry_says():
     np.testing.assert_allclose(spread(Noise(translation=0.01)), 0.01, rtol=0.1)
     turned = 2.0 * np.radians(0.5)
     np.testing.assert_allclose(spread(Noise(rotation=0.5)), [turned, 0.0, turned], rtol=0.1, atol=2e-4)
+
+
+def test_the_errors_of_cameras_that_agree_average_out():
+    """Of two like cameras side by side: half the error of the first where the second is exact, less noise than one."""
+    camera, picture = look_at(np.array([0.0, 2.0, 0.0]), np.zeros(3), 30.0, 128, 128), np.full((128, 128), 2.0)
+    wide, exact = np.array([66.0, 64.0]), np.array([64.0, 64.0])
+
+    def located(*pixels, noise=None, rng=None):
+        sightings = [Sighting(Detection(pixel, 1.0), Picture(None, picture), camera) for pixel in pixels]
+        return locate(sightings, False, noise or Noise(), rng or np.random.default_rng(0))
+
+    np.testing.assert_allclose(located(wide, exact), (located(wide) + located(exact)) / 2)
+    far = np.array([20.0, 64.0])
+    np.testing.assert_array_equal(located(wide, far), located(wide))
+    np.testing.assert_allclose(located(wide, far, exact), located(wide, exact))
+    rng, noise = np.random.default_rng(1), Noise(depth=0.004)
+    alone, both = (
+        np.std([located(*pixels, noise=noise, rng=rng) for _ in range(1500)], axis=0)[1]
+        for pixels in ([exact], [exact, exact])
+    )
+    np.testing.assert_allclose([alone, both], [0.004, 0.004 / np.sqrt(2)], rtol=0.1)
 
 
 def test_no_noise_is_exact_and_draws_are_the_seeds():
