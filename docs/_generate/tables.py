@@ -301,24 +301,6 @@ def robots() -> str:
     )
 
 
-def other_arms() -> str:
-    """Rows of table 4 as they are since other arms make the Fetch's steps, beside the table's own."""
-    header = ["robot", "task", "policies", "hand at the start, action", "success", "in the table"]
-    return markdown(
-        header,
-        [
-            [
-                *_situation(row)[:2],
-                row["policy"],
-                _situation(row)[2],
-                _with_interval(row),
-                fixed(_counterpart(row | {"stage": "exact goal"})["success_rate"], 3),
-            ]
-            for row in read_json("transfer/steps")["rows"]
-        ],
-    )
-
-
 def camera_goals() -> str:
     """Table 4 where cameras tell the goal, beside the same rows with the simulator's."""
     rows = [row for row in read_csv("transfer/table4") if row["stage"] == "camera goal"]
