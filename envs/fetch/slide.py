@@ -53,7 +53,7 @@ class Slide(Push):
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         platform: training_defaults(
             num_envs=1024,
-            rounds=190,
+            rounds=165,
             evaluate_every=5,
             hidden=256,
             trivial_weight=0.3,
