@@ -22,6 +22,8 @@ def run_controller(env: envs.GoalEnv, name: str, episodes: int, seed: int) -> Tr
       ValueError: the task has no such controller.
 
     """
+    if not env.controllers:
+        raise ValueError("the task has no controllers, or none that reads its observation")
     check_name("controller", name, env.controllers)
     controller = env.controllers[name]
 

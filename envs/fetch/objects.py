@@ -44,7 +44,8 @@ class ObjectEnv(FetchEnv):
     A task sets `object_name`, `object_range`, `target_range` and `target_offset`, and the scene.
 
     Args:
-      observation: `"compact"`, or `"official"` for the reference's 25 numbers, see `official_features`.
+      observation: `"compact"`, or `"official"` for the reference's 25 numbers, see `official_features`; with these
+        the task has no controllers.
       impl: see `FetchEnv`.
       substeps: likewise.
       worlds: likewise.
@@ -76,6 +77,7 @@ class ObjectEnv(FetchEnv):
         self.observation = observation
         if observation == "official":
             self.feature_size = OFFICIAL_SIZE
+            self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(impl, substeps, worlds)
         self.object_height = float(self._initial_physics.object_start[2])
 

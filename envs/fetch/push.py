@@ -49,7 +49,7 @@ class Push(ObjectEnv):
     In half the episodes to learn from the gripper is sent around instead: its goal is a waypoint near the cube, another
     one every 12 steps, uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. A cube
     goes away from the side it is pushed from, and hindsight alone shows only pushes that began on the right side; so
-    the hand is seen to go round the cube.
+    the hand is seen to go round the cube. Whether push needs that has not been shown, see `docs/suite.md`.
 
     See `ObjectEnv` for the arguments.
     """

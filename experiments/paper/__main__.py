@@ -78,10 +78,19 @@ def plan(options: Options, platform: str) -> list[Work]:
     works = []
     for task in tasks:
         envs.find_class(task)
-        works.append(Work(Scale(task, platform, options.quick), seeds, folder, _wanted(options, task), options.sweep))
+        studies = _wanted(options, task)
+        for study in studies:
+            _check_options(study, task)
+        works.append(Work(Scale(task, platform, options.quick), seeds, folder, studies, options.sweep))
     if not (any(work.studies for work in works) or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
     return works
+
+
+def _check_options(study: Study, task: str) -> None:
+    asked = {option for setting in study.settings for option in setting.task_options}
+    if lacking := asked - set(envs.accepted_options(task)):
+        raise ValueError(f"study {study.name!r} is for tasks with the option {min(lacking)!r}; {task!r} has none")
 
 
 def _wanted(options: Options, task: str) -> tuple[Study, ...]:

@@ -11,6 +11,7 @@ from scipy.stats import kstest, uniform
 import envs
 from hgail_jax import Config, Hyperparameters, init_state, schedule, train_step
 from hgail_jax.presets import FEW_UPDATES
+from hgail_jax.recording import run_controller
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -256,6 +257,13 @@ def test_slide_refuses_the_engine_that_cannot_collide_its_puck():
 def test_an_unknown_observation_is_refused():
     with pytest.raises(ValueError, match="observation is 'whole'; choose from compact, official"):
         envs.make("push", observation="whole")
+
+
+def test_no_controller_reads_the_official_observation():
+    """Theirs are other numbers in the same places: they would run, and fail."""
+    env = envs.make("push", impl="c", observation="official")
+    with pytest.raises(ValueError, match="no controllers, or none that reads its observation"):
+        run_controller(env, "from-behind", 1, seed=0)
 
 
 @pytest.mark.slow

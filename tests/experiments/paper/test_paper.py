@@ -340,6 +340,7 @@ def test_figures_are_drawn_again_from_their_data(tmp_path, trained, monkeypatch)
         (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
+        (["--study", "parts"], "study 'parts' is for tasks with the option 'observation'; 'reach' has none"),
         (["--plots-only"], "holds no figure's data"),
     ],
 )

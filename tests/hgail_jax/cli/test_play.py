@@ -286,6 +286,20 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
     assert "the policy is for 'reach', not for 'grasp'" in capsys.readouterr().err
 
 
+def test_a_policy_of_another_observation_is_refused(tmp_path, capsys):
+    """Its file does not say which task options it was trained with."""
+    push = load_policy(play.assets_directory() / "policies" / "push.npz")
+    grown = push.observation_size + 6
+    layers = ((np.zeros((grown, 4), np.float32), np.zeros(4, np.float32)),)
+    sizes = {"mean": np.zeros(grown, np.float32), "std": np.ones(grown, np.float32)}
+    save_policy(tmp_path / "official.npz", dataclasses.replace(push, layers=layers, **sizes))
+    refused(
+        ["--policy", str(tmp_path / "official.npz")],
+        f"the policy reads {grown} numbers, but an observation of push has {push.observation_size}",
+        capsys,
+    )
+
+
 @pytest.mark.parametrize(
     ("files", "level", "expected"),
     [
