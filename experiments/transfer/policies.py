@@ -33,6 +33,9 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
     for policy in policies:
         if policy.task != task:
             raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
+        if policy.task_options:
+            given = ", ".join(f"{name}={value}" for name, value in policy.task_options.items())
+            raise ValueError(f"the policy was trained with task options {given}; robots know {task} as it is alone")
     return policies
 
 

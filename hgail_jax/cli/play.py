@@ -136,13 +136,13 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     randomization = policy.randomization
     if level is not None:
         randomization = dataclasses.replace(LEVELS[level], history=randomization.history)  # it is shown as much
-    env = randomize(envs.make(task, **taken), randomization)
     if policy.task != task:
         raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
+    env = randomize(envs.make(task, **policy.task_options | taken), randomization)
     if policy.observation_size != env.observation_size:
         raise ValueError(
             f"the policy reads {policy.observation_size} numbers, but an observation of {task} has "
-            f"{env.observation_size}; it was trained with other task options"
+            f"{env.observation_size}"
         )
     print(f"policy {from_here(path)}, {_disturbances(randomization, level)}", flush=True)
     return env, policy

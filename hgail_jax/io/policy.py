@@ -8,6 +8,7 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
      "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
      "randomization": {},                                      # what it was trained under: fields of `Randomization`
+     "task_options": {},                                       # of the task's class, as --task-options gave them
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
 Where `randomization` has a `history`, the features begin with so many actions and observations; see `RandomizedEnv`.
@@ -56,6 +57,8 @@ class MeanPolicy:
     """Versions of the packages that trained it."""
     randomization: Randomization = Randomization()  # noqa: RUF009  (frozen)
     """What its episodes were disturbed by in training."""
+    task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of the task's class that it was trained with, e.g. `observation`."""
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
@@ -106,8 +109,8 @@ def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np
     return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
 
 
-def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
-    """Takes the policy out of a `TrainState` of one seed, trained on `env`, which `task` names."""
+def from_state(task: str, env: GoalEnv, state, task_options: Mapping[str, Any] | None = None) -> MeanPolicy:
+    """Takes the policy out of a `TrainState` of one seed, trained on `env`, which `task` and its options name."""
     dense = state.actor_critic["policy"]["params"]
     layers = [dense[f"Dense_{index}"] for index in range(len(dense))]
     return MeanPolicy(
@@ -118,6 +121,7 @@ def from_state(task: str, env: GoalEnv, state) -> MeanPolicy:
         layers=tuple((np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in layers),
         versions=installed("hgail-jax", "jax", "mujoco-mjx"),
         randomization=getattr(env, "randomization", Randomization()),
+        task_options=dict(task_options or {}),
     )
 
 
@@ -135,6 +139,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "layers": len(policy.layers),
         "activation": _ACTIVATION,
         "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
+        "task_options": policy.task_options,
         "versions": policy.versions,
     }
     arrays = {"mean": policy.mean, "std": policy.std}
@@ -176,6 +181,7 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
         layers,
         dict(header["versions"]),
         Randomization.from_json(header.get("randomization", {})),  # older files have none
+        dict(header.get("task_options", {})),  # nor these
     )
     if (policy.observation_size, policy.action_size) != (observation["features"] + observation["goal"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")

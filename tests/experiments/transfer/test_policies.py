@@ -1,6 +1,9 @@
+import dataclasses
+
 import pytest
 
 from experiments.transfer.policies import find_policies, load_policies
+from hgail_jax import load_policy, save_policy
 
 
 def test_the_repository_has_policies_of_each_task():
@@ -13,3 +16,10 @@ def test_the_repository_has_policies_of_each_task():
 def test_a_task_without_a_policy_is_refused():
     with pytest.raises(ValueError, match="no policy of 'point' comes with the repository"):
         load_policies("point")
+
+
+def test_a_policy_of_other_task_options_is_refused(shipped_policy, tmp_path):
+    """No robot here has the numbers that it reads."""
+    save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(shipped_policy), task_options={"size": 3}))
+    with pytest.raises(ValueError, match="trained with task options size=3; robots know reach as it is alone"):
+        load_policies("reach", tmp_path / "p.npz")

@@ -286,18 +286,25 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
     assert "the policy is for 'reach', not for 'grasp'" in capsys.readouterr().err
 
 
-def test_a_policy_of_another_observation_is_refused(tmp_path, capsys):
-    """Its file does not say which task options it was trained with."""
-    push = load_policy(play.assets_directory() / "policies" / "push.npz")
-    grown = push.observation_size + 6
-    layers = ((np.zeros((grown, 4), np.float32), np.zeros(4, np.float32)),)
-    sizes = {"mean": np.zeros(grown, np.float32), "std": np.ones(grown, np.float32)}
-    save_policy(tmp_path / "official.npz", dataclasses.replace(push, layers=layers, **sizes))
-    refused(
-        ["--policy", str(tmp_path / "official.npz")],
-        f"the policy reads {grown} numbers, but an observation of push has {push.observation_size}",
-        capsys,
-    )
+def official_policy(path, **task_options):
+    """A policy that stands still, of push's 25 numbers and 4 of its goal."""
+    layers = ((np.zeros((29, 4), np.float32), np.zeros(4, np.float32)),)
+    sizes = {"mean": np.zeros(29, np.float32), "std": np.ones(29, np.float32)}
+    push = load_policy(ROOT / "assets" / "policies" / "push.npz")
+    save_policy(path, dataclasses.replace(push, layers=layers, task_options=task_options, **sizes))
+
+
+def test_a_policy_of_another_observation_is_refused(in_folder, capsys):
+    official_policy("official.npz")
+    numbers = "the policy reads 29 numbers, but an observation of push has 19"
+    refused(["--policy", "official.npz"], numbers, capsys)
+
+
+def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder):
+    official_policy("official.npz", observation="official")
+    env, policy = play._load("push", Path("official.npz"), None)
+    assert env.observation == "official"
+    assert policy.task_options == {"observation": "official"}
 
 
 @pytest.mark.parametrize(
