@@ -14,7 +14,7 @@ from experiments.transfer.paths import OUT
 from experiments.transfer.policies import find_policies, load_policies
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.sweeps import FETCH
+from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.trainer.options import unless_given
@@ -91,7 +91,7 @@ class Options:
     pictures: bool = False
     """Draw an episode of each robot and task instead, into transfer-<robot>.png."""
     out: Path = OUT
-    """Folder of these files, made where it is missing; what it holds from before is replaced."""
+    """Folder of these files, made where it is missing; rows that are measured again are replaced."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -156,6 +156,8 @@ def _sweep(options: Options) -> None:
     robots = [FETCH, *ROBOTS] if options.to is None else [options.to]
     tasks = tuple(TASKS) if options.task is None else (options.task,)
     policies = find_policies(tasks, options.policies)
+    if not measured_pairs(policies, robots, tasks):
+        raise ValueError(f"{options.to} has no curves of {options.task!r}")
     folder = _make_folder(options.out)
     write_sweep(folder, policies, robots, tasks, _episodes(options), options.seed, _workers(options))
 

@@ -14,7 +14,7 @@ from experiments.transfer.measurement import measure_rows
 from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
-from experiments.transfer.sweeps import FETCH, axes, fetch_rows, robot_name, robot_points
+from experiments.transfer.sweeps import FETCH, axes, fetch_rows, measured_pairs, robot_name, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
@@ -72,7 +72,8 @@ def write_sweep(
       workers: processes that measure other robots side by side.
 
     """
-    path, curves = folder / "transfer-sweep.csv", [_curve(robot_name(to), task) for to in robots for task in tasks]
+    path = folder / "transfer-sweep.csv"
+    curves = [_curve(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
     rows, made_by = _kept(path, lambda row: _curve(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
     on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()

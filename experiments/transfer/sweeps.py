@@ -20,6 +20,15 @@ def robot_name(to: str) -> str:
     return NAME if to == FETCH else ROBOTS[to].name
 
 
+def measured_pairs(policies: Policies, robots: Sequence[str], tasks: Sequence[str]) -> list[tuple[str, str]]:
+    """Returns robot and task of all curves: the tasks that a robot can do and that a policy is there for."""
+    return [
+        (to, task)
+        for to, task in itertools.product(robots, tasks)
+        if (to == FETCH or task in ROBOTS[to].tasks) and any(task in files for files in policies.values())
+    ]
+
+
 def robot_points(policies: Policies, robots: Sequence[str], tasks: Sequence[str]) -> Iterator[Point]:
     """Yields the points on other robots, each curve's in order: robots' own options, then disturbances."""
     for to, (label, files) in itertools.product(robots, policies.items()):

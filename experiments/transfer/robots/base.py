@@ -22,7 +22,7 @@ class OptionCurve:
     line: str
     """What tells this curve from the robot's others in the panel."""
     task: str
-    """`"reach"` or `"grasp"`."""
+    """One of the robot's tasks."""
     option: str
     """Keyword argument of the robot's class that varies."""
     values: tuple[float, ...]

@@ -32,6 +32,7 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
         (["--sweep", "--policies", "full=none.npz"], "there is no file none.npz"),
         (["--sweep", "--policies", "full=."], "there is no policy in ."),
+        (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
         (["--goal-source", "camera"], "--goal-source goes with --table"),
         (["--table", "4", "--goal-source", "none"], "none"),
         (["--sweep", "--out", "/dev/null"], "cannot make the folder /dev/null"),
