@@ -100,6 +100,19 @@ def test_a_run_in_a_notebook():
     assert summary["success_rate"]["mean"] == np.mean(summary["success_rate"]["per_seed"])
 
 
+def test_a_policy_says_which_task_options_it_was_trained_with(monkeypatch, tmp_path):
+    (tmp_path / "sized.py").write_text(
+        "from envs.point import Point\n\n\n"
+        "class Sized(Point):\n"
+        "    def __init__(self, radius: float = 0.05) -> None:\n"
+        "        self.success_threshold = radius\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    trainer = Trainer(SMALL, task="sized:Sized", task_options=("radius=0.1",), iterations=1, out=tmp_path / "run")
+    trainer.train()
+    assert trainer.policy(seed=0).task_options == {"radius": 0.1}
+
+
 def test_a_training_that_an_event_stops_goes_on_in_another_trainer_to_the_same_bits():
     whole = Trainer(SMALL, out=Path("whole"))
     whole.train()
