@@ -194,7 +194,7 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
     assert [float(row["success_rate"]) for row in rows] == [1.0, 1.0, 0.0]
     policies = find_policies(["reach", "grasp"], [f"other={shipped_policy}"])
-    write_sweep(tmp_path, policies, ["crane"], ["reach", "grasp"], episodes=1, seed=0, workers=1)
+    write_sweep(tmp_path, policies, ["crane"], ["reach", "grasp", "slide"], episodes=1, seed=0, workers=1)
     rows = read_csv(tmp_path / "transfer-sweep.csv")
     plain, other = ([row for row in rows if row["policy"] == label] for label in ("plain", "other"))
     assert len(plain) + len(other) == len(rows)
@@ -203,6 +203,7 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     assert {row["quantity"] for row in plain[2:]} == on_robots
     assert {row["quantity"] for row in other[2:]} == on_robots - {"mass"}  # a policy of reach has no object
     made_by = json.loads((tmp_path / "transfer-sweep.json").read_text())
+    assert set(made_by) == {"Crane, no simulator: reach", "Crane, no simulator: grasp"}  # it cannot slide
     assert made_by["Crane, no simulator: grasp"]["versions"]["no-such-package"] is None
     assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10
 
