@@ -5,10 +5,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from experiments.transfer.conditions import Conditions, NoisyEstimate
+from experiments.transfer.tasks import TASKS
 
 _OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03)  # metres
 _DEVIATIONS = (0.0, 0.005, 0.01, 0.02, 0.03)  # metres
 _FACTORS = (0.5, 0.75, 1.0, 1.25, 1.5)
+_WITH_OBJECT = ("grasp", "pick-and-place")
+_WITH_OBJECT_IN_SIGHT = ("pick-and-place",)  # in grasp the policy sees it as the goal alone
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,8 +26,8 @@ class Disturbance:
     """On another robot: the conditions in which the quantity has a value and nothing else is disturbed."""
     sizes: Callable[[float], Mapping[str, Any]] | None = None
     """On this package's Fetch: the sizes of a `Randomization`, likewise."""
-    of_object: bool = False
-    """Whether it is for tasks with an object alone."""
+    tasks: tuple[str, ...] = tuple(TASKS)
+    """Tasks in which it can change anything."""
 
 
 def _twice(name: str, number: Callable = float) -> Callable[[float], Mapping[str, Any]]:
@@ -84,6 +87,18 @@ DISTURBANCES = {
         lambda metres: Conditions(robot_noise=metres),
         lambda metres: {"robot_noise": metres},
     ),
+    "object offset": Disturbance(
+        "error of the object's position (m, σ per axis, once per episode)",
+        _DEVIATIONS,
+        sizes=lambda metres: {"object_offset": metres},
+        tasks=_WITH_OBJECT_IN_SIGHT,
+    ),
+    "object noise": Disturbance(
+        "noise of the object's position (m, σ per axis, at each step)",
+        _DEVIATIONS,
+        sizes=lambda metres: {"object_noise": metres},
+        tasks=_WITH_OBJECT_IN_SIGHT,
+    ),
     "gravity": Disturbance(
         "share of the arm's weight that is not compensated",
         (-0.1, -0.05, 0.0, 0.05, 0.1),
@@ -105,25 +120,25 @@ DISTURBANCES = {
         (0.25, 0.5, 1.0, 1.5, 2.0),
         lambda factor: Conditions(object_mass=factor),
         _twice("object_mass"),
-        of_object=True,
+        tasks=_WITH_OBJECT,
     ),
     "size": Disturbance(
         "width of the cube, times the model's",
         (0.8, 0.9, 1.0, 1.1, 1.2),
         sizes=_twice("object_size"),
-        of_object=True,
+        tasks=_WITH_OBJECT,
     ),
     "finger force": Disturbance(
-        "force of the fingers, times the model's", _FACTORS, sizes=_twice("finger_force"), of_object=True
+        "force of the fingers, times the model's", _FACTORS, sizes=_twice("finger_force"), tasks=_WITH_OBJECT
     ),
     "finger speed": Disturbance(
-        "speed of the fingers, times the model's", (0.25, *_FACTORS), sizes=_twice("finger_speed"), of_object=True
+        "speed of the fingers, times the model's", (0.25, *_FACTORS), sizes=_twice("finger_speed"), tasks=_WITH_OBJECT
     ),
     "hand opening": Disturbance(
         "opening of the hand at the start at most, share of the widest",
         (0.0, 0.25, 0.5, 0.75, 1.0),
         sizes=lambda share: {"hand_opening": share},
-        of_object=True,
+        tasks=_WITH_OBJECT,
     ),
 }
 """The disturbances by the names that the curves' rows have."""

@@ -39,7 +39,8 @@ def robot_points(policies: Policies, robots: Sequence[str], tasks: Sequence[str]
                 yield Point(to, curve.task, tuple(files[curve.task]), options=options, labels=labels)
         for task in tasks:
             for quantity, disturbance in _disturbances(task) if task in files and task in ROBOTS[to].tasks else ():
-                for value in disturbance.values if disturbance.conditions else ():
+                affects = disturbance.conditions and quantity not in ROBOTS[to].unaffected_by
+                for value in disturbance.values if affects else ():
                     conditions, labels = disturbance.conditions(value), _labels(label, quantity, value)
                     yield Point(to, task, tuple(files[task]), conditions, labels=labels)
 
@@ -70,4 +71,4 @@ def _labels(policy: str, quantity: str, value: float) -> dict[str, Any]:
 
 def _disturbances(task: str) -> list[tuple[str, Any]]:
     """Returns the disturbances of a task, by name."""
-    return [(name, each) for name, each in DISTURBANCES.items() if task != "reach" or not each.of_object]
+    return [(name, each) for name, each in DISTURBANCES.items() if task in each.tasks]

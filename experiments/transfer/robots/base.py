@@ -51,6 +51,8 @@ class Robot(abc.ABC):
     """Tasks that it can do, by their names in `envs.TASKS`."""
     curves: ClassVar[tuple[OptionCurve, ...]] = ()
     """Curves over the robot's own options, for the robustness figure."""
+    unaffected_by: ClassVar[tuple[str, ...]] = ()
+    """Names in `DISTURBANCES` of what changes nothing on it; it has no curves of these."""
 
     slowdown: int = 1
     """How many times longer an action lasts than `CONTROL_PERIOD`."""

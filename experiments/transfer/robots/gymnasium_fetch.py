@@ -42,6 +42,7 @@ class GymnasiumFetch(Robot):
     extra = "compare"
     packages = ("gymnasium-robotics",)
     tasks = ("reach", "grasp", "push", "pick-and-place", "slide")
+    unaffected_by = ("gravity",)  # the model compensates none
 
     offset = np.zeros(3)
     cube = "object0"

@@ -29,3 +29,14 @@ def test_an_offset_moves_its_own_axis(axis, moved):
 def test_actions_are_disturbed_by_delay_and_stride():
     assert DISTURBANCES["delay"].conditions(2) == Conditions(delay=2)
     assert DISTURBANCES["stride"].conditions(1.5) == Conditions(stride=1.5)
+
+
+def test_a_task_has_the_disturbances_that_can_change_anything():
+    def of(task):
+        return {name for name, disturbance in DISTURBANCES.items() if task in disturbance.tasks}
+
+    about_object = {"mass", "size", "finger force", "finger speed", "hand opening"}
+    in_sight = {"object offset", "object noise"}
+    assert of("pick-and-place") == set(DISTURBANCES)
+    assert of("grasp") == set(DISTURBANCES) - in_sight
+    assert of("reach") == set(DISTURBANCES) - in_sight - about_object

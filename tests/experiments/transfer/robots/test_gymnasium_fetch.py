@@ -111,3 +111,8 @@ def test_controllers_written_for_ours_succeed_there(task, least):
     assert success >= least
     for outcome in outcomes:
         assert outcome.success == (outcome.distance_l2 < 0.05)
+
+
+def test_gravity_changes_nothing_as_no_body_is_compensated(reach):
+    assert "gravity" in reach.unaffected_by
+    assert not reach.model.body_gravcomp.any()
