@@ -1,5 +1,6 @@
 """The checks of values that come from outside; each raises a ValueError that names the value and what it may be."""
 
+import json
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -70,6 +71,25 @@ def check_name(name: str, value: Any, choices: Iterable[str]) -> None:
     known = list(choices)
     if value not in known:
         raise ValueError(f"{name} is {value!r}; choose from {', '.join(known)}")
+
+
+def parse_option(what: str, option: str) -> tuple[str, bool | int | float | str]:
+    """Splits an option that is written as name=value, its value a number, true, false or a word.
+
+    >>> parse_option("task", "gain=0.5"), parse_option("task", "observation=official")
+    (('gain', 0.5), ('observation', 'official'))
+    >>> parse_option("robot", "gain")
+    Traceback (most recent call last):
+    ValueError: robot option 'gain' is not name=value with a number, true, false or a word
+    """
+    name, _, text = option.partition("=")
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError:
+        value = text if text.isidentifier() else None
+    if not isinstance(value, bool | int | float | str):
+        raise ValueError(f"{what} option {option!r} is not name=value with a number, true, false or a word")
+    return name, value
 
 
 def _all(value: Any, test: Callable[[np.ndarray], Any]) -> bool:

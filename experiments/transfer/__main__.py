@@ -1,5 +1,6 @@
 """Runs policies that were trained on the Fetch in MJX, unchanged, in another simulator and on another robot."""
 
+import contextlib
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -8,18 +9,19 @@ import tyro
 
 from envs.engines.c import usable_cores
 from experiments.transfer.conditions import Conditions, NoisyEstimate
-from experiments.transfer.goal_sources import GOAL_SOURCES
+from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
 from experiments.transfer.paths import OUT
 from experiments.transfer.policies import find_policies, load_policies
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
+from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.status import progress_bar
-from hgail_jax.validation import check_count, check_not_negative
+from hgail_jax.validation import check_count, check_not_negative, parse_option
 from hgail_jax.wording import counted
 
 if TYPE_CHECKING:
@@ -53,13 +55,13 @@ class Options:
         RobotName | None,
         tyro.conf.arg(
             help=_ROBOT_HELP,
-            help_behavior_hint="(default: gymnasium; all with --sweep)",
+            help_behavior_hint="(default: gymnasium; all with --table and --sweep)",
             metavar=f"{{{','.join(get_args(RobotName))}}}",
         ),
     ] = None
-    task: Annotated[TaskName | None, unless_given("reach; all with --sweep", f"{{{','.join(get_args(TaskName))}}}")] = (
-        None
-    )
+    task: Annotated[
+        TaskName | None, unless_given("reach; all with --table and --sweep", f"{{{','.join(get_args(TaskName))}}}")
+    ] = None
     """What to do there."""
     policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "FILE")] = (
         None
@@ -77,11 +79,15 @@ class Options:
     """Steps by which actions come late."""
     stride: float = 1.0
     """Factor on the displacements that the policy asks for."""
+    robot_options: tuple[str, ...] = ()
+    """Options of the robot, as name=value: slowdown=1 and start_open=true of the arms, observation=official of
+    Gymnasium-Robotics' Fetch. Those that the policy's file names are given already."""
     table: Annotated[Literal[4] | None, unless_given("none", "4")] = None
     """Measure the rows of the paper's table 4 instead, into table4.csv."""
-    goal_source: Annotated[GoalSource | None, unless_given("all", f"{{{','.join(GOAL_SOURCES)}}}")] = None
-    """Measure only those rows of --table whose goal is exact, or as two cameras or one over the workspace see it, with
-    noise or without, and keep the others."""
+    goal_source: Annotated[
+        GoalSource | None, unless_given("exact; all with --table", f"{{{','.join(GOAL_SOURCES)}}}")
+    ] = None
+    """Where the target is exactly, or as two cameras or one over the workspace see it, with noise or without."""
     sweep: bool = False
     """Measure success against disturbances and speed instead, into transfer-sweep.csv and .png."""
     policies: tuple[str, ...] = ()
@@ -91,7 +97,7 @@ class Options:
     pictures: bool = False
     """Draw an episode of each robot and task instead, into transfer-<robot>.png."""
     out: Path = OUT
-    """Folder of these files, made where it is missing; rows that are measured again are replaced."""
+    """Folder of these files, made where it is missing; rows that are measured again are replaced, others stay."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -100,8 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         _check(options)
         if options.table:
-            sources = [options.goal_source] if options.goal_source else list(GOAL_SOURCES)
-            write_table(_make_folder(options.out), sources, _episodes(options), options.seed, _workers(options))
+            _table(options)
         elif options.sweep:
             _sweep(options)
         elif options.pictures:
@@ -120,10 +125,10 @@ def _check(options: Options) -> None:
     if studies > 1:
         raise ValueError("choose one of --table, --sweep and --pictures")
     defaults = {field.name: field.default for field in dataclasses.fields(Options)}
-    for name in ("to", "task", "policy", "noise", "offset", "delay", "stride"):
-        filters = options.sweep and name in ("to", "task")
+    for name in ("to", "task", "policy", "noise", "offset", "delay", "stride", "robot_options"):
+        filters = name in ("to", "task") and not options.pictures
         if studies and not filters and getattr(options, name) != defaults[name]:
-            raise ValueError(f"--{name} does not go with --table, --sweep or --pictures")
+            raise ValueError(f"--{name.replace('_', '-')} does not go with --table, --sweep or --pictures")
     if options.policies and not options.sweep:
         raise ValueError("--policies goes with --sweep")
     if options.workers is not None and not (options.sweep or options.table):
@@ -132,8 +137,10 @@ def _check(options: Options) -> None:
         raise ValueError(f"--to {FETCH} goes with --sweep")
     if options.workers is not None:
         check_count("workers", options.workers)
-    if options.goal_source and not options.table:
-        raise ValueError("--goal-source goes with --table")
+    if options.goal_source and (options.sweep or options.pictures):
+        raise ValueError("--goal-source does not go with --sweep or --pictures")
+    if options.goal_source not in (None, EXACT) and (options.noise or any(options.offset)):
+        raise ValueError("--noise and --offset are of the exact goal; --goal-source is another")
     check_count("episodes", _episodes(options))
     check_count("seed", options.seed, least=0, most=_MOST_SEED)
     check_count("delay", options.delay, least=0, most=_MOST_DELAY)
@@ -152,9 +159,22 @@ def _workers(options: Options) -> int:
     return usable_cores() if options.workers is None else options.workers
 
 
+def _table(options: Options) -> None:
+    sources = [options.goal_source] if options.goal_source else list(GOAL_SOURCES)
+    robots, tasks = _chosen(options, list(ROBOTS))
+    if not any(parts(source, robots, tasks) for source in sources):
+        raise ValueError("table 4 has no rows of this robot, task and goal source")
+    workers = _workers(options)
+    write_table(_make_folder(options.out), sources, robots, tasks, _episodes(options), options.seed, workers)
+
+
+def _chosen(options: Options, robots: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Returns the robots and tasks of a table or of curves: those that are named, else all."""
+    return [options.to] if options.to else robots, (options.task,) if options.task else tuple(TASKS)
+
+
 def _sweep(options: Options) -> None:
-    robots = [FETCH, *ROBOTS] if options.to is None else [options.to]
-    tasks = tuple(TASKS) if options.task is None else (options.task,)
+    robots, tasks = _chosen(options, [FETCH, *ROBOTS])
     policies = find_policies(tasks, options.policies)
     if not measured_pairs(policies, robots, tasks):
         raise ValueError(f"{options.to} has no curves of {options.task!r}")
@@ -172,11 +192,17 @@ def _make_folder(path: Path) -> Path:
 
 def _run(options: Options) -> None:
     episodes = _episodes(options)
-    task = options.task or "reach"
+    task, source = options.task or "reach", options.goal_source or EXACT
     policies = load_policies(task, options.policy)
-    robot = make_robot(options.to or "gymnasium", task)
+    check_source(source, task)
+    given = dict(parse_option("robot", option) for option in options.robot_options)
+    robot = make_robot(options.to or "gymnasium", task, **{**policies[0].task_options, **given})
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
-    with progress_bar(total=episodes, unit="episode") as progress:
+    with contextlib.ExitStack() as stack:
+        if source != EXACT:
+            estimate = GOAL_SOURCES[source](robot, stack)
+            conditions = dataclasses.replace(conditions, estimate=estimate)
+        progress = stack.enter_context(progress_bar(total=episodes, unit="episode"))
         outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
     row = measured(outcomes, len(policies), episodes)
     print(

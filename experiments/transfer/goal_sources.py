@@ -5,9 +5,10 @@ import functools
 from collections.abc import Callable
 
 from experiments.localisation.localiser import ABOVE, CALIBRATED
-from experiments.transfer.camera_goal import overhead_estimate
+from experiments.transfer.camera_goal import check_rendering, overhead_estimate
 from experiments.transfer.conditions import Estimate, NoisyEstimate
 from experiments.transfer.robots.base import Robot
+from experiments.transfer.tasks import TASKS
 
 EXACT = "exact"
 GOAL_SOURCES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
@@ -18,6 +19,16 @@ GOAL_SOURCES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
     "one-noisy-camera": functools.partial(overhead_estimate, views=ABOVE, noise=CALIBRATED),
 }
 """Each makes the estimate for a robot, and leaves the stack to close it."""
+
+
+def check_source(source: str, task: str) -> None:
+    """Refuses cameras where they cannot see a task's target by a ValueError, or cannot render by a RuntimeError."""
+    if source == EXACT:
+        return
+    seen = [name for name, each in TASKS.items() if each.seen_by_cameras]
+    if task not in seen:
+        raise ValueError(f"cameras cannot tell the target of {task!r}; they can of {', '.join(seen)}")
+    check_rendering()
 
 
 def stage(source: str) -> str:

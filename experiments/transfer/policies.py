@@ -33,9 +33,6 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
     for policy in policies:
         if policy.task != task:
             raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
-        if policy.task_options:
-            given = ", ".join(f"{name}={value}" for name, value in policy.task_options.items())
-            raise ValueError(f"the policy was trained with task options {given}; robots know {task} as it is alone")
     return policies
 
 
@@ -62,5 +59,9 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
         if not files:
             raise ValueError(f"there is no policy in {path}")
         for file in files:
-            found.setdefault(label, {}).setdefault(load_policy(file).task, []).append(file)
+            policy = load_policy(file)
+            if policy.task_options:
+                given = ", ".join(f"{name}={value}" for name, value in policy.task_options.items())
+                raise ValueError(f"{file} was trained with task options {given}; curves are of tasks as they are alone")
+            found.setdefault(label, {}).setdefault(policy.task, []).append(file)
     return {label: files for label, files in found.items() if files}

@@ -9,7 +9,7 @@ from typing import Any
 
 from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
-from experiments.transfer.goal_sources import EXACT, stage
+from experiments.transfer.goal_sources import EXACT
 from experiments.transfer.measurement import measure_rows
 from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
@@ -22,14 +22,24 @@ from hgail_jax.trainer.provenance import provenance
 from hgail_jax.trainer.status import progress_bar
 
 
-def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, workers: int) -> None:
+def write_table(
+    folder: Path,
+    sources: Sequence[str],
+    robots: Sequence[str],
+    tasks: Sequence[str],
+    episodes: int,
+    seed: int,
+    workers: int,
+) -> None:
     """Writes table4.csv, and table4.json that says what made it.
 
-    Rows that are there already stay, with what is said of them, where their goal is of another source.
+    Rows that are there already stay, with what is said of them, where goal source, robot or task is another.
 
     Args:
       folder: where to.
-      sources: the `GOAL_SOURCES` whose rows are measured.
+      sources: names in `GOAL_SOURCES`.
+      robots: names in `ROBOTS`.
+      tasks: of the rows.
       episodes: for each row.
       seed: of the episodes.
       workers: processes that measure side by side.
@@ -38,15 +48,16 @@ def write_table(folder: Path, sources: Sequence[str], episodes: int, seed: int, 
       RuntimeError: MuJoCo cannot render here, and the goal is to be seen.
 
     """
-    path, stages = folder / "table4.csv", [stage(source) for source in sources]
-    rows, made_by = _kept(path, lambda row: row["stage"] not in stages)
+    path = folder / "table4.csv"
     if set(sources) - {EXACT}:
         check_rendering()
-    points = list(table(sources, find_policies(tuple(TASKS))))
+    points = list(table(sources, robots, tasks, find_policies(tuple(TASKS))))
+    measured = [_part(point.labels["stage"], ROBOTS[point.to].name, point.task) for point in points]
+    rows, made_by = _kept(path, lambda row: _part(row["stage"], row["robot"], row["task"]) not in measured)
     for row in measure_rows(points, episodes, seed, workers):
         rows.append(row)
         write_csv(path, rows)
-    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(stages, _made_by(episodes, seed)))
+    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(measured, _made_by(episodes, seed)))
 
 
 def write_sweep(
@@ -73,8 +84,8 @@ def write_sweep(
 
     """
     path = folder / "transfer-sweep.csv"
-    curves = [_curve(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
-    rows, made_by = _kept(path, lambda row: _curve(row["robot"], row["task"]) not in curves)
+    curves = [_part(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
+    rows, made_by = _kept(path, lambda row: _part(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
     on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
@@ -101,8 +112,9 @@ def write_pictures(folder: Path, seed: int) -> None:
         draw_strip(folder / f"transfer-{to}.png", episodes, seed)
 
 
-def _curve(robot: str, task: str) -> str:
-    return f"{robot}: {task}"
+def _part(*columns: str) -> str:
+    """Returns what the file beside a file of rows calls those with these values in common."""
+    return ": ".join(columns)
 
 
 def _kept(path: Path, stays: Callable[[Mapping[str, Any]], bool]) -> tuple[list[dict[str, Any]], dict[str, Any]]:

@@ -1,6 +1,7 @@
 """What table 4 measures on other robots."""
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from envs.fetch.arm import CONTROL_PERIOD
@@ -12,24 +13,28 @@ from experiments.transfer.robots.base import Robot
 from experiments.transfer.tasks import TASKS
 
 
-def table(sources: Iterable[str], policies: Policies) -> Iterator[Point]:
-    """Yields the rows of table 4: each robot, task and policy with each of these `GOAL_SOURCES`.
+def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], policies: Policies) -> Iterator[Point]:
+    """Yields the rows of table 4: each of these `ROBOTS`, `TASKS` and policies with each of these `GOAL_SOURCES`.
 
     With the exact goal a robot has a row for each of its variants, else one. Tasks whose target cameras cannot see have
     rows with the exact goal alone.
     """
     for source in sources:
-        for to, robot_class in ROBOTS.items():
-            for name, task in TASKS.items():
-                if name not in robot_class.tasks or not (source == EXACT or task.seen_by_cameras):
-                    continue
-                for options in robot_class.variants(name) if source == EXACT else [{}]:
-                    for label, files in policies.items():
-                        if name in files:
-                            labels = _table_labels(make_robot(to, name, **options), source) | {"policy": label}
-                            yield Point(
-                                to, name, tuple(files[name]), options=options, goal_source=source, labels=labels
-                            )
+        for to, task in parts(source, robots, tasks):
+            for options in ROBOTS[to].variants(task) if source == EXACT else [{}]:
+                for label, files in policies.items():
+                    if task in files:
+                        labels = _table_labels(make_robot(to, task, **options), source) | {"policy": label}
+                        yield Point(to, task, tuple(files[task]), options=options, goal_source=source, labels=labels)
+
+
+def parts(source: str, robots: Iterable[str], tasks: Iterable[str]) -> list[tuple[str, str]]:
+    """Returns the robots and tasks that table 4 has rows of with a goal source."""
+    return [
+        (to, task)
+        for to, task in itertools.product(robots, tasks)
+        if task in ROBOTS[to].tasks and task in TASKS and (source == EXACT or TASKS[task].seen_by_cameras)
+    ]
 
 
 def _table_labels(robot: Robot, source: str) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """What a user may ask of a training, and what that comes to for a task on a platform."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +20,7 @@ from hgail_jax.presets import EVALUATION_EPISODES, PRESETS, Preset, task_preset
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.memory import check_memory
 from hgail_jax.trainer.run import Run
-from hgail_jax.validation import check_count, check_name
+from hgail_jax.validation import check_count, check_name, parse_option
 
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that `TrainOptions` has options of its own for."""
@@ -228,14 +227,7 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
 
 
 def _parse_task_option(option: str) -> tuple[str, Any]:
-    name, _, value = option.partition("=")
-    try:
-        parsed = json.loads(value)
-    except json.JSONDecodeError:
-        parsed = value if value.isidentifier() else None
-    if name in _PHYSICS or not isinstance(parsed, bool | int | float | str):
-        raise ValueError(
-            f"task option {option!r} is not name=value with a number, true, false or a word, or has an option of its"
-            " own here"
-        )
-    return name, parsed
+    name, value = parse_option("task", option)
+    if name in _PHYSICS:
+        raise ValueError(f"task option {option!r} has an option of its own here, or follows from others")
+    return name, value

@@ -1,6 +1,7 @@
 """The robots that policies are transferred to: a module each, and a line in `ROBOTS`."""
 
 import functools
+import inspect
 from typing import Any
 
 from experiments.transfer.robots.base import Robot
@@ -20,12 +21,16 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
     """Makes a robot of `ROBOTS` for a task, e.g. `"reach"`; the same arguments return the same robot.
 
     Raises:
-      ValueError: it cannot do the task, or a package that it needs is not installed.
+      ValueError: it cannot do the task, has no such option, or a package that it needs is not installed.
 
     """
     robot = ROBOTS[name]
     if task not in robot.tasks:
         raise ValueError(f"{name} cannot do {task!r}; it does {', '.join(robot.tasks)}")
+    accepted = list(inspect.signature(robot).parameters)[1:]
+    for option in options:
+        if option not in accepted:
+            raise ValueError(f"{name} has no option {option!r}; it has {', '.join(accepted) or 'none'}")
     try:
         return robot(task, **options)
     except ModuleNotFoundError as error:

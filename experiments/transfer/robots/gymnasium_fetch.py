@@ -6,8 +6,10 @@ import numpy as np
 
 import envs
 from envs.fetch.grasp import is_held
+from envs.fetch.objects import OBSERVATIONS
 from experiments.reference import make_reference
 from experiments.transfer.robots.base import Robot
+from hgail_jax.validation import check_name
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # see `Robot.step`
@@ -35,6 +37,11 @@ class GymnasiumFetch(Robot):
 
     Args:
       task: one of `tasks`.
+      observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
+        numbers (`envs.fetch.objects.ObjectEnv.official_features`).
+
+    Raises:
+      ValueError: there is no such observation of the task.
 
     """
 
@@ -48,10 +55,13 @@ class GymnasiumFetch(Robot):
     cube = "object0"
     marker = "target0"
 
-    def __init__(self, task: str) -> None:
+    def __init__(self, task: str, observation: str = "compact") -> None:
         import gymnasium  # here, so that the class can be read without its extra
 
         self.task = task
+        has_object_in_sight = "observation" in envs.accepted_options(task)
+        check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])
+        self._official = observation == "official"
         name: Any = envs.find_class(task).reference
         env: Any = make_reference(name, disable_env_checker=True).unwrapped
         env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
@@ -64,8 +74,10 @@ class GymnasiumFetch(Robot):
         self._env.reset(seed=int(rng.integers(_MOST_SEED)))
 
     def features(self) -> np.ndarray:
-        """Returns the features of the task's class in `envs`."""
+        """Returns the features of the task's class in `envs`, with the same `observation`."""
         seen = self._observation()
+        if self._official:
+            return seen
         if self.task == "reach":
             return np.concatenate([seen[:3], seen[5:8]])
         gap = seen[9:11].sum()

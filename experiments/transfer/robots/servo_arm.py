@@ -14,11 +14,13 @@ from envs.scenes import load_scene
 from experiments.transfer.robots.arms import FRANKA, UR5E, Arm
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
+from hgail_jax.validation import check_count
 
 _FETCH_GAPS = (0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP)  # metres
 _SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
 _SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _SETTLE_STEPS = 1000  # physics steps
+_MOST_SLOWDOWN = 100  # actions of 4 s
 
 
 class ServoArm(Robot):
@@ -43,6 +45,9 @@ class ServoArm(Robot):
       task: `"reach"`, `"grasp"` or `"pick-and-place"`.
       slowdown: how many times longer an action lasts than `CONTROL_PERIOD`; None is the arm's own.
       start_open: start with an open hand, unlike the Fetch, where there is a cube.
+
+    Raises:
+      ValueError: an option has a value that it cannot have.
 
     """
 
@@ -74,6 +79,10 @@ class ServoArm(Robot):
         from experiments.transfer.robots.inverse_kinematics import DownwardArm
 
         arm = self.arm
+        if slowdown is not None:
+            check_count("slowdown", slowdown, most=_MOST_SLOWDOWN)
+        if not isinstance(start_open, bool):
+            raise ValueError(f"start_open is {start_open!r}; it must be true or false")
         self.task, self.slowdown = task, arm.slowdown if slowdown is None else slowdown
         self.starts_closed = task == "reach" or not start_open
         start = settle(load_scene(_SCENES[task])).site("grip").xpos

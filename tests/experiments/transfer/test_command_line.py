@@ -2,12 +2,18 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from experiments.transfer import __main__ as transfer
+from experiments.transfer import goal_sources
+from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.disturbances import DISTURBANCES
+from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.paths import RESULTS
-from experiments.transfer.robots import ROBOTS
+from experiments.transfer.robots import ROBOTS, make_robot
+from hgail_jax import save_policy
+from hgail_jax.io.policy import MeanPolicy
 
 SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
 
@@ -24,7 +30,18 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--offset", "0", "0", "nan"], "each number must be from -1.0 to 1.0 m"),
         (["--policy", "none.npz"], "none.npz"),
         (["--table", "4", "--sweep"], "choose one of"),
-        (["--table", "4", "--to", "ur5e"], "--to does not go with"),
+        (["--pictures", "--to", "ur5e"], "--to does not go with"),
+        (["--table", "4", "--robot-options", "slowdown=1"], "--robot-options does not go with"),
+        (["--table", "4", "--task", "push"], "table 4 has no rows of this"),
+        (
+            ["--table", "4", "--to", "ur5e", "--task", "pick-and-place", "--goal-source", "camera"],
+            "table 4 has no rows",
+        ),
+        (["--robot-options", "slowdown"], "robot option 'slowdown' is not name=value"),
+        (["--robot-options", "slowdown=2"], "gymnasium has no option 'slowdown'; it has observation"),
+        (["--robot-options", "observation=official"], "observation is 'official'; choose from compact\n"),
+        (["--to", "ur5e", "--robot-options", "slowdown=0"], "slowdown is 0; it must be at least 1"),
+        (["--to", "ur5e", "--robot-options", "start_open=1"], "start_open is 1; it must be true or false"),
         (["--policies", "a=b.npz"], "--policies goes with --sweep"),
         (["--workers", "2"], "--workers goes with --table and --sweep"),
         (["--to", "fetch"], "--to fetch goes with --sweep"),
@@ -33,7 +50,12 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--sweep", "--policies", "full=none.npz"], "there is no file none.npz"),
         (["--sweep", "--policies", "full=."], "there is no policy in ."),
         (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
-        (["--goal-source", "camera"], "--goal-source goes with --table"),
+        (["--sweep", "--goal-source", "camera"], "--goal-source does not go with"),
+        (["--goal-source", "camera", "--noise", "0.01"], "--noise and --offset are of the exact goal"),
+        (
+            ["--goal-source", "camera", "--task", "push"],
+            "cameras cannot tell the target of 'push'; they can of reach, g",
+        ),
         (["--table", "4", "--goal-source", "none"], "none"),
         (["--sweep", "--out", "/dev/null"], "cannot make the folder /dev/null"),
     ],
@@ -71,6 +93,37 @@ def test_one_run(capsys):
     # Wilson for 2 of 2 by its formula: from n / (n + z²) to 1
     assert f"success 1.000 (95 % interval {2 / (2 + 1.959964**2):.3f} to 1.000)" in printed
     assert "2 episodes, 1 policy\n" in printed
+
+
+def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatch):
+    monkeypatch.setattr(goal_sources, "check_rendering", lambda: None)
+    monkeypatch.setitem(GOAL_SOURCES, "camera", lambda robot, stack: NoisyEstimate(offset=(0.3, 0.0, 0.0)))
+    transfer.main(["--task", "reach", "--episodes", "2", "--goal-source", "camera"])
+    assert "success 0.000" in capsys.readouterr().out
+
+
+def test_one_run_with_options_of_the_robot(monkeypatch, capsys):
+    made = []
+    monkeypatch.setattr(transfer, "make_robot", lambda *named, **options: made.append(options) or make_robot(*named))
+    transfer.main(["--to", "gymnasium", "--episodes", "1", "--robot-options", "slowdown=2", "start_open=true"])
+    assert made == [{"slowdown": 2, "start_open": True}]
+
+
+def test_a_policy_of_the_official_observation_runs_in_the_official_environment(tmp_path, capsys):
+    """Which it reads 25 numbers of, and the goal and whose it is."""
+    rng = np.random.default_rng(0)
+    sizes = [(29, 8), (8, 4)]
+    layers = tuple((rng.normal(size=size).astype(np.float32), np.zeros(size[1], np.float32)) for size in sizes)
+    policy = MeanPolicy(
+        "push", 4, np.zeros(29, np.float32), np.ones(29, np.float32), layers, task_options={"observation": "official"}
+    )
+    save_policy(tmp_path / "p.npz", policy)
+    transfer.main(["--task", "push", "--episodes", "2", "--policy", str(tmp_path / "p.npz")])
+    assert "2 episodes, 1 policy\n" in capsys.readouterr().out
+    save_policy(tmp_path / "lifts.npz", dataclasses.replace(policy, task="pick-and-place"))
+    with pytest.raises(SystemExit):
+        transfer.main(["--task", "pick-and-place", "--to", "ur5e", "--policy", str(tmp_path / "lifts.npz")])
+    assert "ur5e has no option 'observation'; it has slowdown, start_open" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

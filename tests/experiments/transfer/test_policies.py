@@ -18,8 +18,7 @@ def test_a_task_without_a_policy_is_refused():
         load_policies("point")
 
 
-def test_a_policy_of_other_task_options_is_refused(shipped_policy, tmp_path):
-    """No robot here has the numbers that it reads."""
+def test_a_sweep_refuses_a_policy_of_other_task_options(shipped_policy, tmp_path):
     save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(shipped_policy), task_options={"size": 3}))
-    with pytest.raises(ValueError, match="trained with task options size=3; robots know reach as it is alone"):
-        load_policies("reach", tmp_path / "p.npz")
+    with pytest.raises(ValueError, match="trained with task options size=3; curves are of tasks as they are alone"):
+        find_policies(["reach"], [f"other={tmp_path / 'p.npz'}"])

@@ -20,6 +20,7 @@ from experiments.transfer.policies import RUNS, find_policies
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
+from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from hgail_jax.io.files import write_csv
 
 
@@ -60,9 +61,11 @@ def test_the_table(tmp_path, monkeypatch):
     assert [row["distance_l2"] for row in rows[:3]] == [row["distance_l2"] for row in rows[4:]]
     assert {row["paper_success"] for row in rows if row["task"] == "pick-and-place"} == {""}
     made_by = json.loads((tmp_path / "table4.json").read_text())
-    assert made_by["exact goal"] == made_by["second goal"]
-    assert made_by["second goal"]["episodes"] == 2
-    assert {"mujoco", "gymnasium-robotics"} <= made_by["second goal"]["versions"].keys()
+    assert set(made_by) == {f"{row['stage']}: {row['robot']}: {row['task']}" for row in rows}
+    of_grasp = made_by[f"second goal: {GymnasiumFetch.name}: grasp"]
+    assert of_grasp == made_by[f"exact goal: {GymnasiumFetch.name}: pick-and-place"]
+    assert of_grasp["episodes"] == 2
+    assert {"mujoco", "gymnasium-robotics"} <= of_grasp["versions"].keys()
 
 
 @pytest.fixture
@@ -119,7 +122,9 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
     assert [row["achieved_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
     assert all(0.0 < float(row["distance_l2"]) < 0.05 for row in rows)
     assert half_blind.closed == 4
-    assert list(json.loads((tmp_path / "table4.json").read_text())) == ["exact goal", "camera goal"]
+    assert list(json.loads((tmp_path / "table4.json").read_text())) == [
+        f"{source} goal: {GymnasiumFetch.name}: {task}" for source in ("exact", "camera") for task in ("reach", "grasp")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -188,7 +193,7 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
-    write_table(tmp_path, ["exact"], episodes=2, seed=0, workers=1)
+    write_table(tmp_path, ["exact"], ["crane"], ["reach", "grasp"], episodes=2, seed=0, workers=1)
     rows = read_csv(tmp_path / "table4.csv")
     assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
     assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
@@ -206,6 +211,17 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
     assert set(made_by) == {"Crane, no simulator: reach", "Crane, no simulator: grasp"}  # it cannot slide
     assert made_by["Crane, no simulator: grasp"]["versions"]["no-such-package"] is None
     assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10
+
+
+def test_rows_of_another_task_stay(tmp_path, monkeypatch):
+    for robot in list(ROBOTS):
+        monkeypatch.delitem(ROBOTS, robot)
+    monkeypatch.setitem(ROBOTS, "crane", Crane)
+    for seed, tasks in enumerate([["reach", "grasp"], ["grasp"]]):
+        write_table(tmp_path, ["exact"], ["crane"], tasks, episodes=1, seed=seed, workers=1)
+    assert [row["task"] for row in read_csv(tmp_path / "table4.csv")] == ["reach", "reach", "grasp"]
+    made_by = json.loads((tmp_path / "table4.json").read_text())
+    assert {name.split(": ")[-1]: made["seed"] for name, made in made_by.items()} == {"reach": 0, "grasp": 1}
 
 
 def test_curves_of_another_task_stay(tmp_path, monkeypatch):

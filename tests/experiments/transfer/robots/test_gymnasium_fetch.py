@@ -89,9 +89,11 @@ def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
         assert (grasp.target()[2] - low > 0.2) == bool(outcome.success)
 
 
+@pytest.mark.parametrize("observation", ["compact", "official"])
 @pytest.mark.parametrize("task", ["push", "pick-and-place", "slide"])
-def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task):
-    robot, env = GymnasiumFetch(task), envs.make(task, impl="c")
+def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task, observation):
+    robot = GymnasiumFetch(task, observation=observation)
+    env = envs.make(task, impl="c", observation=observation)
     robot.reset(np.random.default_rng(1))
     for action in np.random.default_rng(0).uniform(-1, 1, (6, 4)):
         robot.step(action)
