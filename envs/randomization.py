@@ -1,7 +1,6 @@
 """How much an episode is disturbed by: the sizes of domain randomisation, and the levels that have names."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, Self
 
@@ -16,8 +15,15 @@ _FACTORS = ("step_size", *MODEL_FACTORS)
 _DEVIATIONS = ("robot_noise", "robot_offset", "object_noise", "object_offset", "goal_noise", "goal_offset")
 GROWING = ("delay", "sag", *_FACTORS, *_DEVIATIONS)
 """Fields of `Randomization` that its `growth` is about."""
-_SHARES = ("hand_opening", "growth")
-_NOT_NEGATIVE = (*_DEVIATIONS, "posture", *_SHARES)
+_RANGES = ("delay", "sag", *_FACTORS)
+_LIMITS = {
+    **{name: (0, MOST_DELAY) for name in ("delay", "history")},
+    "sag": (-1, 1),
+    **{name: (0.01, 100) for name in _FACTORS},
+    **{name: (0, 10) for name in _DEVIATIONS},
+    **{name: (0, 1) for name in ("hand_opening", "growth")},
+    "posture": (0, 0.15),  # as far as the goals of reach are from the start
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,26 +121,16 @@ class Randomization:
 
     def _check(self, name: str, value: Any) -> None:
         """Refuses a value that the field cannot have."""
-        whole = name in ("delay", "history")
+        least, most = _LIMITS[name]
+        ranged, whole = name in _RANGES, name in ("delay", "history")
         numbers = value if isinstance(value, tuple) else (value,)
         kind = int if whole else (int, float)
-        sound = all(isinstance(number, kind) and not isinstance(number, bool) for number in numbers)
-        if name in ("delay", "sag", *_FACTORS):
-            sound = sound and len(numbers) == 2 and all(map(math.isfinite, numbers)) and numbers[0] <= numbers[1]
-            allowed = "a least and a most"
-        else:
-            sound = sound and len(numbers) == 1 and math.isfinite(numbers[0])
-            allowed = "an integer" if whole else "a number"
-        if name in _FACTORS:
-            sound, allowed = sound and numbers[0] > 0, f"{allowed} above 0"
-        if name in _NOT_NEGATIVE or whole:
-            sound, allowed = sound and numbers[0] >= 0, f"{allowed} from 0"
-        if whole:
-            sound, allowed = sound and numbers[-1] <= MOST_DELAY, f"{allowed} to {MOST_DELAY}"
-        if name in _SHARES:
-            sound, allowed = sound and numbers[0] <= 1, f"{allowed} to 1"
-        if not sound:
-            raise ValueError(f"{name} is {value!r}; it must be {allowed}")
+        sound = len(numbers) == 1 + ranged and all(
+            isinstance(number, kind) and not isinstance(number, bool) and least <= number <= most for number in numbers
+        )
+        if not sound or numbers[0] > numbers[-1]:
+            allowed = "a least and a most" if ranged else "an integer" if whole else "a number"
+            raise ValueError(f"{name} is {value!r}; it must be {allowed} from {least} to {most}")
 
 
 _MILD = Randomization(

@@ -62,16 +62,15 @@ def robust_noise() -> str:
     )
 
 
-def robust_seeds() -> str:
-    """What the seeds of robust grasp have on a UR5e, of which one comes with the package."""
-    columns = {"success_rate": "under `full`", "closed": "160 ms", "fast": "40 ms, open", "open": "160 ms, open"}
-    columns |= {"short": "160 ms, steps × 0.6", "long": "160 ms, steps × 1.4"}
+def robust_seeds(task: str) -> str:
+    """What the seeds of a robust policy have on a UR5e, of which one comes with the package."""
+    rows = read_json(f"suite/robust-{task}-seeds")["seeds"]
+    names = {"success_rate": "under `full`", "undisturbed": "undisturbed", "closed": "160 ms", "fast": "40 ms, open"}
+    names |= {"open": "160 ms, open", "short": "160 ms, steps × 0.6", "long": "160 ms, steps × 1.4"}
+    columns = [name for name in names if name in rows[0]]
     return markdown(
-        ["seed", *columns.values()],
-        [
-            [str(row["seed"]), *(fixed(row[name], 3) for name in columns)]
-            for row in read_json("suite/robust-grasp-seeds")["seeds"]
-        ],
+        ["seed", *(names[name] for name in columns)],
+        [[str(row["seed"]), *(fixed(row[name], 3) for name in columns)] for row in rows],
     )
 
 

@@ -353,16 +353,19 @@ def localised() -> str:
 
 
 def headline() -> str:
-    """The four figures of the front page, an unflattering one among them."""
+    """The figures of the front page, unflattering ones among them."""
     reach, grasp = trial("table1-reach", "HGAIL"), trial("table1-grasp", "HGAIL")
-    placed = read_json("runs/pick-and-place-hgail/summary")["success_rate"]
+    suite = {
+        name: read_json(f"runs/{task}-hgail/summary")["success_rate"]
+        for name, task in {"push": "push", "pick and place": "pick-and-place", "slide": "slide"}.items()
+    }
     sizes = trial("ablations-reach", "the paper's sizes", "with pre-training")
     return markdown(
         ["what", "paper", "here"],
         [
             ["reach", reach["paper_success"], success(reach)],
             ["grasp, lifted", grasp["paper_success"], success(grasp)],
-            ["pick and place", "", f"{fixed(placed['mean'], 3)} ± {fixed(placed['std'], 3)}"],
+            *([name, "", f"{fixed(each['mean'], 3)} ± {fixed(each['std'], 3)}"] for name, each in suite.items()),
             ["reach with the paper's own sizes", reach["paper_success"], success(sizes)],
         ],
     )
