@@ -14,7 +14,7 @@ from experiments.transfer.measurement import measure_rows
 from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
-from experiments.transfer.sweeps import FETCH, axes, fetch_rows, measured_pairs, robot_name, robot_points
+from experiments.transfer.sweeps import FETCH, axes, fetch_points, fetch_rows, measured_pairs, robot_name, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.versions import installed
@@ -87,7 +87,8 @@ def write_sweep(
     curves = [_part(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
     rows, made_by = _kept(path, lambda row: _part(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
-    on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), unit="point") if FETCH in robots else ()
+    count = len(fetch_points(policies, tasks)) if FETCH in robots else 0
+    on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), total=count, unit="point") if count else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
     for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)

@@ -1,7 +1,7 @@
 """Measures success against disturbances: other robots in several processes, this package's Fetch in one program."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from experiments.transfer.disturbances import DISTURBANCES
@@ -45,18 +45,28 @@ def robot_points(policies: Policies, robots: Sequence[str], tasks: Sequence[str]
                     yield Point(to, task, tuple(files[task]), conditions, labels=labels)
 
 
+def fetch_points(policies: Policies, tasks: Sequence[str]) -> list[tuple[str, str, str, float, Mapping]]:
+    """Returns policy, task, quantity, value and sizes of the points on this package's Fetch, each curve's in order."""
+    return [
+        (label, task, quantity, value, disturbance.sizes(value))
+        for label, files in policies.items()
+        for task in tasks
+        if task in files
+        for quantity, disturbance in _disturbances(task)
+        if disturbance.sizes
+        for value in disturbance.values
+    ]
+
+
 def fetch_rows(policies: Policies, tasks: Sequence[str], episodes: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yields the rows of this package's Fetch as they are measured."""
-    for label, files in policies.items():
-        for task in tasks:
-            if task not in files:
-                continue
-            fetch = ParallelFetch(task, [load_policy(path) for path in files[task]], episodes, seed)
-            for quantity, disturbance in _disturbances(task):
-                for value in disturbance.values if disturbance.sizes else ():
-                    outcomes = fetch.outcomes(**disturbance.sizes(value))
-                    columns = {"robot": NAME, "task": task} | _labels(label, quantity, value)
-                    yield columns | measured(outcomes, len(files[task]), episodes)
+    for (label, task), points in itertools.groupby(fetch_points(policies, tasks), lambda point: point[:2]):
+        files = policies[label][task]
+        fetch = ParallelFetch(task, [load_policy(path) for path in files], episodes, seed)
+        for _, _, quantity, value, sizes in points:
+            outcomes = fetch.outcomes(**sizes)
+            columns = {"robot": NAME, "task": task} | _labels(label, quantity, value)
+            yield columns | measured(outcomes, len(files), episodes)
 
 
 def axes() -> dict[str, str]:
