@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import mjx, rollout
@@ -48,10 +49,11 @@ def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Call
 
     See `bare_loops` for the arguments.
     """
+    model = jax.tree.map(jnp.asarray, engine.mjx_model)  # MJX-JAX takes NumPy's arrays for what bodies have in common
 
     def step(data: mjx.Data, control: Control) -> tuple[mjx.Data, None]:
         data = data.replace(mocap_pos=control.mocap_pos, mocap_quat=control.mocap_quat, ctrl=control.ctrl)
-        return jax.lax.fori_loop(0, engine.substeps, lambda _, data: mjx.step(engine.mjx_model, data), data), None
+        return jax.lax.fori_loop(0, engine.substeps, lambda _, data: mjx.step(model, data), data), None
 
     def run(physics: EngineState, controls: Control) -> jax.Array:
         first = jax.tree.map(lambda values: values[0], controls)
