@@ -1,6 +1,7 @@
 """Measures speed: stepping, roll-outs and training beside the engine's bare loop, and beside other projects."""
 
 import dataclasses
+import importlib.util
 import itertools
 import os
 import subprocess
@@ -14,6 +15,7 @@ import envs
 from envs.engines import ENGINES
 from envs.fetch.arm import FetchEnv
 from experiments.bench import contrastive, speed
+from experiments.bench.engine_options import measure_options
 from experiments.bench.figures import draw_learners
 from experiments.bench.learners import METHODS, contrastive_rows, method_rows
 from experiments.bench.peers import PACKAGES, peer_rows
@@ -47,6 +49,7 @@ class Options:
             "rollout",
             "train",
             "shares",
+            "engine-options",
             "seeds",
             "devices",
             "compile",
@@ -56,7 +59,7 @@ class Options:
         ],
         ...,
     ] = ("physics", "rollout", "train", "shares")
-    """What to measure. The first four are columns of one row for each size."""
+    """What to measure. The first four are columns of one row for each size; engine-options needs warp-lang."""
     task: tuple[str, ...] = ("reach",)
     """Tasks, one after the other."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
@@ -114,6 +117,8 @@ def _check(options: Options) -> None:
         check_name("task", task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
         if "learners" in options.section:
             check_name("task of learners", task, contrastive.TASKS)
+    if "engine-options" in options.section and importlib.util.find_spec("warp") is None:
+        raise ValueError("engine-options needs warp-lang, which is not installed; choose another --section")
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
     check_positive("time_limit", options.time_limit)
@@ -145,6 +150,10 @@ def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
     if columns:
         for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
             yield {"section": "speed", **speed.speed_row(workload, columns)}
+    if "engine-options" in options.section:
+        for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
+            for row in measure_options(workload):
+                yield {"section": "engine-options", **row}
     per_seed = options.num_envs or (default_preset(task).config.num_envs,)
     for workload in _workloads(options, task, per_seed[:1]):
         if "seeds" in options.section:

@@ -1,7 +1,8 @@
 """MuJoCo Warp by itself, without JAX, to be timed; needs warp-lang."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -21,15 +22,25 @@ class WarpLoop:
       substeps: physics steps per action.
       physics: where the episode starts, `[N, ...]`.
       controls: what acts on the scene, `[T, N, ...]`.
+      options: fields of the option that MuJoCo Warp makes of the scene's, where others are wanted.
 
     """
 
-    def __init__(self, model: mujoco.MjModel, substeps: int, physics: EngineState, controls: Control) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        substeps: int,
+        physics: EngineState,
+        controls: Control,
+        options: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
         import warp as wp  # not a dependency of the project
         from mujoco.mjx.third_party import mujoco_warp
 
         self._substeps, (self._num_actions, self._num_envs) = substeps, controls.ctrl.shape[:2]
         self._model = mujoco_warp.put_model(model)
+        for name, value in options.items():
+            setattr(self._model.opt, name, value)
         self._data = mujoco_warp.make_data(model, nworld=self._num_envs, **buffer_sizes(model, self._num_envs))
         self._start = {name: wp.array(np.asarray(getattr(physics, name)), dtype=float) for name in ("qpos", "qvel")}
         self._controls = {
@@ -39,8 +50,8 @@ class WarpLoop:
         }
         self._set(self._start)
         self._set_control(0)
-        self.kernels = _count_launches(lambda: mujoco_warp.step(self._model, self._data))
-        """Kernels that a physics step starts."""
+        self.kernels = self._count_kernels()
+        """Kernels that a physics step starts in which the solver takes all its iterations."""
         self._replay = self._capture()
 
     def launch_floor(self) -> float:
@@ -70,6 +81,16 @@ class WarpLoop:
     def _set_control(self, index: int) -> None:
         self._set({name: values[index] for name, values in self._controls.items()})
 
+    def _count_kernels(self) -> int:
+        from mujoco.mjx.third_party import mujoco_warp
+
+        options, conditional = self._model.opt, self._model.opt.graph_conditional
+        options.graph_conditional = False
+        try:
+            return _count_launches(lambda: mujoco_warp.step(self._model, self._data))
+        finally:
+            options.graph_conditional = conditional
+
     def _act(self) -> None:
         from mujoco.mjx.third_party import mujoco_warp
 
@@ -97,7 +118,8 @@ def _count_launches(call: Callable[[], None]) -> int:
     def counting(launch: Callable[..., Any]) -> Callable[..., Any]:
         def counted(*arguments: Any, **options: Any) -> Any:
             nonlocal count
-            count += 1
+            dim = options["dim"] if "dim" in options else arguments[1]
+            count += bool(np.prod(dim))  # for nothing at all, as for the tendons of a scene without, none is started
             return launch(*arguments, **options)
 
         return counted

@@ -57,10 +57,12 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--time-limit", "0"], "bench: time_limit is 0.0; it must be positive and finite"),
         (["--section", "everything"], "bench: --section"),
         (["--section", "learners", "--task", "grasp"], "bench: task of learners is 'grasp'; choose from "),
+        (["--section", "engine-options"], "bench: engine-options needs warp-lang, which is not installed"),
     ],
 )
 def test_mistakes_are_refused_in_one_line(tmp_path, monkeypatch, capsys, options, reason):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert refusal(capsys, options).startswith(reason)
     assert not any(tmp_path.iterdir())
 
