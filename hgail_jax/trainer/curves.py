@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure  # not pyplot, whose backend is the user's
 
 from hgail_jax.io.files import replace_file
 
@@ -21,6 +20,8 @@ def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarr
       distance: `[rounds, seeds]`, L1 distance at the end of the episode, metres.
 
     """
+    from matplotlib.figure import Figure  # not pyplot, whose backend is the user's; late, for it takes its time
+
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     axes = figure.subplots(1, 2)
     panels = ((success, "success rate", (-0.02, 1.02)), (distance, "L1 distance at the end (m)", (0.0, None)))

@@ -20,8 +20,9 @@ from hgail_jax.wording import counted
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
     """Writes the policies and the curves."""
     (folder / "policies").mkdir(exist_ok=True)
+    on_host = jax.device_get(states.replace(rng=None, expert=None))  # a device would compile the taking apart
     for index in range(run.seeds):
-        policy = from_state(run.task, run.env, jax.tree.map(lambda leaf, i=index: leaf[i], states), run.task_options)
+        policy = from_state(run.task, run.env, jax.tree.map(lambda leaf, i=index: leaf[i], on_host), run.task_options)
         save_policy(folder / "policies" / f"seed-{run.first_seed + index}.npz", policy)
     size = f"{counted(run.seeds, 'seed')}, {counted(run.config.num_envs, 'environment')} each"
     title = f"{run.method} on {run.task}: {size}"
