@@ -2,7 +2,8 @@ import dataclasses
 
 import pytest
 
-from experiments.transfer.policies import find_policies, load_policies
+from envs.scenes import assets_directory
+from experiments.transfer.policies import find_policies, load_policies, policy_paths
 from hgail_jax import load_policy, save_policy
 
 
@@ -11,6 +12,13 @@ def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("grasp")) == 8
     plain = find_policies(("reach", "grasp", "pick-and-place"))["plain"]
     assert {task: len(paths) for task, paths in plain.items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
+
+
+def test_policies_that_are_shipped_are_those_that_were_measured():
+    for path in sorted((assets_directory() / "policies").glob("*.npz")):
+        task = path.stem.removesuffix("-robust")
+        measured = [run.read_bytes() for run in policy_paths(task, "plain" if task == path.stem else "robust")]
+        assert path.read_bytes() in measured, path.name
 
 
 def test_a_task_without_a_policy_is_refused():

@@ -76,6 +76,17 @@ def test_a_trained_policy_grasps(grasp, grasp_policy):
     assert np.mean([outcome.success for outcome in outcomes]) >= 0.93
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "least"), [("push", 0.9), ("pick-and-place", 0.9), ("pick-and-place-robust", 0.85), ("slide", 0.5)]
+)
+def test_trained_policies_move_the_object_to_its_goal(name, least):
+    robot = GymnasiumFetch(name.removesuffix("-robust"))
+    policy = load_policy(assets_directory() / "policies" / f"{name}.npz")
+    outcomes = run_episodes(robot, [policy], range(40))
+    assert np.mean([outcome.success for outcome in outcomes]) >= least
+
+
 def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
     """From above every cube is held; a closed hand holds none."""
     grasps = {"from above": controllers.grasp, "closed": controllers.closed}

@@ -7,10 +7,11 @@ import pytest
 
 from envs.fetch import controllers
 from envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
+from envs.scenes import assets_directory
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from experiments.transfer.robots.servo_arm import UR5e
+from experiments.transfer.robots.servo_arm import Franka, UR5e
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.motion import move
 
@@ -118,6 +119,15 @@ def test_a_policy_trained_on_the_fetch_reaches(shipped_policy):
 def test_a_policy_trained_on_the_fetch_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(6))
     assert sum(outcome.success for outcome in outcomes) >= 4  # 92 % of 200; hardly any with a hand led otherwise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", [UR5e, Franka])
+def test_policies_trained_on_the_fetch_pick_and_place(arm):
+    """Robust; of 400 episodes the UR5e has 0.90, the Franka 0.87."""
+    policy = load_policy(assets_directory() / "policies" / "pick-and-place-robust.npz")
+    outcomes = run_episodes(arm("pick-and-place"), [policy], range(20))
+    assert sum(outcome.success for outcome in outcomes) >= 14
 
 
 def test_pick_and_place_shows_the_cube_and_where_it_is_to_go():
