@@ -55,6 +55,8 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
         label, separator, path = entry.partition("=")
         if not (label and separator and path) or label in RUNS:
             raise ValueError(f"policies {entry!r} is not label=path, with another label than {' and '.join(RUNS)}")
+        if not Path(path).exists():
+            raise ValueError(f"there is no file or folder {path}")
         files = sorted(Path(path).glob("*.npz")) if Path(path).is_dir() else [Path(path)]
         if not files:
             raise ValueError(f"there is no policy in {path}")

@@ -64,8 +64,19 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
         case tyro_errors.InstantiationFailure():
             *_, last = event.message.splitlines()  # of a union tyro says why it is none of its types, a line for each
             why = last.partition(": ")[2] if last.startswith("- ") else last
-            return f"{_flag(known.argument)} takes {known.argument.lowered.metavar}: {why}"
+            return f"{_flag(known.argument)} takes {known.argument.lowered.metavar}: {_in_plain_words(why)}"
     return f"it cannot be read ({type(event).__name__})"
+
+
+def _in_plain_words(why: str) -> str:
+    """Returns what Python says of a word that is no number, in other words than its own.
+
+    >>> _in_plain_words("invalid literal for int() with base 10: 'two'")
+    "'two' is not a whole number"
+    """
+    said = {"invalid literal for int() with base 10": "a whole number", "could not convert string to float": "a number"}
+    before, _, word = why.partition(": ")
+    return f"{word} is not {said[before]}" if before in said else why
 
 
 def _flag(argument: Any) -> str:

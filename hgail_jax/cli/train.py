@@ -62,7 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         config = trainer.run.config
         size = f"{counted(command.seeds, 'seed')} × {counted(config.num_envs, 'env')}"
-        print(f"{command.method} on {command.task}, {size} -> {trainer.folder}")
+        if not (trainer.folder / "summary.json").exists():  # else it is complete, and was told so
+            print(f"{command.method} on {command.task}, {size} -> {trainer.folder}")
         go_on = _go_on(words, trainer.folder)
         summary = _train(trainer, go_on)
         if not trainer.writes:

@@ -154,7 +154,8 @@ def train(
                 save(checkpoints, progress)
                 saved = time.perf_counter()
             left = (time.perf_counter() - begun) / (progress.rounds - done) * (len(phases) - progress.rounds)
-            line.show(_status(program, progress), left, log=phases[index, -1] == EVALUATE)
+            known = left if steps[index] else None  # a round 0 without pre-training takes no time
+            line.show(_status(program, progress), known, log=phases[index, -1] == EVALUATE)
     save(checkpoints, progress)
 
 
@@ -242,7 +243,8 @@ def _status(program: Program, progress: Progress) -> str:
     said = [f"round {last['round']}/{program.config.rounds}"]
     said += [] if success is None else [f"success {success:.3f}"]
     said += [f"{len(diverged)} diverged"] if diverged else []
-    return ", ".join([*said, f"{short(rate)} env steps/s"])
+    said += [f"{short(rate)} env steps/s"] if rate else []
+    return ", ".join(said)
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -47,7 +47,7 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--to", "fetch"], "--to fetch goes with --sweep"),
         (["--sweep", "--workers", "0"], "workers is 0; it must be at least 1"),
         (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
-        (["--sweep", "--policies", "full=none.npz"], "there is no file none.npz"),
+        (["--sweep", "--policies", "full=none.npz"], "there is no file or folder none.npz"),
         (["--sweep", "--policies", "full=."], "there is no policy in ."),
         (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
         (["--sweep", "--goal-source", "camera"], "--goal-source does not go with"),

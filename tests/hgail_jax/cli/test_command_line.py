@@ -43,9 +43,9 @@ def test_choices_are_listed_in_their_own_order(capsys, option, choices):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--seeds", "eight"], "--seeds takes INT: invalid literal for int() with base 10: 'eight'"),
-        (["--envs", "- a: b"], "--envs takes INT: invalid literal for int() with base 10: '- a: b'"),
-        (["--share", "half"], "--share takes FLOAT: could not convert string to float: 'half'"),
+        (["--seeds", "eight"], "--seeds takes INT: 'eight' is not a whole number"),
+        (["--envs", "- a: b"], "--envs takes INT: '- a: b' is not a whole number"),
+        (["--share", "half"], "--share takes FLOAT: 'half' is not a number"),
         (["--offset", "0", "x"], "--offset takes FLOAT FLOAT: Could not parse arguments ['0', 'x']"),
         (["--std", "1", "x"], "--std takes FLOAT [FLOAT ...]: Could not find valid parse for arguments: ['1', 'x']"),
     ],

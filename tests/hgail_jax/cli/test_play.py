@@ -93,7 +93,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         (["--task", "point"], "task 'point' has no scene to show; choose from reach, grasp"),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "hgail play: there is no file none.npz"),
-        (["--episodes", "many"], "invalid literal for int()"),
+        (["--episodes", "many"], "'many' is not a whole number"),
         (["--task", "grasp-aperture"], "no policy of grasp-aperture comes with the package; name one by --policy"),
         (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
         (["--out", "none/film.mp4"], "there is no folder none to write film.mp4 into"),

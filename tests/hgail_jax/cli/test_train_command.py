@@ -151,7 +151,7 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--task-options", "height=1.5"], "no option 'height'; it takes impl, substeps, worlds"),
         (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the Fetch tasks"),
         (["--method", "magic"], "method is 'magic'; choose from hgail, hgail-no"),
-        (["--seeds", "many"], "--seeds takes INT: invalid literal for int()"),
+        (["--seeds", "many"], "--seeds takes INT: 'many' is not a whole number"),
         (["--sed", "8"], "unrecognized options: --sed"),
         (["--first-seed", "-1"], "first_seed is -1; it must be at least 0"),
         (["--first-seed", "2147483640"], "first_seed is 2147483640; it must be at most 2147483639"),

@@ -213,6 +213,7 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
     start("--resume", "run")
     shown = capsys.readouterr().out
     assert "run is complete\n" in shown
+    assert " -> run\n" not in shown.partition("success")[0], "nothing is trained"
     assert f"total {json.loads((complete / 'summary.json').read_text())['wall_seconds']['total']:.1f} s -> run" in shown
     assert files() == before
 

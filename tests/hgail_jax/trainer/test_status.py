@@ -123,6 +123,14 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
         assert len(line) < 80
 
 
+def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
+    program = Program(envs.make("point"), dataclasses.replace(TINY, rounds=1, pretrain=False), (Hyperparameters(),), 2)
+    train(program, told(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
+    _, zero, one = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"round 0/1, success 0\.500, \d:\d\d elapsed", zero)
+    assert re.fullmatch(r"round 1/1, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", one)
+
+
 def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(capsys):
     program = Program(envs.make("point"), dataclasses.replace(TINY, rounds=3), (Hyperparameters(),), 2)
     progress, stop, rounds = start(program), threading.Event(), [measured([0.25, 0.75], [0.1, 0.2])] * 2
