@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
         check_count("episodes", options.episodes)
         check_count("seed", options.seed, least=0, most=MOST_SEED)
         if path.exists():
-            raise ValueError(f"{path} exists already; name another file")
+            raise ValueError(f"{path} exists already; name another file, or remove it")
         check_writable(path)
         env = make_for_demonstrations(options.task, options.episodes)
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):

@@ -33,7 +33,7 @@ def check_film(path: Path) -> None:
     if path.suffix.lower() not in FORMATS:
         raise ValueError(f"{path} is not the name of a film; it must end in {', '.join(FORMATS)}")
     if path.exists() or path.is_symlink():
-        raise ValueError(f"{path} exists already; name another file")
+        raise ValueError(f"{path} exists already; name another file, or remove it")
     if not path.parent.is_dir():
         raise ValueError(f"there is no folder {path.parent} to write {path.name} into")
     if not os.access(path.parent, os.W_OK | os.X_OK):
