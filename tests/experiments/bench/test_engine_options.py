@@ -1,10 +1,14 @@
 """Settings of the engine are what they are called, and what they change is measured on the same episode."""
 
+import sys
+from types import SimpleNamespace
+
 import jax
 import mujoco
 import numpy as np
 import pytest
 
+from experiments.bench.bare_warp import _count_launches
 from experiments.bench.engine_options import ENGINE_OPTIONS, EngineOptions, gripper_positions, measure_options
 from experiments.bench.stepping import step_task
 from experiments.bench.workload import Workload
@@ -41,6 +45,27 @@ def test_the_gripper_is_where_the_base_takes_it(workload):
     np.testing.assert_allclose(after - before, [0.1, 0, 0], atol=1e-12)
 
 
+def test_a_launch_of_nothing_is_no_kernel(monkeypatch):
+    done = []
+
+    def launch(kernel, dim, **options):
+        del dim, options
+        done.append(kernel)
+
+    warp = SimpleNamespace(launch=launch, launch_tiled=launch)
+    monkeypatch.setitem(sys.modules, "warp", warp)
+
+    def step():
+        warp.launch("bodies", 3)
+        warp.launch("tendons", dim=0, inputs=[])
+        warp.launch_tiled("rows", dim=(2, 4))
+        warp.launch_tiled("flexes", dim=(2, 0))
+
+    assert _count_launches(step) == 2
+    assert done == ["bodies", "tendons", "rows", "flexes"]
+    assert warp.launch is warp.launch_tiled is launch
+
+
 @pytest.mark.slow
 def test_rows_are_of_the_episode_that_the_task_steps(workload):
     """On MuJoCo Warp, which may run on a CPU too; its solver is stopped early, C MuJoCo's is not."""
@@ -58,3 +83,4 @@ def test_rows_are_of_the_episode_that_the_task_steps(workload):
         rows[name]["kernels_per_substep"] for name in ("as it is", "at most 3 iterations of the solver", "at most 2")
     ]
     assert kernels[0] - kernels[1] == kernels[1] - kernels[2] > 5  # as many for each iteration
+    assert rows["broad phase by sweep and prune"]["kernels_per_substep"] > kernels[0]
