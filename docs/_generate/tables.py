@@ -168,6 +168,19 @@ def engines(table: str) -> str:
     return markdown(["task, physics steps per action", "environments", *names, "newer / older"], cells)
 
 
+def engine_options() -> str:
+    """How many kernels other settings of MuJoCo Warp start in a physics step, and how far off the gripper then ends."""
+    rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "engine-options"]
+    cells = []
+    for name in dict.fromkeys(row["what"] for row in rows):
+        of_tasks = [pick(rows, task=task, what=name) for task in ("reach", "grasp")]
+        kernels = [str(row["kernels_per_substep"]) for row in of_tasks]
+        off = [f"{1e3 * row['gripper_off_median']:.2f} ({1e3 * row['gripper_off_worst']:.1f}) mm" for row in of_tasks]
+        cells.append([name, *kernels, *off])
+    off_header = [f"gripper off on {task}, median (worst)" for task in ("reach", "grasp")]
+    return markdown(["setting", "kernels, reach", "grasp", *off_header], cells)
+
+
 def several_gpus() -> str:
     """Training of reach on two and four H200s."""
     rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "devices"]

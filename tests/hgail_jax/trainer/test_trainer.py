@@ -6,6 +6,7 @@ import threading
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -47,6 +48,21 @@ def bits(folder):
     """All that a run of `SMALL` computed."""
     record = json.loads((folder / "checkpoints" / "5" / "record" / "metadata").read_text())
     return table(folder), record["body"]["arrays"]
+
+
+def test_each_seed_has_its_own_policy():
+    """That of the last checkpoint, which says itself which seed is which."""
+    with Trainer(SMALL) as trainer:
+        trainer.open()
+        trainer.train()
+        states = trainer.checkpoints.restore(jax.eval_shape(trainer.run.program().init)).state
+    layers = [states.actor_critic["policy"]["params"][f"Dense_{index}"] for index in range(3)]
+    for seed in range(SMALL.seeds):
+        policy = trainer.policy(seed)
+        np.testing.assert_array_equal(policy.mean, states.statistics.mean[seed])
+        for (weights, biases), layer in zip(policy.layers, layers, strict=True):
+            np.testing.assert_array_equal(weights, layer["kernel"][seed])
+            np.testing.assert_array_equal(biases, layer["bias"][seed])
 
 
 def test_the_final_evaluation_is_traced_before_the_first_round(monkeypatch):
