@@ -47,14 +47,14 @@ def study(table: str) -> str:
 
 
 def studied(rows: list[Row]) -> str:
-    """Returns rows of `paper/` beside the paper's figures, HGAIL's first."""
+    """Returns rows of `paper/` beside the paper's figures, HGAIL's first; those without a commit are marked as older."""
     rows = sorted(rows, key=lambda row: not row["setting"].startswith("HGAIL"))
     header = ["setting", "success: paper", "here", "worst seed", "L1 (m): paper", "here", "env steps per seed"]
     return markdown(
         header,
         [
             [
-                ", ".join(filter(None, (row["setting"], row["panel"].replace("variants", "")))),
+                ", ".join(filter(None, (row["setting"], row["panel"].replace("variants", "")))) + _mark(row),
                 row["paper_success"],
                 success(row),
                 fixed(row["worst_seed"], 3),
@@ -65,6 +65,10 @@ def studied(rows: list[Row]) -> str:
             for row in rows
         ],
     )
+
+
+def _mark(row: Row) -> str:
+    return "" if row.get("commit") else " (older)"
 
 
 def tried() -> str:
@@ -169,16 +173,17 @@ def engines(table: str) -> str:
 
 
 def engine_options() -> str:
-    """How many kernels other settings of MuJoCo Warp start in a physics step, and how far off the gripper then ends."""
+    """How fast MuJoCo Warp is with other settings, in how many kernels, and how far off the gripper then ends."""
     rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "engine-options"]
-    cells = []
+    tasks, cells = ("reach", "grasp"), []
     for name in dict.fromkeys(row["what"] for row in rows):
-        of_tasks = [pick(rows, task=task, what=name) for task in ("reach", "grasp")]
+        of_tasks = [pick(rows, task=task, what=name) for task in tasks]
+        rates = [rate(row["bare_warp_env_steps_per_second"]) for row in of_tasks]
         kernels = [str(row["kernels_per_substep"]) for row in of_tasks]
         off = [f"{1e3 * row['gripper_off_median']:.2f} ({1e3 * row['gripper_off_worst']:.1f}) mm" for row in of_tasks]
-        cells.append([name, *kernels, *off])
-    off_header = [f"gripper off on {task}, median (worst)" for task in ("reach", "grasp")]
-    return markdown(["setting", "kernels, reach", "grasp", *off_header], cells)
+        cells.append([name, *rates, *kernels, *off])
+    off_header = [f"gripper off on {task}, median (worst)" for task in tasks]
+    return markdown(["setting", "steps/s, reach", "grasp", "kernels, reach", "grasp", *off_header], cells)
 
 
 def several_gpus() -> str:
