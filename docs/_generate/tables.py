@@ -47,7 +47,7 @@ def study(table: str) -> str:
 
 
 def studied(rows: list[Row]) -> str:
-    """Returns rows of `paper/` beside the paper's figures, HGAIL's first; those without a commit are marked as older."""
+    """Returns rows of `paper/` beside the paper's, HGAIL's first; those without a commit are marked as older."""
     rows = sorted(rows, key=lambda row: not row["setting"].startswith("HGAIL"))
     header = ["setting", "success: paper", "here", "worst seed", "L1 (m): paper", "here", "env steps per seed"]
     return markdown(
