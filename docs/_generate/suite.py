@@ -66,7 +66,7 @@ def parts(task: str) -> str:
         ["setting", "success", "IQM, 95 % interval", "of each seed", "HGAIL is better"],
         [
             [
-                row["setting"],
+                row["setting"] + (" (older)" if row["older"] else ""),
                 fixed(row["success_rate"], 3),
                 "{}, {} to {}".format(*(fixed(row[f"success_iqm{end}"], 3) for end in ("", "_low", "_high"))),
                 ", ".join(fixed(each["success_rate"], 2) for each in seeds if each["setting"] == row["setting"]),

@@ -47,14 +47,15 @@ def study(table: str) -> str:
 
 
 def studied(rows: list[Row]) -> str:
-    """Returns rows of `paper/` beside the paper's, HGAIL's first; those without a commit are marked as older."""
+    """Returns rows of `paper/` beside the paper's, HGAIL's first; those of another commit than its are older."""
     rows = sorted(rows, key=lambda row: not row["setting"].startswith("HGAIL"))
     header = ["setting", "success: paper", "here", "worst seed", "L1 (m): paper", "here", "env steps per seed"]
     return markdown(
         header,
         [
             [
-                ", ".join(filter(None, (row["setting"], row["panel"].replace("variants", "")))) + _mark(row),
+                ", ".join(filter(None, (row["setting"], row["panel"].replace("variants", ""))))
+                + ("" if row["commit"] == rows[0]["commit"] else " (older)"),
                 row["paper_success"],
                 success(row),
                 fixed(row["worst_seed"], 3),
@@ -65,10 +66,6 @@ def studied(rows: list[Row]) -> str:
             for row in rows
         ],
     )
-
-
-def _mark(row: Row) -> str:
-    return "" if row.get("commit") else " (older)"
 
 
 def tried() -> str:
@@ -123,17 +120,23 @@ def time_to_success() -> str:
 
 
 def compilation() -> str:
-    """What caches save at the start of a run."""
-    row = bench(section="compile")
-    states = {"first": ("to be compiled",) * 2, "cold": ("in the cache", "to be compiled")}
-    states["cached"] = ("in the cache", "in the cache")
-    return markdown(
-        ["MuJoCo Warp's kernels", "the program that trains", "its compilation", "start to end"],
-        [
-            [*words, seconds(row[f"{state}_compile_seconds"]), seconds(row[f"{state}_total_seconds"])]
-            for state, words in states.items()
-        ],
-    )
+    """What caches save at the start of a run, on two hosts."""
+    hosts, states = ("", "other-host-"), ("uncached", "kernels-cached", "cached")
+    caches = {"uncached": "nothing", "kernels-cached": "MuJoCo Warp's kernels", "cached": "kernels and programs"}
+    cells = []
+    for state in states:
+        cells.append([caches[state]])
+        for host in hosts:
+            if not host and state == "kernels-cached":  # not measured there
+                cells[-1] += ["", ""]
+                continue
+            seconds_of = read_json(f"runs/reach-hgail-{host}{state}/summary")["wall_seconds"]
+            cells[-1] += [seconds(seconds_of[what]) for what in ("compile", "total")]
+    commits = [read_json(f"runs/reach-hgail-{host}cached/summary")["commit"] for host in hosts]
+    of_hosts = [
+        f"compilation, {name} host ({commit})" for name, commit in zip(("one", "another"), commits, strict=True)
+    ]
+    return markdown(["cached", of_hosts[0], "start to end", of_hosts[1], "start to end"], cells)
 
 
 def stepping() -> str:
@@ -285,12 +288,12 @@ def paper_sizes(least: float = 0.1) -> str:
     none, *changed = tuning["rows"]
     vain = [row for row in changed if row["success_rate"] < least]
     shown = sorted((row for row in changed if row not in vain), key=lambda row: -row["success_rate"])
-    most = fixed(max(row["success_rate"] for row in vain), 2)
+    most, steps = fixed(max(row["success_rate"] for row in vain), 2), [row["env_steps_per_seed"] for row in vain]
     return markdown(
         ["change", "env steps per seed", "success", "of each seed"],
         [
             _tried(none),
-            [f"each of {len(vain)} others", f"about {count(none['env_steps_per_seed'])}", f"at most {most}", ""],
+            [f"each of {len(vain)} others", f"{count(min(steps))} to {count(max(steps))}", f"at most {most}", ""],
             *map(_tried, shown + tuning["longer"]),
         ],
     )

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 
 import envs
 from experiments.paper.aggregate import write_aggregates
-from experiments.paper.gpus import visible_gpus
 from experiments.paper.seeds import choose_seeds
 from experiments.paper.spread import carry_out
 from experiments.paper.studies import LONGER, STUDIES, studies_of
@@ -17,6 +16,7 @@ from experiments.paper.study import Study
 from experiments.paper.trials import Scale
 from experiments.paper.work import Unfinished, Work, redraw, time_one_program
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.distributed.gpus import visible_gpus
 from hgail_jax.presets import platform_name
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.run_folder import sole_user

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from experiments.paper.figures import draw_figure
-from experiments.paper.gpus import driver_version
 from experiments.paper.programs import group_by_program, time_sweep, train_program
 from experiments.paper.seeds import choose_seeds
 from experiments.paper.studies import FIGURES, MOST_DEMONSTRATIONS, SWEEP
@@ -59,10 +58,8 @@ class Work:
 
     def made_by(self) -> dict[str, Any]:
         """Returns what makes a result, here and now."""
-        made_by = provenance()
-        versions = made_by["versions"] | {"driver": driver_version()}
         date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        return made_by | {"command": self.command, "versions": versions, "date": date}
+        return provenance() | {"command": self.command, "date": date}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 import importlib.metadata
 
+import hgail_jax
+
 
 def installed(*packages: str) -> dict[str, str | None]:
-    """Returns the version of each distribution, None where it is not installed.
+    """Returns the version of each distribution, None where it is not installed; this one may be a bare checkout.
 
     >>> installed("no-such-package")
     {'no-such-package': None}
@@ -16,4 +18,4 @@ def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return None
+        return hgail_jax.__version__ if package == "hgail-jax" else None

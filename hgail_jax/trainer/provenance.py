@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 
 from envs.engines.c import usable_cores
+from hgail_jax.distributed.gpus import driver_version
 from hgail_jax.io.versions import installed
 
 _PACKAGES = (
@@ -62,17 +63,20 @@ def _commit() -> str | None:
 def provenance(*packages: str) -> dict:
     """Returns what made a result: command, commit, device, processor cores that it could use, and versions.
 
+    Among these is the GPU's driver, None where the device is no GPU.
+
     Args:
       *packages: further ones whose versions are told, where they are installed.
 
     """
     device = jax.devices()[0]
     name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind
+    driver = driver_version() if device.platform == "gpu" else None
     return {
         "command": own_command(),
         "commit": _commit(),
         "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
         "cpu_cores": usable_cores(),
-        "versions": {"python": platform.python_version()} | installed(*_PACKAGES, *packages),
+        "versions": {"python": platform.python_version()} | installed(*_PACKAGES, *packages) | {"driver": driver},
         "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
     }

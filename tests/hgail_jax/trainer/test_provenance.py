@@ -1,0 +1,13 @@
+from types import SimpleNamespace
+
+import jax
+import pytest
+
+from hgail_jax.trainer import provenance
+
+
+@pytest.mark.parametrize(("platform", "driver"), [("gpu", "580.1"), ("cpu", None)])
+def test_what_ran_on_a_gpu_names_its_driver(monkeypatch, platform, driver):
+    monkeypatch.setattr(provenance, "driver_version", lambda: "580.1")
+    monkeypatch.setattr(jax, "devices", lambda: [SimpleNamespace(platform=platform, device_kind="a chip")])
+    assert provenance.provenance()["versions"]["driver"] == driver
