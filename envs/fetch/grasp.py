@@ -78,7 +78,7 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": training_defaults(num_envs=512, rounds=12, evaluate_every=2, hidden=256, likelihood_weight=1.0),
+        "cpu": training_defaults(num_envs=512, rounds=16, evaluate_every=2, hidden=256, likelihood_weight=1.0),
         "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 
