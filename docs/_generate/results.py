@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from hgail_jax.statistics import confidence_interval
+
 ROOT = Path(__file__).parent.parent.parent
 RESULTS = ROOT / "experiments" / "results"
 
@@ -206,12 +208,17 @@ def run_means(run: str) -> list[float]:
     return [mean(rates) for rates in tests.values()]
 
 
+def of_seeds(rate: Row) -> str:
+    """Returns the mean of a summary's rate and the 95 % interval around it, as `success` of a table's row."""
+    return f"{fixed(rate['mean'], 3)} ± {fixed(float(confidence_interval(rate['per_seed'])), 3)}"
+
+
 def printed(run: str) -> str:
     """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
     summary = read_json(f"runs/{run}/summary")
     rates, spent = summary["success_rate"], {what: fixed(time, 1) for what, time in summary["wall_seconds"].items()}
     success_line = (
-        f"success {fixed(rates['mean'], 3)} ± {fixed(rates['std'], 3)} (worst seed {fixed(min(rates['per_seed']), 3)}),"
+        f"success {of_seeds(rates)} (worst seed {fixed(min(rates['per_seed']), 3)}),"
         f" L1 distance {fixed(summary['distance_l1']['mean'], 3)} m,"
         f" {count(summary['env_steps_per_seed'])} env steps per seed"
     )

@@ -1,6 +1,6 @@
 """Writes the tables about the Fetch suite, as Markdown, from what was measured."""
 
-from docs._generate.results import Row, count, fixed, mean, pick, rate, read_csv, read_json, seconds
+from docs._generate.results import Row, count, fixed, mean, of_seeds, pick, rate, read_csv, read_json, seconds
 from docs._generate.tables import markdown
 
 TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
@@ -15,7 +15,7 @@ def suite() -> str:
         [
             [
                 row["task"],
-                f"{fixed(row['success_rate']['mean'], 3)} ± {fixed(row['success_rate']['std'], 3)}",
+                of_seeds(row["success_rate"]),
                 fixed(min(row["success_rate"]["per_seed"]), 3),
                 f"{fixed(row['distance_l1']['mean'], 3)} m",
                 count(row["env_steps_per_seed"]),

@@ -9,6 +9,7 @@ from docs._generate.results import (
     bench,
     count,
     fixed,
+    of_seeds,
     pick,
     rate,
     read_csv,
@@ -386,7 +387,7 @@ def headline() -> str:
         [
             ["reach", reach["paper_success"], success(reach)],
             ["grasp, lifted", grasp["paper_success"], success(grasp)],
-            *([name, "", f"{fixed(each['mean'], 3)} ± {fixed(each['std'], 3)}"] for name, each in suite.items()),
+            *([name, "", of_seeds(each)] for name, each in suite.items()),
             ["reach with the paper's own sizes", reach["paper_success"], success(sizes)],
         ],
     )

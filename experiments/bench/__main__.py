@@ -37,6 +37,7 @@ _IMPLS = ("auto", *ENGINES)
 _NUM_ENVS = {"cpu": (64,), "gpu": (1024, 4096, 16384, 65536)}
 _QUICK_NUM_ENVS = (4,)
 _QUICK_SEEDS = (1, 2)
+_OF_WHOLE_RUNS = {"compile", "time-to-success"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +96,9 @@ def main(arguments: list[str] | None = None) -> None:
     except RuntimeError as error:  # out of memory, most likely; what was measured before is in the file
         fail(PROGRAM, (str(error) or repr(error)).splitlines()[0], 1)
     for section in dict.fromkeys(row["section"] for row in results.added):
-        print(f"\n{table([row for row in results.added if row['section'] == section])}")
+        rows = [row for row in results.added if row["section"] == section]
+        if len(rows) > 1:  # one has been printed
+            print(f"\n{table(rows)}")
     for task in dict.fromkeys(row["task"] for row in results.added if row["section"] == "learners"):
         print(f"-> {_draw(results, task)}")
 
@@ -110,9 +113,11 @@ def _draw(results: Results, task: str) -> Path:
 
 def _check(options: Options) -> None:
     """Raises a ValueError if a list of options is empty or holds what it cannot have."""
-    for name in ("section", "task", "impl", "seeds"):
-        if not getattr(options, name):
-            raise ValueError(f"--{name} names nothing")
+    for name in ("section", "task", "impl", "seeds", "num_envs", "substeps"):
+        if getattr(options, name) == ():
+            raise ValueError(f"--{name.replace('_', '-')} names nothing")
+    if options.run and not _OF_WHOLE_RUNS & set(options.section):
+        raise ValueError(f"--run is for --section {' and '.join(sorted(_OF_WHOLE_RUNS))}")
     for task in options.task:
         check_name("task", task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
         if "learners" in options.section:

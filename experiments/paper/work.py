@@ -137,7 +137,7 @@ def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:
     try:
         refuse_another_run(path, there.get("settings", {}), _identities(trials))
     except AnotherRunError as error:
-        print(f"{study.name} of {work.task} is older, and made again: {error}")
+        print(f"{study.name} of {work.task} is made again, and what is there goes to older/: {error}")
         return False
     missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
     if missing - {"figure"}:

@@ -1,6 +1,7 @@
 """Rolls out a trained policy: in the browser, in MuJoCo's viewer where there is a display, or as a film."""
 
 import dataclasses
+import itertools
 import os
 from pathlib import Path
 from typing import Annotated
@@ -61,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
         if options.web:
             _serve(options, task)
             return
-        path = options.out or Path(f"{task.replace(':', '.')}.mp4")
+        path = options.out or _free_name(task.replace(":", "."))
         if not shows:
             check_film(path)
         env, policy = _load(task, options.policy, options.randomize)
@@ -90,6 +91,12 @@ def _check(options: Options) -> None:
         raise ValueError("--web writes no film; leave out --out")
     if not options.web and (options.port is not None or options.host != Options.host):
         raise ValueError("--port and --host are for --web")
+
+
+def _free_name(stem: str) -> Path:
+    """Returns a name for a film that no file has: the stem's or, with a number from 2 on, the first that is free."""
+    numbered = (Path(f"{stem}-{number}.mp4") for number in itertools.count(2))
+    return next(path for path in itertools.chain([Path(f"{stem}.mp4")], numbered) if not os.path.lexists(path))
 
 
 def _default_task(path: Path | None) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
+import numpy as np
 
 from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
 from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
@@ -18,6 +19,7 @@ from hgail_jax.distributed.sharding import ReplicaError
 from hgail_jax.io.files import from_here
 from hgail_jax.playback import film
 from hgail_jax.presets import platform_name
+from hgail_jax.statistics import confidence_interval
 from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.options import task_defaults, unless_given
 from hgail_jax.trainer.signals import stop_on_signal
@@ -147,18 +149,28 @@ def _film(trainer: Trainer) -> None:
 def _report(summary: dict[str, Any], trainer: Trainer) -> None:
     """Prints the outcome."""
     success, distance, seconds = summary["success_rate"], summary["distance_l1"], summary["wall_seconds"]
+    worst = f" (worst seed {min(success['per_seed']):.3f})" if summary["seeds"] > 1 else ""
     print(
-        f"success {success['mean']:.3f} ± {success['std']:.3f} (worst seed {min(success['per_seed']):.3f}), "
-        f"L1 distance {distance['mean']:.3f} m, {summary['env_steps_per_seed']:,} env steps per seed\n"
+        f"success {_mean(success)}{worst}, L1 distance {distance['mean']:.3f} m, "
+        f"{summary['env_steps_per_seed']:,} env steps per seed\n"
         f"compile {seconds['compile']:.1f} s, train {seconds['train']:.1f} s at "
         f"{summary['env_steps_per_second']:,.0f} env steps/s, evaluate {seconds['evaluation']:.1f} s, "
         f"total {seconds['total']:.1f} s -> {trainer.folder}"
     )
     if "undisturbed_success_rate" in summary:
-        undisturbed = summary["undisturbed_success_rate"]
-        print(f"undisturbed: success {undisturbed['mean']:.3f} ± {undisturbed['std']:.3f}")
+        print(f"undisturbed: success {_mean(summary['undisturbed_success_rate'])}")
     if summary["diverged_seeds"]:
         print(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", file=sys.stderr)
+
+
+def _mean(rate: dict[str, Any]) -> str:
+    """Returns a mean over seeds and, of several, the 95 % interval around it.
+
+    >>> _mean({"mean": 0.5, "per_seed": [0.4, 0.6]}), _mean({"mean": 0.5, "per_seed": [0.5]})
+    ('0.500 ± 1.271', '0.500')
+    """
+    interval = f" ± {confidence_interval(np.array(rate['per_seed'])):.3f}" if len(rate["per_seed"]) > 1 else ""
+    return f"{rate['mean']:.3f}{interval}"
 
 
 if __name__ == "__main__":

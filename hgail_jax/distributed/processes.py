@@ -25,7 +25,7 @@ _OF_A_CLUSTER = "that Slurm, Open MPI or Kubernetes started, if any did"
 
 HEARTBEAT_TIMEOUT = 100
 """Seconds after which a process that is silent counts as dead; JAX's own default."""
-GO_ON = "the same command with --resume goes on, with as many processes as are left"
+GO_ON = "the same command with --resume FOLDER goes on, with as many processes as are left"
 """What to do once a process of several died."""
 
 
@@ -103,7 +103,9 @@ def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
     available = jax.devices()
     if devices is None:
         devices = most_devices(seeds, num_envs, len(available)) if jax.process_count() > 1 else 1
-    check_count("devices", devices, most=len(available))
+    check_count("devices", devices)
+    if devices > len(available):
+        raise ValueError(f"devices is {devices}; JAX finds {counted(len(available), 'device')} here")
     if jax.process_count() > 1 and devices < len(available):
         raise ValueError(
             f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} on {counted(devices, 'device')} would"

@@ -72,6 +72,8 @@ def reopen_folder(path: Path, identity: dict) -> None:
     try:
         content = json.loads((path / "config.json").read_text())
         there = {name: content[name] for name in identity}
+    except FileNotFoundError:
+        raise ValueError(f"{path} is not the folder of a run that can be resumed: it has no config.json") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is not the folder of a run that can be resumed: {error}") from None
     refuse_another_run(path, there, identity)

@@ -57,6 +57,8 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--time-limit", "0"], "bench: time_limit is 0.0; it must be positive and finite"),
         (["--section", "everything"], "bench: --section"),
         (["--section", "learners", "--task", "grasp"], "bench: task of learners is 'grasp'; choose from "),
+        (["--num-envs"], "bench: --num-envs names nothing"),
+        (["--section", "physics", "--run=--seeds=1"], "bench: --run is for --section compile and time-to-success"),
         (["--section", "engine-options"], "bench: engine-options needs warp-lang, which is not installed"),
     ],
 )

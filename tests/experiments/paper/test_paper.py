@@ -213,7 +213,7 @@ def test_results_of_other_settings_are_set_aside_as_older_once_there_are_new_one
     before = (tmp_path / "table3-point.csv").read_bytes()
     old = json.loads((tmp_path / "table3-point.json").read_text())
     paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
-    assert "table3 of point is older, and made again" in capsys.readouterr().out
+    assert "table3 of point is made again, and what is there goes to older/" in capsys.readouterr().out
     older = tmp_path / "older" / old["hash"]
     names = ("table3-point.csv", "table3-point-seeds.csv", "table3-point-improvement.csv", "table3-point.md")
     assert {path.name for path in older.iterdir()} == {*names, "table3-point.json", "figure5-point.csv"}

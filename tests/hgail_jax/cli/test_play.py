@@ -128,12 +128,20 @@ def in_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize(("options", "name"), [(["--out", "mine.gif"], "mine.gif"), ([], "reach.mp4")])
-def test_a_film_that_is_there_is_kept(options, name, in_folder, capsys, monkeypatch):
+def test_a_film_that_is_there_is_kept(in_folder, capsys, monkeypatch):
     monkeypatch.setattr(play, "load_policy", None)  # which is slow, and what follows slower
-    (in_folder / name).write_text("kept")
-    refused(["--task", "reach", *options], f"{name} exists already; name another file", capsys)
-    assert (in_folder / name).read_text() == "kept"
+    (in_folder / "mine.gif").write_text("kept")
+    refused(["--task", "reach", "--out", "mine.gif"], "mine.gif exists already; name another file", capsys)
+    assert (in_folder / "mine.gif").read_text() == "kept"
+
+
+def test_a_film_without_a_name_takes_the_next_that_is_free(shipped_policy, in_folder, monkeypatch):
+    played = []
+    monkeypatch.setattr(play, "film", lambda path, *_: played.append(path.name) or path.touch() or [])
+    (in_folder / "reach-3.mp4").symlink_to("nowhere")
+    for _ in range(3):
+        play.main(["--policy", str(shipped_policy)])
+    assert played == ["reach.mp4", "reach-2.mp4", "reach-4.mp4"]
 
 
 def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):

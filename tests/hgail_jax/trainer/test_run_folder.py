@@ -65,7 +65,7 @@ def test_an_empty_folder_may_be_gone_on_with_and_one_of_something_else_not(tmp_p
     (tmp_path / ".hidden").touch()
     reopen_folder(tmp_path, {"task": "reach"})
     (tmp_path / "photograph.png").touch()
-    with pytest.raises(ValueError, match="is not the folder of a run that can be resumed"):
+    with pytest.raises(ValueError, match=r"not the folder of a run that can be resumed: it has no config\.json"):
         reopen_folder(tmp_path, {"task": "reach"})
     (tmp_path / "config.json").write_text('{"task": "grasp", "more": 1}')
     with pytest.raises(ValueError, match="task is grasp there and reach here"):
