@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from hgail_jax.distributed.processes import choose_mesh
 from hgail_jax.distributed.sharding import make_mesh, most_devices
 from tests.sharded_training import assert_close, train_on_four_devices
 from tests.support import four_devices
@@ -88,6 +89,11 @@ def test_a_mesh_takes_seeds_first_and_then_environments():
     for seeds, devices, shape in [(8, 4, (4, 1)), (6, 4, (2, 2)), (3, 4, (1, 4)), (1, 2, (1, 2))]:
         assert tuple(make_mesh(seeds, 64, [device] * devices).shape.values()) == shape
         assert most_devices(seeds, 64, devices) == devices
+
+
+def test_more_devices_than_there_are_are_refused():
+    with pytest.raises(ValueError, match="devices is 4; JAX finds 1 device here"):
+        choose_mesh(8, 64, 4)
 
 
 def test_what_does_not_divide_is_refused_or_left_out():
