@@ -14,7 +14,7 @@ from hgail_jax.trainer.options import plan
     [
         ("reach", "cpu", 64, 4, 4, 128, 1),
         ("reach", "gpu", 256, 4, 4, 512, 1),
-        ("grasp", "cpu", 512, 12, 8, 512, 2),
+        ("grasp", "cpu", 512, 16, 8, 512, 2),
         ("grasp", "gpu", 1024, 40, 8, 1024, 1),
     ],
 )
