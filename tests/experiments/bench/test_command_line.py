@@ -34,7 +34,7 @@ def refusal(capture, arguments):
         (["--out", "elsewhere/bench.json"], "elsewhere/bench.json"),
     ],
 )
-def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypatch, options, path):
+def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypatch, capsys, options, path):
     """The committed results, in particular, change on purpose alone."""
     committed = ROOT / "experiments" / "results" / "bench" / "bench.json"
     before = committed.read_bytes()
@@ -45,6 +45,7 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
     (row,) = json.loads(Path(path).read_text())["rows"]
     assert (row["num_envs"], row.get("quick")) == (4, True if options == ["--quick"] else None)
     assert committed.read_bytes() == before
+    assert capsys.readouterr().out.count("num_envs") == 1  # a single row is printed once
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -405,3 +406,22 @@ def test_a_second_interrupt_ends_a_stopped_run_that_waits_for_the_compiler(tmp_p
     assert "SIGINT: stopping after this round; once more stops at once" in done.stderr
     assert is_told_to_go_on(done, "stopped before round 0")
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("per_seed", "said"),
+    [([0.9], "success 0.900, L1 distance"), ([0.8, 1.0], "success 0.900 ± 1.271 (worst seed 0.800), L1 distance")],
+)
+def test_one_seed_has_neither_an_interval_nor_a_worst(per_seed, said, tmp_path, capsys):
+    measured = {"mean": 0.9, "std": 0.1, "per_seed": per_seed}
+    summary = {
+        "seeds": len(per_seed),
+        "success_rate": measured,
+        "distance_l1": measured,
+        "wall_seconds": dict.fromkeys(("compile", "train", "evaluation", "total"), 1.0),
+        "env_steps_per_seed": 100,
+        "env_steps_per_second": 100.0,
+        "diverged_seeds": [],
+    }
+    run._report(summary, SimpleNamespace(folder=tmp_path))
+    assert capsys.readouterr().out.startswith(said)
