@@ -38,7 +38,7 @@ class Options:
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), and those behind the tables and figures;
-    paper-sizes and gail-demo-weight, by which settings are chosen, on seeds of their own."""
+    paper-sizes, gail-demo-weight and grasp-sizes, by which settings are chosen, on seeds of their own."""
     all: bool = False
     """Everything that is reported of the tasks: all that the paper has on reach, table 1 on grasp, the parts on push,
     pick-and-place and slide."""
