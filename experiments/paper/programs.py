@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,10 @@ def train_program(
     """
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()
-    with StatusLine("compiling the training program"):
+    with ThreadPoolExecutor(1) as background, StatusLine("compiling the training program"):
+        preparing = background.submit(env.prepare)
         step = program.compile()
+        preparing.result()
     seconds = {"compile": time.perf_counter() - started}
     with Checkpoints(folder, {"trials": [trial.identity() for trial in trials]}) as checkpoints:
         progress = begin(program, program.init(), checkpoints.restore(jax.eval_shape(program.init)))

@@ -72,19 +72,18 @@ _GAIL_DEMO_WEIGHT = Study(
 )
 
 
-def _grasp(episodes: int, rounds: int, hidden: int | None, minibatches: int = 16) -> tuple[Setting, ...]:
+def _grasp(episodes: int, rounds: int, hidden: int | None) -> tuple[Setting, ...]:
     """Returns sizes of a training of grasp, under some weights of the likelihood each.
 
     Args:
       episodes: in a roll-out.
       rounds: of the training.
-      hidden: width of the hidden layers of all networks; None leaves the task's.
-      minibatches: of a pass of PPO.
+      hidden: width of the hidden layers of all networks; None leaves the usual ones.
 
     """
     widths = {} if hidden is None else {"policy_hidden": (hidden, hidden), "discriminator_hidden": (hidden, hidden)}
-    sizes = {"num_envs": episodes, "rounds": rounds, "ppo_minibatches": minibatches}
-    panel = f"{episodes} episodes, {rounds} rounds, {minibatches} minibatches" + (f", {hidden} wide" if hidden else "")
+    sizes = {"num_envs": episodes, "rounds": rounds}
+    panel = f"{episodes} episodes, {rounds} rounds" + (f", {hidden} wide" if hidden else "")
     return tuple(
         Setting(f"likelihood × {weight:g}", panel, config=sizes | widths, hyperparameters={"likelihood_weight": weight})
         for weight in (0.3, 1.0, 3.0)
@@ -94,12 +93,7 @@ def _grasp(episodes: int, rounds: int, hidden: int | None, minibatches: int = 16
 _GRASP_SIZES = Study(
     "grasp-sizes",
     "sizes of a training of grasp",
-    _grasp(512, 16, 256)
-    + _grasp(1024, 12, 256)
-    + _grasp(1024, 16, None)
-    + _grasp(1024, 10, 256, minibatches=32)
-    + _grasp(512, 16, None)
-    + _grasp(1024, 16, 256),
+    _grasp(512, 16, 256) + _grasp(1024, 12, 256) + _grasp(1024, 16, None) + _grasp(512, 16, None),
     tuning=True,
 )
 TUNING_STUDIES = (_PAPER_SIZES, _GAIL_DEMO_WEIGHT, _GRASP_SIZES)
