@@ -9,7 +9,12 @@ from hgail_jax.presets import AS_WRITTEN
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
-    return Setting(name, preset="paper", config=AS_WRITTEN | (config or {}), hyperparameters=hyperparameters, steps=3)
+    return Setting(name, preset="paper", config=AS_WRITTEN | (config or {}), hyperparameters=hyperparameters, steps=5)
+
+
+def _second_change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
+    """Returns a change to the preset `paper`, which has one already, over the steps that it takes to learn."""
+    return Setting(name, "phases 1 + 3", "hgail", config or {}, hyperparameters, preset="paper", steps=12)
 
 
 # The paper has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each, and 50 of
@@ -46,14 +51,23 @@ _OF_COUNTS = (
         for episodes, minibatches in ((5, 2), (16, 6), (256, 100))  # of 125 to 133 samples each
     ),
 )
+_SECOND = (
+    _second_change("as they are"),
+    _second_change("σ 0.5", action_std=0.5),
+    _second_change("σ 0.3", action_std=0.3),
+    _second_change("policy's learning rate 0.0003", policy_learning_rate=3e-4),
+    _second_change("policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}),
+    _second_change("σ 0.3, policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}, action_std=0.3),
+)
 _PAPER_SIZES = Study(
     "paper-sizes",
-    "the paper's sizes with one change",
+    "the paper's sizes with one change, or two",
     tuple(
         dataclasses.replace(setting, panel=panel, config=setting.config | pretrain)
         for panel, pretrain in (("with pre-training", {}), ("without pre-training", {"pretrain": False}))
         for setting in _OF_NUMBERS + _OF_COUNTS
-    ),
+    )
+    + _SECOND,
     tuning=True,
 )
 _GAIL_DEMO_WEIGHT = Study(
