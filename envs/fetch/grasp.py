@@ -78,8 +78,8 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        platform: training_defaults(num_envs=512, rounds=16, evaluate_every=2, hidden=256, likelihood_weight=1.0)
-        for platform in ("cpu", "gpu")
+        "cpu": training_defaults(num_envs=512, rounds=16, evaluate_every=2, hidden=256, likelihood_weight=1.0),
+        "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:
