@@ -5,6 +5,7 @@ import statistics
 from typing import Any
 
 from docs._generate.results import (
+    RESULTS,
     Row,
     bench,
     count,
@@ -122,22 +123,27 @@ def time_to_success() -> str:
 
 def compilation() -> str:
     """What caches save at the start of a run, on two hosts."""
-    hosts, states = ("", "other-host-"), ("uncached", "kernels-cached", "cached")
-    caches = {"uncached": "nothing", "kernels-cached": "MuJoCo Warp's kernels", "cached": "kernels and programs"}
+    caches = {
+        "uncached": "nothing",
+        "kernels-cached": "MuJoCo Warp's kernels",
+        "programs-cached": "the programs",
+        "cached": "both",
+    }
     cells = []
-    for state in states:
-        cells.append([caches[state]])
-        for host in hosts:
-            if not host and state == "kernels-cached":  # not measured there
-                cells[-1] += ["", ""]
-                continue
-            seconds_of = read_json(f"runs/reach-hgail-{host}{state}/summary")["wall_seconds"]
-            cells[-1] += [seconds(seconds_of[what]) for what in ("compile", "total")]
-    commits = [read_json(f"runs/reach-hgail-{host}cached/summary")["commit"] for host in hosts]
-    of_hosts = [
-        f"compilation, {name} host ({commit})" for name, commit in zip(("one", "another"), commits, strict=True)
-    ]
-    return markdown(["cached", of_hosts[0], "start to end", of_hosts[1], "start to end"], cells)
+    for state, name in caches.items():
+        starts = [_start(folder) for folder in (f"reach-hgail-{state}", f"reach-hgail-other-host-{state}")]
+        cells.append(
+            [name, *(seconds(start[what]) if start else "" for start in starts for what in ("compile", "total"))]
+        )
+    commits = [read_json(f"runs/reach-hgail-{host}cached/summary")["commit"] for host in ("", "other-host-")]
+    header = [f"compilation, {name} ({commit})" for name, commit in zip(("one host", "another"), commits, strict=True)]
+    return markdown(["cached", header[0], "start to end", header[1], "start to end"], cells)
+
+
+def _start(folder: str) -> Row | None:
+    """Returns how long the parts of a run took, None where there is no such run."""
+    path = RESULTS / "runs" / folder / "summary.json"
+    return read_json(f"runs/{folder}/summary")["wall_seconds"] if path.exists() else None
 
 
 def stepping() -> str:
@@ -168,12 +174,15 @@ def engines(table: str) -> str:
     same = ("task", "num_envs", "substeps")
     cells = []
     for old in (row for row in rows if row["mujoco"] == older[0]):
-        new = pick(rows, mujoco=newer[0], **{name: old[name] for name in same})
-        rates = [row["env_steps_per_second"] for row in (old, new)]
+        of_newer = [row for row in rows if row["mujoco"] == newer[0] and all(row[name] == old[name] for name in same)]
+        new, with_ccd = pick(of_newer, nativeccd=False), [row for row in of_newer if row["nativeccd"]]
+        both = [row["env_steps_per_second"] for row in (old, new)]
         work = [f"{old['task']}, {old['substeps']}", count(old["num_envs"])]
-        cells.append([*work, *map(rate, rates), fixed(rates[1] / rates[0], 2)])
+        ccd = rate(with_ccd[0]["env_steps_per_second"]) if with_ccd else ""
+        cells.append([*work, *map(rate, both), fixed(both[1] / both[0], 2), ccd])
     names = [f"MuJoCo {mujoco}, warp-lang {warp}" for mujoco, warp in (older, newer)]
-    return markdown(["task, physics steps per action", "environments", *names, "newer / older"], cells)
+    header = ["task, physics steps per action", "environments", *names, "newer / older", "newer, with nativeccd"]
+    return markdown(header, cells)
 
 
 def engine_options() -> str:
@@ -263,9 +272,10 @@ def peers() -> str:
     )
 
 
-def learners(task: str, wanted: float = 0.98) -> str:
+def learners(task: str, platform: str, wanted: float = 0.98) -> str:
     """When the seeds of a learner first had a success rate in a test of the training: the middle one and the last."""
     rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "learners" and row["task"] == task]
+    rows = [row for row in rows if row["made_by"]["device"]["platform"] == platform]
     lines = []
     for what in dict.fromkeys(row["what"] for row in rows):
         seeds = [row for row in rows if row["what"] == what]
@@ -303,6 +313,18 @@ def paper_sizes(least: float = 0.1) -> str:
 def _tried(row: Row) -> list[str]:
     of_each = ", ".join(fixed(value, 2) for value in row["success_per_seed"])
     return [row["setting"], count(row["env_steps_per_seed"]), fixed(row["success_rate"], 2), of_each]
+
+
+def grasp_sizes() -> str:
+    """What smaller trainings of grasp come to on the seeds for choosing, in the mean and in the worst."""
+    rows = read_csv("paper/grasp-sizes-grasp")
+    weights = list(dict.fromkeys(row["setting"] for row in rows))
+    cells = []
+    for panel in dict.fromkeys(row["panel"] for row in rows):
+        of_panel = [pick(rows, panel=panel, setting=weight) for weight in weights]
+        ends = [f"{fixed(row['success_rate'], 3)} ({fixed(row['worst_seed'], 3)})" for row in of_panel]
+        cells.append([panel, *ends, count(of_panel[0]["env_steps_per_seed"])])
+    return markdown(["sizes", *weights, "env steps per seed"], cells)
 
 
 def robots() -> str:

@@ -106,8 +106,9 @@ def main(arguments: list[str] | None = None) -> None:
 def _draw(results: Results, task: str) -> Path:
     """Draws a task's learners in the file, those of the device that the last of them ran on; returns the picture."""
     rows = [row for row in results.rows if (row["section"], row["task"]) == ("learners", task)]
-    path = results.path.with_name(f"learners-{task}.png")
-    draw_learners([row for row in rows if row["made_by"]["device"] == rows[-1]["made_by"]["device"]], path)
+    device = rows[-1]["made_by"]["device"]
+    path = results.path.with_name(f"learners-{task}-{device['platform']}.png")
+    draw_learners([row for row in rows if row["made_by"]["device"] == device], path)
     return path
 
 

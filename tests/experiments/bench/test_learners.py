@@ -57,7 +57,7 @@ def test_the_picture_shows_what_ran_on_the_same_device(tmp_path, monkeypatch):
     bench.main(["--out", str(tmp_path / "bench.json")])
     ((rows, path),) = drawn
     assert [(row["what"], row["seed"]) for row in rows] == [("HGAIL", 0), ("HGAIL", 1), ("other", 0)]
-    assert path == tmp_path / "learners-reach.png"
+    assert path == tmp_path / "learners-reach-cpu.png"
 
 
 def test_each_learner_has_a_colour_of_its_own(tmp_path):
