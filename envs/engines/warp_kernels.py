@@ -87,10 +87,24 @@ def generate_code_in_turn() -> None:
         if hasattr(context, "_codegen_lock") or hasattr(compiler.build_cuda, "turn"):
             return
         turn = _Turn()
-        for name in ("build_cuda", "load_cuda"):
-            setattr(compiler, name, turn.given_up_in(getattr(compiler, name)))
+        compiler.build_cuda = turn.given_up_in(_without_precompiled_headers(compiler.build_cuda))
+        compiler.load_cuda = turn.given_up_in(compiler.load_cuda)
         for name in ("load", "get_module_hash"):  # either may generate code
             setattr(context.Module, name, turn.taken_in(getattr(context.Module, name)))
+
+
+def _without_precompiled_headers(build: Callable) -> Callable:
+    """Returns Warp's compilation of a module with headers that are read anew.
+
+    Warp keeps them precompiled for each thread. Of many threads each then compiles its own, for one module or two, and
+    maps and unmaps so much memory that all wait for it.
+    """
+
+    @functools.wraps(build)
+    def build_plainly(*args: Any, **options: Any) -> Any:
+        return build(*args, **options | {"use_precompiled_headers": False})
+
+    return build_plainly
 
 
 class _Turn:

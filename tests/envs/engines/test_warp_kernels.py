@@ -28,7 +28,7 @@ class Module:
 
     def load(self, device: str, block_dim: int | None = None) -> "Module | None":
         self.get_module_hash()
-        assert self._warp.build.build_cuda(self.name, arch=90) == "compiled"
+        assert self._warp.build.build_cuda(self.name, arch=90, use_precompiled_headers=True) == "compiled"
         self._generate()
         assert self._warp.build.load_cuda(self.name, device) == "handle"
         self.loaded.append((device, block_dim))
@@ -48,8 +48,9 @@ class Module:
 def warp(monkeypatch):
     together = threading.Barrier(_MODULES, timeout=20)
 
-    def build_cuda(name: str, arch: int) -> str:
+    def build_cuda(name: str, arch: int, use_precompiled_headers: bool) -> str:
         assert arch == 90
+        warp.precompiled.add(use_precompiled_headers)
         if name == "broken":
             raise ArithmeticError("cannot be compiled")
         if name == "sound":
@@ -66,6 +67,7 @@ def warp(monkeypatch):
         build=SimpleNamespace(build_cuda=build_cuda, load_cuda=load_cuda),
         context=SimpleNamespace(Module=Module),
         get_suggested_block_size=lambda kernel, device=None: (768, 132),
+        precompiled=set(),
     )
     monkeypatch.setitem(sys.modules, "warp", warp)
     for name in ("build", "context"):
@@ -94,6 +96,7 @@ def test_code_is_generated_for_one_module_at_a_time_and_compiled_and_loaded_for_
         thread.join()
     assert [module.loaded for module in modules] == [[("cuda:0", None)]] * _MODULES
     assert Module.generating == 0
+    assert warp.precompiled == {False}  # headers, which each thread would have of its own
 
 
 def test_a_warp_that_takes_turns_is_left_as_it_is(warp):
@@ -123,7 +126,7 @@ def test_a_module_that_cannot_be_built_is_told_of_and_keeps_no_other_from_it(war
 
 def test_what_is_compiled_out_of_turn_leaves_the_turn_alone(warp):
     generate_code_in_turn()
-    assert warp.build.build_cuda("alone", arch=90) == "compiled"
+    assert warp.build.build_cuda("alone", arch=90, use_precompiled_headers=True) == "compiled"
     load_side_by_side({Module(warp, "alone"): []}, "cuda:0")
 
 
