@@ -18,6 +18,8 @@ class Method:
     hyperparameters: dict = dataclasses.field(default_factory=dict)
     at_least: dict = dataclasses.field(default_factory=dict)
     """Counts of the config that the method raises to these."""
+    without_effect: tuple[str, ...] = ()
+    """Options of `hgail train` that change nothing for its policy, and are refused."""
 
     def apply(self, preset: Preset) -> Preset:
         """Returns `preset` as this method runs it."""
@@ -30,29 +32,37 @@ class Method:
 
 METHODS = {
     "hgail": Method("hindsight supplies the expert samples of a discriminator"),
-    "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
+    "hgail-no": Method(
+        "HGAIL without hindsight: no goal is ever replaced",
+        hyperparameters={"p_ht": 0.0},
+        without_effect=("strategy",),
+    ),
     "gail-demo": Method(
         "demonstrations supply the expert samples (Ho & Ermon 2016), likelihood kept on (after Jena et al. 2020)",
         {"expert_source": DEMONSTRATIONS, "explore": False},
         {"likelihood_weight": 1.0},
         {"likelihood_batch": LIKELIHOOD_BATCH},
+        without_effect=("p_ht", "strategy"),
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
     "gasil": Method(
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "explore": False},
+        without_effect=("p_ht", "strategy"),
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",
         {"pretrain": False, "discriminator_phases": 0, "likelihood_batch": 0, "explore": False},
         {"environment_reward": 1.0, "ppo_weight": 1.0},
+        without_effect=("p_ht", "strategy", "reward", "likelihood"),
     ),
     "gcsl": Method(
         "hindsight maximum likelihood alone: the pre-training's objective, iterated (Ghosh et al. 2021)",
         {"discriminator_phases": 0},
         {"ppo_weight": 0.0, "environment_reward": 1.0},
         {"likelihood_batch": LIKELIHOOD_BATCH},
+        without_effect=("reward", "standardize_reward"),
     ),
 }
 """Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is

@@ -161,6 +161,9 @@ def _check(options: TrainOptions) -> None:
     for name in ("out", "resume", "demos"):
         if not isinstance(getattr(options, name), str | Path | None):
             raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")
+    for name in METHODS[options.method].without_effect:
+        if getattr(options, name) != getattr(TrainOptions, name):  # the default
+            raise ValueError(f"--{name.replace('_', '-')} changes nothing for the method {options.method}")
     if not isinstance(options.logger, str):
         raise ValueError(f"logger is {options.logger!r}; it must be names with commas between them")
     if options.resume == "":

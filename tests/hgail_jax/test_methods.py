@@ -9,7 +9,9 @@ import pytest
 
 from envs.point import Point
 from hgail_jax import METHODS, Config, Hyperparameters, Preset, schedule
+from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.distributed.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
+from hgail_jax.presets import FEW_UPDATES
 from hgail_jax.recording import record
 
 SEEDS = 2
@@ -48,6 +50,27 @@ def train(config, states):
         states, metrics = step(states, row)
         success.append(np.asarray(metrics.evaluation.success))
     return np.array(success), states
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_option_is_refused_for_the_methods_whose_policy_it_leaves_as_it_is(method):
+    changes = {
+        "p_ht": {"p_ht": 0.4},
+        "strategy": {"strategy": STRATEGIES["final"]},
+        "reward": {"reward": REWARDS["r3"]},
+        "standardize_reward": {"standardize_reward": False},
+        "likelihood": {"likelihood_weight": 2.0},
+    }
+    small = dataclasses.replace(SMALL, num_envs=8, rounds=1, likelihood_batch=32, **FEW_UPDATES)
+    preset = METHODS[method].apply(Preset(small, HYPER))
+    settings = [preset.hyperparameters.replace(**change) for change in ({}, *changes.values())]
+    demonstrations = record(Line(), "line", 4).samples(Line()) if method == "gail-demo" else None
+    _, states = train(preset.config, init_sweep(Line(), preset.config, settings, seed_keys(0, 1), demonstrations))
+    policies = np.concatenate(
+        [np.reshape(leaf, (len(settings), -1)) for leaf in jax.tree.leaves(states.actor_critic["policy"])], axis=1
+    )
+    unchanged = {name for name, policy in zip(changes, policies[1:], strict=True) if (policy == policies[0]).all()}
+    assert unchanged == set(METHODS[method].without_effect)
 
 
 def test_hindsight_is_what_teaches():
