@@ -295,24 +295,40 @@ def _first(row: Row, column: str, wanted: float) -> float:
 
 def paper_sizes(least: float = 0.1) -> str:
     """What one change to the paper's sizes comes to on reach; those that come to less than `least` share a row."""
-    tuning = read_json("suite/paper-sizes-tuning")
-    none, *changed = tuning["rows"]
-    vain = [row for row in changed if row["success_rate"] < least]
-    shown = sorted((row for row in changed if row not in vain), key=lambda row: -row["success_rate"])
-    most, steps = fixed(max(row["success_rate"] for row in vain), 2), [row["env_steps_per_seed"] for row in vain]
-    return markdown(
-        ["change", "env steps per seed", "success", "of each seed"],
-        [
-            _tried(none),
-            [f"each of {len(vain)} others", f"{count(min(steps))} to {count(max(steps))}", f"at most {most}", ""],
-            *map(_tried, shown + tuning["longer"]),
-        ],
+    rows = read_csv("paper/paper-sizes-reach")
+    taught, untaught = (
+        [row for row in rows if row["panel"] == f"{with_} pre-training"] for with_ in ("with", "without")
     )
+    both = [(row, pick(untaught, setting=row["setting"])) for row in taught]
+    vain = [pair for pair in both[1:] if max(row["success_rate"] for row in pair) < least]
+    shown = sorted((pair for pair in both[1:] if pair not in vain), key=lambda pair: -pair[0]["success_rate"])
+    most = [fixed(max(pair[index]["success_rate"] for pair in vain), 2) for index in (0, 1)]
+    steps = [row["env_steps_per_seed"] for row, _ in vain]
+    others = [
+        f"each of {len(vain)} others",
+        f"{count(min(steps))} to {count(max(steps))}",
+        *(f"at most {m}" for m in most),
+    ]
+    cells = [
+        [row["setting"], count(row["env_steps_per_seed"]), _with_seeds(row), _with_seeds(other)]
+        for row, other in [both[0], *shown]
+    ]
+    header = ["change", "env steps per seed", "with pre-training: success (of each seed)", "without"]
+    return markdown(header, [cells[0], others, *cells[1:]])
 
 
-def _tried(row: Row) -> list[str]:
-    of_each = ", ".join(fixed(value, 2) for value in row["success_per_seed"])
-    return [row["setting"], count(row["env_steps_per_seed"]), fixed(row["success_rate"], 2), of_each]
+def second_change() -> str:
+    """What a second change to the paper's sizes comes to on reach, beside phases 1 + 3."""
+    rows = [row for row in read_csv("paper/paper-sizes-reach") if row["panel"] == "phases 1 + 3"]
+    cells = [[row["setting"], count(row["env_steps_per_seed"]), _with_seeds(row)] for row in rows]
+    cells[0][0] = "none"
+    return markdown(["second change", "env steps per seed", "success (of each seed)"], cells)
+
+
+def _with_seeds(row: Row) -> str:
+    seeds = read_csv("paper/paper-sizes-reach-seeds")
+    of_each = [seed for seed in seeds if (seed["panel"], seed["setting"]) == (row["panel"], row["setting"])]
+    return f"{fixed(row['success_rate'], 2)} ({', '.join(fixed(seed['success_rate'], 2) for seed in of_each)})"
 
 
 def grasp_sizes() -> str:
