@@ -32,11 +32,7 @@ class Method:
 
 METHODS = {
     "hgail": Method("hindsight supplies the expert samples of a discriminator"),
-    "hgail-no": Method(
-        "HGAIL without hindsight: no goal is ever replaced",
-        hyperparameters={"p_ht": 0.0},
-        without_effect=("strategy",),
-    ),
+    "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
     "gail-demo": Method(
         "demonstrations supply the expert samples (Ho & Ermon 2016), likelihood kept on (after Jena et al. 2020)",
         {"expert_source": DEMONSTRATIONS, "explore": False},
@@ -55,7 +51,7 @@ METHODS = {
         "PPO on the environment's sparse reward alone",
         {"pretrain": False, "discriminator_phases": 0, "likelihood_batch": 0, "explore": False},
         {"environment_reward": 1.0, "ppo_weight": 1.0},
-        without_effect=("p_ht", "strategy", "reward", "likelihood"),
+        without_effect=("pretrain", "p_ht", "strategy", "reward", "likelihood"),
     ),
     "gcsl": Method(
         "hindsight maximum likelihood alone: the pre-training's objective, iterated (Ghosh et al. 2021)",

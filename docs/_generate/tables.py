@@ -142,8 +142,8 @@ def compilation() -> str:
 
 def _start(folder: str) -> Row | None:
     """Returns how long the parts of a run took, None where there is no such run."""
-    path = RESULTS / "runs" / folder / "summary.json"
-    return read_json(f"runs/{folder}/summary")["wall_seconds"] if path.exists() else None
+    name = f"runs/{folder}/summary"
+    return read_json(name)["wall_seconds"] if (RESULTS / f"{name}.json").exists() else None
 
 
 def stepping() -> str:
@@ -273,7 +273,7 @@ def peers() -> str:
 
 
 def learners(task: str, platform: str, wanted: float = 0.98) -> str:
-    """When the seeds of a learner first had a success rate in a test of the training: the middle one and the last."""
+    """When the seeds of a learner first had a success rate in a test of the training: their median and the last."""
     rows = [row for row in read_json("bench/bench")["rows"] if row["section"] == "learners" and row["task"] == task]
     rows = [row for row in rows if row["made_by"]["device"]["platform"] == platform]
     lines = []
@@ -284,7 +284,7 @@ def learners(task: str, platform: str, wanted: float = 0.98) -> str:
             found = sorted(_first(row, column, wanted) for row in seeds)
             line += [write(value) if value < math.inf else "never" for value in (statistics.median(found), found[-1])]
         lines.append([*line, fixed(min(max(row["success"]) for row in seeds), 2)])
-    header = ["learner", "seeds", "env steps, middle seed", "last seed", "seconds, middle seed", "last seed"]
+    header = ["learner", "seeds", "env steps, median", "last seed", "seconds, median", "last seed"]
     return markdown([*header, "the worst seed's best test"], lines)
 
 
@@ -339,8 +339,8 @@ def grasp_sizes() -> str:
     for panel in dict.fromkeys(row["panel"] for row in rows):
         of_panel = [pick(rows, panel=panel, setting=weight) for weight in weights]
         ends = [f"{fixed(row['success_rate'], 3)} ({fixed(row['worst_seed'], 3)})" for row in of_panel]
-        cells.append([panel, *ends, count(of_panel[0]["env_steps_per_seed"])])
-    return markdown(["sizes", *weights, "env steps per seed"], cells)
+        cells.append([panel, *ends, count(of_panel[0]["env_steps_per_seed"]), of_panel[0]["commit"]])
+    return markdown(["sizes", *weights, "env steps per seed", "commit"], cells)
 
 
 def robots() -> str:

@@ -80,6 +80,7 @@ def generate_code_in_turn() -> None:
     Warp 1.14 notes what it knows of a function in one place for all modules that call it. Of two threads that build
     such modules at once, one now and then writes code that does not compile (NVIDIA/warp#1474). Call it before there
     are such threads; a second call changes nothing. Later versions, which take turns themselves, are left as they are.
+    What is compiled from then on has no precompiled headers, see `_without_precompiled_headers`.
     """
     context: Any = importlib.import_module("warp._src.context")
     compiler: Any = importlib.import_module("warp._src.build")
@@ -97,7 +98,8 @@ def _without_precompiled_headers(build: Callable) -> Callable:
     """Returns Warp's compilation of a module with headers that are read anew.
 
     Warp keeps them precompiled for each thread. Of many threads each then compiles its own, for one module or two, and
-    maps and unmaps so much memory that all wait for it.
+    maps and unmaps so much memory that all wait for it. Warp's own setting for it would change the modules' hashes, and
+    kernels that are cached would be built again.
     """
 
     @functools.wraps(build)

@@ -155,15 +155,16 @@ def _check(options: TrainOptions) -> None:
     if options.iterations is not None:
         check_count("iterations", options.iterations, least=0)
     check_name("method", options.method, METHODS)
+    for name in METHODS[options.method].without_effect:
+        if getattr(options, name) != (default := getattr(TrainOptions, name)):
+            flag = ("no-" if default is True else "") + name.replace("_", "-")
+            raise ValueError(f"--{flag} changes nothing for the method {options.method}")
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     check_name("randomize", options.randomize, LEVELS)
     for name in ("out", "resume", "demos"):
         if not isinstance(getattr(options, name), str | Path | None):
             raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")
-    for name in METHODS[options.method].without_effect:
-        if getattr(options, name) != getattr(TrainOptions, name):  # the default
-            raise ValueError(f"--{name.replace('_', '-')} changes nothing for the method {options.method}")
     if not isinstance(options.logger, str):
         raise ValueError(f"logger is {options.logger!r}; it must be names with commas between them")
     if options.resume == "":

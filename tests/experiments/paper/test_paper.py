@@ -119,7 +119,9 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
     assert [float(row["success_rate"]) for row in rows] == pytest.approx(np.mean(finals, axis=1))
 
 
-def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
+def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
+    prepared = []
+    monkeypatch.setattr(envs.find_class("point"), "prepare", lambda env: prepared.append(env))
     (planned,) = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
     trials = [planned.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
     env, stopped = envs.make("point"), threading.Event()
@@ -129,6 +131,7 @@ def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path):
     (resumed, *_) = train_program(env, trials, None, tmp_path / "parts", threading.Event())
     for name in ("rounds", "env_steps", "success", "distance_l1", "final"):
         assert resumed[name] == whole[name]
+    assert prepared == [env] * 3
 
 
 def test_every_study_writes_its_files(tmp_path, trained):
@@ -440,6 +443,16 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
         assert samples == pytest.approx(128, abs=6) or set(changes) <= {"ppo_epochs", "ppo_minibatches"}
     programs = group_by_program(trials)
     assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
+
+
+def test_sizes_of_grasp_are_those_that_their_names_tell():
+    trials = trials_of(BY_NAME["grasp-sizes"], "grasp")
+    assert len({trial.key() for trial in trials}) == len(trials) == 12
+    for trial in trials:
+        sizes = f"{trial.config.num_envs} episodes, {trial.config.rounds} rounds"
+        wide = trial.config.policy_hidden == trial.config.discriminator_hidden == (256, 256)
+        assert trial.setting.panel == sizes + (", 256 wide" if wide else "")
+        assert trial.setting.name == f"likelihood × {float(trial.hyperparameters.likelihood_weight):g}"
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():
