@@ -313,7 +313,7 @@ def paper_sizes(least: float = 0.1) -> str:
         [row["setting"], count(row["env_steps_per_seed"]), _with_seeds(row), _with_seeds(other)]
         for row, other in [both[0], *shown]
     ]
-    header = ["change", "env steps per seed", "with pre-training: success (of each seed)", "without"]
+    header = ["change", "env steps per seed, with pre-training", "success with it (of each seed)", "without"]
     return markdown(header, [cells[0], others, *cells[1:]])
 
 

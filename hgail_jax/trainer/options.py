@@ -97,7 +97,7 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
     whole = METHODS[method].apply(task_preset(task_class, platform, preset))
     config, hyperparameters = whole.config, whole.hyperparameters
     own = task_class.training[platform].options
-    return {
+    values = {
         "num_envs": config.num_envs,
         "iterations": config.rounds,
         **({"substeps": own["substeps"]} if "substeps" in own else {}),
@@ -105,6 +105,7 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
         "likelihood": hyperparameters.likelihood_weight if config.likelihood_batch else 0,
         "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
     }
+    return {name: value for name, value in values.items() if name not in METHODS[method].without_effect}
 
 
 def plan(options: TrainOptions, platform: str) -> Run:

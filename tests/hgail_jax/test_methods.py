@@ -53,7 +53,7 @@ def train(config, states):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_option_is_refused_for_the_methods_whose_policy_it_leaves_as_it_is(method):
+def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method):
     changes = {
         "p_ht": {"p_ht": 0.4},
         "strategy": {"strategy": STRATEGIES["final"]},

@@ -132,6 +132,10 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--iterations", "-1"], "iterations is -1; it must be at least 0"),
         (["--p-ht", "1.5"], "p_ht is 1.5; it must be from 0 to 1"),
         (["--method", "ppo", "--p-ht", "0.5"], "--p-ht changes nothing for the method ppo"),
+        (
+            ["--method", "gcsl", "--no-standardize-reward"],
+            "--no-standardize-reward changes nothing for the method gcsl",
+        ),
         (["--method", "ppo", "--no-pretrain"], "--no-pretrain changes nothing for the method ppo"),
         (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
         (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
