@@ -282,7 +282,8 @@ def learners(task: str, platform: str, wanted: float = 0.98) -> str:
         line = [what, str(len(seeds))]
         for column, write in (("env_steps", count), ("train_seconds", seconds)):
             found = sorted(_first(row, column, wanted) for row in seeds)
-            line += [write(value) if value < math.inf else "never" for value in (statistics.median(found), found[-1])]
+            most = f"not in {write(max(row[column][-1] for row in seeds))}"
+            line += [write(value) if value < math.inf else most for value in (statistics.median(found), found[-1])]
         lines.append([*line, fixed(min(max(row["success"]) for row in seeds), 2)])
     header = ["learner", "seeds", "env steps, median", "last seed", "seconds, median", "last seed"]
     return markdown([*header, "the worst seed's best test"], lines)
@@ -320,8 +321,10 @@ def paper_sizes(least: float = 0.1) -> str:
 def second_change() -> str:
     """What a second change to the paper's sizes comes to on reach, beside phases 1 + 3."""
     rows = [row for row in read_csv("paper/paper-sizes-reach") if row["panel"] == "phases 1 + 3"]
-    cells = [[row["setting"], count(row["env_steps_per_seed"]), _with_seeds(row)] for row in rows]
-    cells[0][0] = "none"
+    names = {"as they are": "none"}
+    cells = [
+        [names.get(row["setting"], row["setting"]), count(row["env_steps_per_seed"]), _with_seeds(row)] for row in rows
+    ]
     return markdown(["second change", "env steps per seed", "success (of each seed)"], cells)
 
 

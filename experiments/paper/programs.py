@@ -70,7 +70,7 @@ def train_program(
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()
     with ThreadPoolExecutor(1) as background, StatusLine("compiling the training program"):
-        preparing = background.submit(env.prepare)
+        preparing = background.submit(env.prepare)  # which must have done with the device before the first step
         step = program.compile()
         preparing.result()
     seconds = {"compile": time.perf_counter() - started}

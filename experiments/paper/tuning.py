@@ -14,7 +14,7 @@ def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: 
 
 def _second_change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
     """Returns a change to the preset `paper`, which has one already, over the steps that it takes to learn."""
-    return Setting(name, "phases 1 + 3", "hgail", config or {}, hyperparameters, preset="paper", steps=12)
+    return Setting(name, "phases 1 + 3", preset="paper", config=config or {}, hyperparameters=hyperparameters, steps=12)
 
 
 # The paper has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each, and 50 of

@@ -431,6 +431,10 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
         assert (trial.config.policy_phases, trial.config.discriminator_phases) == (1, 3)
         assert (trial.config.num_envs, trial.config.ppo_minibatches) == (preset.num_envs, preset.ppo_minibatches)
     assert len(second) == 6
+    for trial in trials_of(BY_NAME["paper-sizes"], "reach", "cpu"):
+        steps = env_steps(envs.find_class("reach"), trial.config, schedule(trial.config)).sum()
+        least, most = (490_000, 510_000) if trial.setting.panel == "phases 1 + 3" else (180_000, 260_000)
+        assert least <= steps <= most
     for trial in [trial for trial in trials if trial not in second]:
         wanted = {**trial.setting.config, **trial.setting.hyperparameters}
         changes = {name: value for name, value in wanted.items() if value != AS_WRITTEN.get(name)}

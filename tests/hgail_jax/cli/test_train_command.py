@@ -240,6 +240,13 @@ def test_help_has_the_numbers_of_the_task(capsys, arguments, numbers):
     assert all(number in line for number in numbers)
 
 
+def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
+    with pytest.raises(SystemExit):
+        run.main(["--task", "point", "--method", "ppo", "--help"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
+    assert "--action-std" in line and "--p-ht" not in line and "--likelihood" not in line
+
+
 def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
     with pytest.raises(SystemExit) as exit_info:
         run.main(["--task", "poke", "--help"])
