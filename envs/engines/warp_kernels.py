@@ -13,6 +13,7 @@ import mujoco
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, and is built all the same
 _SOME_BLOCK = 256  # threads
+_COMPILERS = 8  # at a time; each has memory of its own, and to map that is what more of them would wait for
 _PATCHING = threading.Lock()
 
 
@@ -156,7 +157,8 @@ class _Turn:
 def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
     """Loads Warp's modules in several threads, each for the sizes of blocks that it is wanted for.
 
-    Those with a Cholesky factorisation are the last: Warp compiles it, for seconds, while it generates their code.
+    Those with most in them are the first, so that none is compiled alone in the end. Those with a Cholesky
+    factorisation are the last: Warp compiles it, for seconds, while it generates their code.
 
     Raises:
       Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.
@@ -169,5 +171,8 @@ def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
             if module.load(device, block_dim) is None:
                 raise RuntimeError(f"Warp cannot build its module {module.name!r}")
 
-    with ThreadPoolExecutor() as threads:
-        list(threads.map(load, sorted(wanted, key=lambda module: "cholesky" in module.name)))
+    def turn(module: Any) -> tuple[bool, int]:
+        return "cholesky" in module.name, -len(module.kernels) - len(module.functions)
+
+    with ThreadPoolExecutor(_COMPILERS) as threads:
+        list(threads.map(load, sorted(wanted, key=turn)))

@@ -3,10 +3,8 @@
 `tests/envs/fetch/test_warp.py` builds them on a GPU.
 """
 
-import functools
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -24,6 +22,8 @@ class Module:
 
     def __init__(self, warp: SimpleNamespace, name: str = "sound") -> None:
         self._warp, self.name = warp, name
+        self.kernels: dict[str, object] = {}
+        self.functions: dict[str, object] = {}
         self.loaded: list[tuple[str, int | None]] = []
 
     def load(self, device: str, block_dim: int | None = None) -> "Module | None":
@@ -150,13 +150,23 @@ def test_a_module_is_built_for_each_size_of_its_blocks(warp):
     assert module.loaded == [("cuda:0", 64), ("cuda:0", 32)]
 
 
-def test_factorisations_which_hold_up_all_others_are_the_last(warp, monkeypatch):
-    monkeypatch.setattr(warp_kernels, "ThreadPoolExecutor", functools.partial(ThreadPoolExecutor, 1))
+def test_large_modules_are_the_first_and_factorisations_which_hold_up_all_others_the_last(warp, monkeypatch):
+    monkeypatch.setattr(warp_kernels, "_COMPILERS", 1)
     built = []
     monkeypatch.setattr(Module, "load", lambda self, device, block_dim: built.append(self.name) or self)
-    names = ["smooth", "_update_gradient_cholesky_1", "sensor", "_tile_cholesky_2", "forward"]
-    load_side_by_side({Module(warp, name): [] for name in names}, "cuda:0")
-    assert built == ["smooth", "sensor", "forward", "_update_gradient_cholesky_1", "_tile_cholesky_2"]
+    modules = []
+    for name, kernels, functions in [
+        ("forward", 15, 0),
+        ("_tile_cholesky", 1, 30),
+        ("smooth", 47, 3),
+        ("_friction_dof", 1, 0),
+        ("sensor", 18, 37),
+    ]:
+        modules.append(Module(warp, name))
+        modules[-1].kernels = dict.fromkeys(map(str, range(kernels)))
+        modules[-1].functions = dict.fromkeys(map(str, range(functions)))
+    load_side_by_side({module: [] for module in modules}, "cuda:0")
+    assert built == ["sensor", "smooth", "forward", "_friction_dof", "_tile_cholesky"]
 
 
 def test_what_other_threads_load_meanwhile_is_loaded(warp):
