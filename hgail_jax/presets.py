@@ -6,7 +6,6 @@ from typing import Any
 import jax
 
 from envs import GoalEnv
-from envs.base import TrainingDefaults
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.validation import check_name
 
@@ -80,24 +79,16 @@ def task_preset(task_class: type[GoalEnv], platform: str, preset: str = "paralle
 
     """
     check_name("preset", preset, PRESETS)
+    base = PRESETS[preset]
     if preset != "parallel":
-        return PRESETS[preset]
+        return base
     try:
-        return parallel_preset(task_class.training[platform])
+        defaults = task_class.training[platform]
+        return Preset(
+            dataclasses.replace(base.config, **defaults.config),
+            base.hyperparameters.replace(**defaults.hyperparameters),
+        )
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{task_class.__name__}.training[{platform!r}] is not TrainingDefaults of fields that there are: {error}"
         ) from error
-
-
-def parallel_preset(defaults: TrainingDefaults) -> Preset:
-    """Returns `parallel` with what a task is trained with.
-
-    Raises:
-      TypeError: there is no such size or hyperparameter.
-
-    """
-    base = PRESETS["parallel"]
-    return Preset(
-        dataclasses.replace(base.config, **defaults.config), base.hyperparameters.replace(**defaults.hyperparameters)
-    )

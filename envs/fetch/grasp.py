@@ -79,7 +79,7 @@ class Grasp(FetchEnv):
     }
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         "cpu": training_defaults(num_envs=512, rounds=16, evaluate_every=2, hidden=256, likelihood_weight=1.0),
-        "gpu": training_defaults(num_envs=1024, rounds=16, evaluate_every=2, hidden=256, likelihood_weight=1.0),
+        "gpu": training_defaults(num_envs=1024, rounds=40),
     }
 
     def __init__(self, impl: str = "auto", substeps: int = ACCURATE_SUBSTEPS, worlds: int = 4096) -> None:

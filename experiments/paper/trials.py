@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 import envs
-from envs.base import TrainingDefaults
 from envs.engines import resolve_impl
-from envs.fetch.training import training_defaults
 from experiments.paper.study import Setting
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.methods import METHODS
-from hgail_jax.presets import EVALUATION_EPISODES, FEW_UPDATES, PRESETS, Preset, parallel_preset
+from hgail_jax.presets import EVALUATION_EPISODES, FEW_UPDATES, Preset, task_preset
 from hgail_jax.train import env_steps, schedule
 
 FEW_ROUNDS = 100
@@ -25,10 +23,6 @@ _MOST_BEST = 1000  # as Guo et al. 2018 keep
 
 _QUICK: dict[str, Any] = FEW_UPDATES | {"num_envs": 4, "rounds": 1}
 _QUICK_EVALUATION_EPISODES = 8
-
-
-_OF_TABLES = {("grasp", "gpu"): training_defaults(num_envs=1024, rounds=40)}
-"""By task and platform, what methods are compared under, where HGAIL's own training is too short for the others."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,11 +41,6 @@ class Scale:
         return envs.find_class(self.task)
 
     @property
-    def training(self) -> TrainingDefaults:
-        """What a setting is trained with where it says nothing else."""
-        return _OF_TABLES.get((self.task, self.platform), self.task_class.training[self.platform])
-
-    @property
     def evaluation_episodes(self) -> int:
         """Episodes per seed that the final evaluation has at least."""
         return _QUICK_EVALUATION_EPISODES if self.quick else EVALUATION_EPISODES[self.platform]
@@ -59,11 +48,11 @@ class Scale:
     @property
     def task_options(self) -> dict[str, Any]:
         """Options of the task's class in training, e.g. `substeps` of the Fetch tasks."""
-        return dict(self.training.options)
+        return dict(self.task_class.training[self.platform].options)
 
     def preset(self, name: str = "parallel") -> Preset:
         """Returns what a setting starts from."""
-        preset = parallel_preset(self.training) if name == "parallel" else PRESETS[name]
+        preset = task_preset(self.task_class, self.platform, name)
         config = dataclasses.replace(preset.config, **(_QUICK if self.quick else {}))
         config = dataclasses.replace(config, best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
         return dataclasses.replace(preset, config=config)
@@ -161,7 +150,7 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
         task_options=scale.task_options | setting.task_options,
         evaluation_episodes=scale.evaluation_episodes,
         demonstrations_sha256=demonstrations_sha256,
-        usual_evaluate_every=scale.training.evaluate_every,
+        usual_evaluate_every=env.training[scale.platform].evaluate_every,
     )
 
 

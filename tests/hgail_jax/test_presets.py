@@ -15,7 +15,7 @@ from hgail_jax.trainer.options import plan
         ("reach", "cpu", 64, 4, 4, 128, 1),
         ("reach", "gpu", 256, 4, 4, 512, 1),
         ("grasp", "cpu", 512, 16, 8, 512, 2),
-        ("grasp", "gpu", 1024, 16, 8, 1024, 2),
+        ("grasp", "gpu", 1024, 40, 8, 1024, 1),
     ],
 )
 def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, substeps, episodes, evaluate_every):
