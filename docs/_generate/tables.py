@@ -5,7 +5,6 @@ import statistics
 from typing import Any
 
 from docs._generate.results import (
-    RESULTS,
     Row,
     bench,
     count,
@@ -131,19 +130,11 @@ def compilation() -> str:
     }
     cells = []
     for state, name in caches.items():
-        starts = [_start(folder) for folder in (f"reach-hgail-{state}", f"reach-hgail-other-host-{state}")]
-        cells.append(
-            [name, *(seconds(start[what]) if start else "" for start in starts for what in ("compile", "total"))]
-        )
+        starts = [read_json(f"runs/reach-hgail-{host}{state}/summary")["wall_seconds"] for host in ("", "other-host-")]
+        cells.append([name, *(seconds(start[what]) for start in starts for what in ("compile", "total"))])
     commits = [read_json(f"runs/reach-hgail-{host}cached/summary")["commit"] for host in ("", "other-host-")]
     header = [f"compilation, {name} ({commit})" for name, commit in zip(("one host", "another"), commits, strict=True)]
     return markdown(["cached", header[0], "start to end", header[1], "start to end"], cells)
-
-
-def _start(folder: str) -> Row | None:
-    """Returns how long the parts of a run took, None where there is no such run."""
-    name = f"runs/{folder}/summary"
-    return read_json(name)["wall_seconds"] if (RESULTS / f"{name}.json").exists() else None
 
 
 def stepping() -> str:
@@ -171,18 +162,29 @@ def engines(table: str) -> str:
     """How fast an older and a newer version of the engine step the same tasks on a GPU: a table of `bench/`."""
     rows = read_json(f"bench/{table}")["rows"]
     older, newer = dict.fromkeys((row["mujoco"], row["warp"]) for row in rows)
-    same = ("task", "num_envs", "substeps")
     cells = []
     for old in (row for row in rows if row["mujoco"] == older[0]):
-        of_newer = [row for row in rows if row["mujoco"] == newer[0] and all(row[name] == old[name] for name in same)]
-        new, with_ccd = pick(of_newer, nativeccd=False), [row for row in of_newer if row["nativeccd"]]
-        both = [row["env_steps_per_second"] for row in (old, new)]
-        work = [f"{old['task']}, {old['substeps']}", count(old["num_envs"])]
-        ccd = rate(with_ccd[0]["env_steps_per_second"]) if with_ccd else ""
-        cells.append([*work, *map(rate, both), fixed(both[1] / both[0], 2), ccd])
+        same = {name: old[name] for name in ("task", "num_envs", "substeps")} | {"mujoco": newer[0]}
+        silent, warning = (pick(rows, **same, nativeccd=False, warnings=warnings) for warnings in (False, True))
+        with_ccd = [row for row in rows if row["nativeccd"] and all(row[name] == same[name] for name in same)]
+        cells.append(
+            [
+                f"{old['task']}, {old['substeps']}",
+                count(old["num_envs"]),
+                rate(old["env_steps_per_second"]),
+                *(_beside(row, old) for row in (silent, warning)),
+                rate(with_ccd[0]["env_steps_per_second"]) if with_ccd else "",
+            ]
+        )
     names = [f"MuJoCo {mujoco}, warp-lang {warp}" for mujoco, warp in (older, newer)]
-    header = ["task, physics steps per action", "environments", *names, "newer / older", "newer, with nativeccd"]
-    return markdown(header, cells)
+    header = [names[0], f"{names[1]}, silent", "as it comes", "and with nativeccd"]
+    return markdown(["task, physics steps per action", "environments", *header], cells)
+
+
+def _beside(row: Row, other: Row) -> str:
+    """Says the speed of a row, and as a ratio to another row's."""
+    speed = row["env_steps_per_second"]
+    return f"{rate(speed)} ({fixed(speed / other['env_steps_per_second'], 2)})"
 
 
 def engine_options() -> str:
@@ -344,6 +346,24 @@ def grasp_sizes() -> str:
         ends = [f"{fixed(row['success_rate'], 3)} ({fixed(row['worst_seed'], 3)})" for row in of_panel]
         cells.append([panel, *ends, count(of_panel[0]["env_steps_per_seed"]), of_panel[0]["commit"]])
     return markdown(["sizes", *weights, "env steps per seed", "commit"], cells)
+
+
+def smaller_trainings() -> str:
+    """What smaller trainings of grasp on a GPU came to, each run of each."""
+    return markdown(
+        ["sizes", "seeds", "every seed has 0.95 after", "training in all", "success", "worst seed", "commit"],
+        [
+            [
+                row["sizes"],
+                f"{row['seeds'][0]} to {row['seeds'][-1]}",
+                seconds(row["seconds_until_every_seed"]) if row["seconds_until_every_seed"] else "never",
+                seconds(row["train_seconds"]),
+                *(fixed(row[f"final_success_{what}"], 3) for what in ("mean", "worst_seed")),
+                row["made_by"]["commit"],
+            ]
+            for row in read_json("suite/grasp-smaller-trainings")["runs"]
+        ],
+    )
 
 
 def robots() -> str:
