@@ -177,7 +177,7 @@ def engines(table: str) -> str:
             ]
         )
     names = [f"MuJoCo {mujoco}, warp-lang {warp}" for mujoco, warp in (older, newer)]
-    header = [names[0], f"{names[1]}, silent", "as it comes", "and with nativeccd"]
+    header = [names[0], f"{names[1]}, silent", f"{newer[0]} as it comes", f"{newer[0]} as it comes, with nativeccd"]
     return markdown(["task, physics steps per action", "environments", *header], cells)
 
 

@@ -13,7 +13,7 @@ import mujoco
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, and is built all the same
 _SOME_BLOCK = 256  # threads
-_COMPILERS = 8  # at a time, each with memory of its own: 32 of them are no faster on 32 cores, and slower on two
+_COMPILERS = 8  # at a time, each with memory of its own: 32 are no faster on 32 cores, and slower on two
 _PATCHING = threading.Lock()
 
 
@@ -157,8 +157,8 @@ class _Turn:
 def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
     """Loads Warp's modules in several threads, each for the sizes of blocks that it is wanted for.
 
-    Those with most in them are the first, so that none is compiled alone in the end. Those with a Cholesky
-    factorisation are the last: Warp compiles it, for seconds, while it generates their code.
+    Those of the most kernels and functions are the first, so that no large one is left for the end. Those with a
+    Cholesky factorisation come after all others: Warp compiles it, for seconds, while it generates their code.
 
     Raises:
       Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.

@@ -150,13 +150,14 @@ def test_a_module_is_built_for_each_size_of_its_blocks(warp):
     assert module.loaded == [("cuda:0", 64), ("cuda:0", 32)]
 
 
-def test_large_modules_are_the_first_and_factorisations_which_hold_up_all_others_the_last(warp, monkeypatch):
+def test_large_modules_come_first_and_factorisations_which_hold_up_all_others_last(warp, monkeypatch):
     monkeypatch.setattr(warp_kernels, "_COMPILERS", 1)
     built = []
     monkeypatch.setattr(Module, "load", lambda self, device, block_dim: built.append(self.name) or self)
     modules = []
     for name, kernels, functions in [
         ("forward", 15, 0),
+        ("_update_gradient_cholesky", 1, 0),
         ("_tile_cholesky", 1, 30),
         ("smooth", 47, 3),
         ("_friction_dof", 1, 0),
@@ -166,7 +167,7 @@ def test_large_modules_are_the_first_and_factorisations_which_hold_up_all_others
         modules[-1].kernels = dict.fromkeys(map(str, range(kernels)))
         modules[-1].functions = dict.fromkeys(map(str, range(functions)))
     load_side_by_side({module: [] for module in modules}, "cuda:0")
-    assert built == ["sensor", "smooth", "forward", "_friction_dof", "_tile_cholesky"]
+    assert built == ["sensor", "smooth", "forward", "_friction_dof", "_tile_cholesky", "_update_gradient_cholesky"]
 
 
 def test_what_other_threads_load_meanwhile_is_loaded(warp):
