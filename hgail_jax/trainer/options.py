@@ -234,5 +234,6 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
 def _parse_task_option(option: str) -> tuple[str, Any]:
     name, value = parse_option("task", option)
     if name in _PHYSICS:
-        raise ValueError(f"task option {option!r} has an option of its own here, or follows from others")
+        instead = "follows from the numbers of seeds and environments" if name == "worlds" else f"is --{name} here"
+        raise ValueError(f"task option {option!r}: {name} {instead}")
     return name, value
