@@ -13,7 +13,7 @@ import mujoco
 _PACKAGE = "mujoco.mjx.third_party.mujoco_warp"
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, and is built all the same
 _SOME_BLOCK = 256  # threads
-_COMPILERS = 8  # at a time, each with memory of its own: 32 are no faster on 32 cores, and slower on two
+_COMPILERS = 8  # at a time, each with memory of its own; on 32 cores 16 may be a little faster, 32 are not
 _PATCHING = threading.Lock()
 
 
@@ -98,8 +98,8 @@ def generate_code_in_turn() -> None:
 def _without_precompiled_headers(build: Callable) -> Callable:
     """Returns Warp's compilation of a module with headers that are read anew.
 
-    Warp keeps them precompiled for each thread. Of many threads each then compiles its own, for one module or two, and
-    maps and unmaps so much memory that all wait for it. Warp's own setting for it would change the modules' hashes, and
+    Warp keeps them precompiled for each thread. Of several threads each then compiles its own, and maps and unmaps so
+    much memory that all wait for it. Warp's own setting for it would change the modules' hashes, and
     kernels that are cached would be built again.
     """
 
@@ -158,7 +158,7 @@ def load_side_by_side(wanted: Mapping[Any, Sequence[int]], device: Any) -> None:
     """Loads Warp's modules in several threads, each for the sizes of blocks that it is wanted for.
 
     Those of the most kernels and functions are the first, so that no large one is left for the end. Those with a
-    Cholesky factorisation come after all others: Warp compiles it, for seconds, while it generates their code.
+    Cholesky factorisation come after all others: Warp compiles that, for seconds, while it generates the module's code.
 
     Raises:
       Exception: as Warp raises it, or a RuntimeError, where a module cannot be built; `warp.force_load` keeps silent.

@@ -156,11 +156,11 @@ def test_large_modules_come_first_and_factorisations_which_hold_up_all_others_la
     monkeypatch.setattr(Module, "load", lambda self, device, block_dim: built.append(self.name) or self)
     modules = []
     for name, kernels, functions in [
+        ("_friction_dof", 1, 0),
         ("forward", 15, 0),
         ("_update_gradient_cholesky", 1, 0),
         ("_tile_cholesky", 1, 30),
         ("smooth", 47, 3),
-        ("_friction_dof", 1, 0),
         ("sensor", 18, 37),
     ]:
         modules.append(Module(warp, name))
@@ -168,6 +168,24 @@ def test_large_modules_come_first_and_factorisations_which_hold_up_all_others_la
         modules[-1].functions = dict.fromkeys(map(str, range(functions)))
     load_side_by_side({module: [] for module in modules}, "cuda:0")
     assert built == ["sensor", "smooth", "forward", "_friction_dof", "_tile_cholesky", "_update_gradient_cholesky"]
+
+
+def test_no_more_modules_are_loaded_at_a_time_than_there_are_compilers(warp, monkeypatch):
+    monkeypatch.setattr(warp_kernels, "_COMPILERS", 2)
+    both, under_way, most = threading.Barrier(2, timeout=20), [], []
+
+    def load(module: Module, device: str, block_dim: int | None) -> Module:
+        under_way.append(module)
+        both.wait()
+        threading.Event().wait(0.05)  # for a third to come
+        most.append(len(under_way))
+        both.wait()
+        under_way.remove(module)
+        return module
+
+    monkeypatch.setattr(Module, "load", load)
+    load_side_by_side({Module(warp, "alone"): [] for _ in range(6)}, "cuda:0")
+    assert most == [2] * 6
 
 
 def test_what_other_threads_load_meanwhile_is_loaded(warp):
