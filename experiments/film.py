@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-import envs
-from envs.scenes import assets_directory
+import hgail_envs
+from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
-from hgail_jax.io.film import open_film
 from hgail_jax.io.policy import load_policy
-from hgail_jax.playback import Playback, frames
+from hgail_jax.play.film import open_film
+from hgail_jax.play.playback import Playback, frames
 
 FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
 """What is written, and replaced."""
@@ -29,9 +29,10 @@ _TEXT_SIZE, _TEXT_PLACE, _TEXT_COLOUR = 20, (12, 8), (35, 55, 85)
 def main() -> None:
     """Films all tasks that have a scene and a policy in the package."""
     policies = assets_directory() / "policies"
-    tasks = [task for task in envs.TASKS if envs.find_class(task).scene and (policies / f"{task}.npz").exists()]
+    shown = [task for task in hgail_envs.TASKS if hgail_envs.find_class(task).scene]
+    tasks = [task for task in shown if (policies / f"{task}.npz").exists()]
     pictures = [_pictures(task, policies / f"{task}.npz") for task in tasks]
-    period = max(envs.make(task).control_period for task in tasks) * _EVERY
+    period = max(hgail_envs.make(task).control_period for task in tasks) * _EVERY
     FILM.parent.mkdir(parents=True, exist_ok=True)
     with open_film(FILM, period) as append:
         for together in itertools.islice(zip(*pictures, strict=True), round(_SECONDS / period)):
@@ -41,7 +42,7 @@ def main() -> None:
 
 def _pictures(task: str, policy: Path) -> Iterator[np.ndarray]:
     """Yields the pictures of a task, `[height, width, 3]`, for as long as they are wanted."""
-    playback = Playback(envs.make(task), load_policy(policy), seed=0)
+    playback = Playback(hgail_envs.make(task), load_policy(policy), seed=0)
     height, width = _SIZE
     font = ImageFont.load_default(_TEXT_SIZE)
     for frame in frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):

@@ -1,32 +1,71 @@
-"""What a training run is made of: static sizes, sweepable hyperparameters, and their presets."""
+"""Settings of a training: static sizes in `Config`, sweepable scalars in `Hyperparameters`."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
 from flax import struct
 
-from envs import GoalEnv
+from hgail_envs import GoalEnv
+from hgail_envs.validation import check_choice, check_count, check_not_negative, check_positive, check_share
 from hgail_jax.hindsight import FINAL, FUTURE
-from hgail_jax.rewards import R1, R2, R3, R4
-from hgail_jax.validation import check_choice, check_count, check_not_negative, check_positive, check_share
 
 STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
-REWARDS = {"r1": R1, "r2": R2, "r3": R3, "r4": R4}
-"""Reward forms by name."""
+REWARDS = {"r1": 0, "r2": 1, "r3": 2, "r4": 3}
+"""Reward forms by name, see `hgail_jax.discriminator`."""
 EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
-"""Where expert samples come from, see `hgail_jax.experts`."""
+"""Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "likelihood_batch")
+_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "bc_batch")
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
 
 @dataclasses.dataclass(frozen=True)
+class PPO:
+    """Sizes of the learner of the paper: PPO, with a discriminator trained on fresh roll-outs.
+
+    Raises:
+      ValueError: a value is out of its range.
+
+    """
+
+    name: ClassVar[str] = "ppo"
+    pretrain: bool = True
+    """Whether to pre-train policy and discriminator before the first round."""
+    policy_phases: int = 3
+    """Roll-outs with a PPO update in a round (the paper's g_steps)."""
+    discriminator_phases: int = 3
+    """Roll-outs with a discriminator update in a round (the paper's d_steps)."""
+    epochs: int = 2
+    """Passes over the samples of a roll-out in one PPO update."""
+    minibatches: int = 4
+    """Minibatches that a roll-out is cut into in one pass."""
+    bc_batch: int = 0
+    """Expert samples of the behaviour-cloning loss beside each minibatch of PPO; 0 leaves it to the pre-training."""
+    pretrain_policy_minibatches: int = 300
+    """Gradient steps of behaviour cloning in the pre-training."""
+    pretrain_policy_batch: int = 512
+    """Samples in one of them."""
+    pretrain_discriminator_minibatches: int = 500
+    """Gradient steps of the discriminator in the pre-training."""
+    final_learning_rate: float = 0.0
+    """Policy's learning rate at the end of the last round, as a fraction of its start; it shrinks linearly."""
+
+    def __post_init__(self) -> None:
+        _check_fields(self)
+        check_share("final_learning_rate", self.final_learning_rate)
+
+
+LEARNERS: dict[str, type] = {learner.name: learner for learner in (PPO,)}
+"""Sizes of each learner, by the learner's name; its code is the module of that name in `hgail_jax.learners`."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Config:
-    """Shapes and counts of a run: whatever decides the compiled program.
+    """Shapes and counts of a training: all that decides the compiled program.
 
     A sample is one step of one episode; a roll-out holds `num_envs` episodes.
 
@@ -39,49 +78,27 @@ class Config:
     """Episodes in a roll-out."""
     rounds: int = 6
     """Rounds of Algorithm 2 after the pre-training."""
-    pretrain: bool = True
-    """Whether to pre-train policy and discriminator before the first round."""
-    policy_phases: int = 3
-    """Roll-outs with a PPO update in a round (the paper's g_steps)."""
-    discriminator_phases: int = 3
-    """Roll-outs with a discriminator update in a round (the paper's d_steps)."""
-    ppo_epochs: int = 2
-    """Passes over the samples of a roll-out in one PPO update."""
-    ppo_minibatches: int = 4
-    """Minibatches that a roll-out is cut into in one pass."""
+    learner: PPO = dataclasses.field(default_factory=PPO)
+    """Learner, and its own sizes."""
     expert_source: str = RELABELLED
-    """Where expert samples come from: one of `EXPERT_SOURCES`."""
+    """Source of the expert samples: one of `EXPERT_SOURCES`."""
     best_episodes: int = 1000
     """Episodes kept where the expert samples are the best so far."""
-    explore: bool = True
-    """Whether to learn on the task's starts and goals to learn from, or on those that it is measured by."""
-    likelihood_batch: int = 0
-    """Expert samples whose likelihood each minibatch of PPO raises as well; 0 leaves this to the pre-training."""
+    training_goals: bool = True
+    """Whether to learn on the task's training goals (waypoints, relays, random places); else on the evaluation's."""
     discriminator_minibatches: int = 50
     """Gradient steps in one discriminator update."""
     discriminator_batch: int = 512
     """Expert samples, and as many of the policy's, in a gradient step of the discriminator."""
-    pretrain_policy_minibatches: int = 300
-    """Gradient steps of maximum likelihood in the pre-training."""
-    pretrain_policy_batch: int = 512
-    """Samples in one of them."""
-    pretrain_discriminator_minibatches: int = 500
-    """Gradient steps of the discriminator in the pre-training."""
-    final_learning_rate: float = 0.0
-    """What the policy's learning rate has shrunk to at the end of the last round, as a share of its start."""
     policy_hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers of the policy and of the value function."""
+    """Widths of the hidden layers of the policy and of the value functions."""
     discriminator_hidden: tuple[int, ...] = (100, 100)
     """Widths of the hidden layers of the discriminator."""
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.type is int:
-                check_count(field.name, value, least=int(field.name not in _MAY_BE_ZERO))
-            elif field.type is bool and not isinstance(value, bool):
-                raise ValueError(f"{field.name} is {value!r}; it must be True or False")
-        check_share("final_learning_rate", self.final_learning_rate)
+        _check_fields(self)
+        if type(self.learner) not in LEARNERS.values():
+            raise ValueError(f"learner is {self.learner!r}; it must be one of {', '.join(LEARNERS)}, with its sizes")
         if self.expert_source not in EXPERT_SOURCES:
             raise ValueError(f"expert_source is {self.expert_source!r}; it must be one of {', '.join(EXPERT_SOURCES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
@@ -89,6 +106,32 @@ class Config:
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a tuple of widths")
             for width in getattr(self, name):
                 check_count(f"a width in {name}", width)
+
+    def replace(self, **changes: Any) -> "Config":
+        """Returns a copy with some fields changed, the learner's own sizes among them.
+
+        Raises:
+          ValueError: there is no such field, or a value is out of its range.
+
+        >>> config = Config().replace(num_envs=8, minibatches=2)
+        >>> config.num_envs, config.learner.minibatches
+        (8, 2)
+
+        """
+        own = {field.name for field in dataclasses.fields(self)}
+        sizes = {field.name for field in dataclasses.fields(self.learner)}
+        for name in changes:
+            if name not in own | sizes:
+                raise ValueError(f"Config has no field {name!r}, nor has the learner {self.learner.name}")
+        changed = {name: value for name, value in changes.items() if name in own}
+        learner = changed.pop("learner", self.learner)
+        learner = dataclasses.replace(learner, **{name: changes[name] for name in changes if name in sizes - own})
+        return dataclasses.replace(self, learner=learner, **changed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the fields as JSON has them, the learner's with its name."""
+        content = dataclasses.asdict(self)
+        return content | {"learner": {"name": self.learner.name} | content["learner"]}
 
     def validate(self, env: GoalEnv) -> "Config":
         """Returns itself.
@@ -100,9 +143,20 @@ class Config:
         if not isinstance(env, GoalEnv):
             raise ValueError(f"{env!r} is not a GoalEnv")
         samples = self.num_envs * env.episode_length
-        check_count("ppo_minibatches", self.ppo_minibatches, most=samples)
+        if isinstance(self.learner, PPO):
+            check_count("minibatches", self.learner.minibatches, most=samples)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
+
+
+def _check_fields(sizes: Any) -> None:
+    """Refuses counts that are no counts and booleans that are none."""
+    for field in dataclasses.fields(sizes):
+        value = getattr(sizes, field.name)
+        if field.type is int:
+            check_count(field.name, value, least=int(field.name not in _MAY_BE_ZERO))
+        elif field.type is bool and not isinstance(value, bool):
+            raise ValueError(f"{field.name} is {value!r}; it must be True or False")
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -111,15 +165,15 @@ class Hyperparameters(struct.PyTreeNode):
     p_ht: jax.Array | float = 1.0
     """Probability that a step's goal is replaced in hindsight."""
     strategy: jax.Array | int = FUTURE
-    """Where a replaced goal comes from: a value of `STRATEGIES`."""
+    """Hindsight strategy: a value of `STRATEGIES`."""
     include_current: jax.Array | bool = False
     """Whether "future" may also pick the position achieved before the step's own action."""
-    trivial_weight: jax.Array | float = 1.0
-    """Weight of relabelled samples under whose goal nothing is left to do, see `GoalEnv.is_trivial`."""
+    solved_weight: jax.Array | float = 1.0
+    """Weight of relabelled samples whose goal is already solved, see `GoalEnv.already_solved`."""
     ties_by_distance: jax.Array | bool = False
     """Whether, of equally good episodes, those that end nearer to their goal are kept; see `keep_best`."""
-    reward: jax.Array | int = R1
-    """How the discriminator's logit becomes a reward: a value of `REWARDS`."""
+    reward: jax.Array | int = REWARDS["r1"]
+    """Reward form, a function of the discriminator's logit: a value of `REWARDS`."""
     environment_reward: jax.Array | float = 0.0
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
     standardize_reward: jax.Array | bool = True
@@ -132,14 +186,15 @@ class Hyperparameters(struct.PyTreeNode):
     standardize_observation: jax.Array | bool = True
     """Whether observations are shifted and scaled by their statistics so far. They are clipped to ±5 either way."""
     ppo_weight: jax.Array | float = 1.0
-    """Weight of PPO's loss for the policy; 0 leaves it to the likelihood."""
-    likelihood_weight: jax.Array | float = 1.0
-    """Weight of the likelihood of expert samples beside PPO's loss, where the config has a `likelihood_batch`."""
+    """Weight of PPO's loss for the policy; 0 leaves it to behaviour cloning."""
+    bc_weight: jax.Array | float = 1.0
+    """Weight of the behaviour-cloning (BC) loss, the negative log-likelihood of expert samples, beside PPO's loss,
+    where the config has a `bc_batch`."""
     action_std: Any = 0.3
     """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
     final_action_std: jax.Array | float = 1.0
-    """What that deviation has shrunk to at the end of the last round, as a share of its start: wide to explore, narrow
-    where a place must be met exactly."""
+    """Standard deviation at the end of the last round, as a fraction of its start: wide to explore, narrow where a
+    place must be met exactly."""
     discount: jax.Array | float = 0.98
     gae_lambda: jax.Array | float = 0.95
     clip_ratio: jax.Array | float = 0.2
@@ -156,25 +211,14 @@ class Hyperparameters(struct.PyTreeNode):
           action_size: numbers in an action of the task, if it is known.
 
         Raises:
-          ValueError: a value is out of its range. Values that are being traced pass unseen.
+          ValueError: a value is out of its range. Values that are being traced are not checked.
 
         """
-        for name in ("p_ht", "environment_reward", "discount", "gae_lambda"):
+        for name in _SHARES:
             check_share(name, getattr(self, name))
-        for name in ("include_current", "ties_by_distance"):
-            check_share(name, getattr(self, name))
-        for name in ("standardize_reward", "standardize_advantage", "standardize_observation"):
-            check_share(name, getattr(self, name))
-        for name in (
-            "action_std",
-            "final_action_std",
-            "clip_ratio",
-            "reward_scale",
-            "policy_learning_rate",
-            "discriminator_learning_rate",
-        ):
+        for name in _POSITIVE:
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "likelihood_weight", "trivial_weight"):
+        for name in ("ppo_weight", "bc_weight", "solved_weight"):
             check_not_negative(name, getattr(self, name))
         std = self.action_std
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
@@ -183,3 +227,13 @@ class Hyperparameters(struct.PyTreeNode):
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
         return self
+
+
+_SHARES = (
+    *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
+    *("standardize_reward", "standardize_advantage", "standardize_observation"),
+)
+_POSITIVE = (
+    *("action_std", "final_action_std", "clip_ratio", "reward_scale"),
+    *("policy_learning_rate", "discriminator_learning_rate"),
+)

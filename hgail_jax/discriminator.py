@@ -1,4 +1,4 @@
-"""The discriminator: tells relabelled samples from the policy's own.
+"""The discriminator tells relabelled samples from the policy's own: its network, input, loss, training and rewards.
 
 Sign. The paper's equations drive D to 1 on samples of the *policy*. Here the logit, called `dis` in the paper, is the
 *expert-like* one: D = 1 - σ(dis). Cross-entropy therefore labels expert (here relabelled) samples 1 and the policy's
@@ -6,9 +6,32 @@ own samples 0; at its optimum dis = log p_expert(s, a) - log p_policy(s, a), and
 policy towards the expert's samples.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import optax
+
+from hgail_envs import GoalEnv
+from hgail_jax.config import Config
+from hgail_jax.descent import descend
+from hgail_jax.networks import MLP, apply
+from hgail_jax.samples import Samples
+from hgail_jax.state import TrainState
+
+_R2_FLOOR = 1e-3  # r2 takes the logarithm of a number that may be 0
+
+
+def init_discriminator(env: GoalEnv, config: Config, rng: jax.Array) -> tuple[Any, optax.OptState]:
+    """Returns the parameters of an untrained discriminator and its optimiser's state."""
+    params = _network(config).init(rng, jnp.zeros(env.observation_size + env.action_size))
+    return params, _optimizer().init(params)
+
+
+def discriminate(config: Config, params: Any, observation: jax.Array, action: jax.Array) -> jax.Array:
+    """Returns logits, `[...]`, of normalised observations and of actions as the environment takes them: clipped."""
+    inputs = jnp.concatenate([observation, jnp.clip(action, -1.0, 1.0)], axis=-1)
+    return apply(_network(config), params, inputs)[..., 0]
 
 
 def discriminator_loss(expert_logits: jax.Array, policy_logits: jax.Array) -> jax.Array:
@@ -22,5 +45,72 @@ def discriminator_loss(expert_logits: jax.Array, policy_logits: jax.Array) -> ja
 
 
 def discriminator_accuracy(expert_logits: jax.Array, policy_logits: jax.Array) -> jax.Array:
-    """Share of samples on the right side of 0, `[]`; one half is chance."""
+    """Fraction of samples on the right side of 0, `[]`; one half is chance."""
     return 0.5 * (jnp.mean(expert_logits > 0) + jnp.mean(policy_logits <= 0))
+
+
+def fit_discriminator(
+    config: Config, state: TrainState, expert: Samples, policy: Samples, minibatches: int, rng: jax.Array
+) -> tuple[TrainState, dict[str, jax.Array]]:
+    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy."""
+    expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
+
+    def loss(params: Any, indices: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
+        of_expert, of_policy = indices
+        expert_logits = discriminate(config, params, expert_observation[of_expert], expert.action[of_expert])
+        policy_logits = discriminate(config, params, policy_observation[of_policy], policy.action[of_policy])
+        value = discriminator_loss(expert_logits, policy_logits)
+        accuracy = discriminator_accuracy(expert_logits, policy_logits)
+        return value, {"discriminator_loss": value, "discriminator_accuracy": accuracy}
+
+    expert_rng, policy_rng = jax.random.split(rng)
+    shape = (minibatches, config.discriminator_batch)
+    indices = expert.draw(expert_rng, shape), policy.draw(policy_rng, shape)
+    params, optimizer, metrics = descend(
+        _optimizer(),
+        loss,
+        state.discriminator,
+        state.discriminator_optimizer,
+        state.hyperparameters.discriminator_learning_rate,
+        indices,
+    )
+    return state.replace(discriminator=params, discriminator_optimizer=optimizer), metrics
+
+
+def _network(config: Config) -> MLP:
+    """Normalised observation and clipped action, concatenated, to the logit, `[..., 1]`."""
+    return MLP(config.discriminator_hidden, 1)
+
+
+def _optimizer() -> optax.GradientTransformation:
+    """Adam, without the learning rate, which is a hyperparameter of the state."""
+    return optax.scale_by_adam()
+
+
+def imitation_reward(form: jax.Array | int, logits: jax.Array) -> jax.Array:
+    """Returns the reward of logits, `[...]`, in a form of `REWARDS`, which may be traced.
+
+    These are the four forms that the paper's figure 7 compares. The logit is the paper's `dis`, high where a sample
+    looks like an expert's, and all four grow with it.
+    """
+    return jax.lax.switch(form, (r1, r2, r3, r4), logits)
+
+
+def r1(logits: jax.Array) -> jax.Array:
+    """-log(1 - σ(logit)), which is softplus(logit): never negative, the paper's default."""
+    return jax.nn.softplus(logits)
+
+
+def r2(logits: jax.Array) -> jax.Array:
+    """Log clip(logit, 0, 1), with a floor of 1e-3 under the logarithm: flat where the logit is outside (0, 1)."""
+    return jnp.log(jnp.clip(logits, _R2_FLOOR, 1.0))
+
+
+def r3(logits: jax.Array) -> jax.Array:
+    """The logit itself: log p_expert - log p_policy for the best discriminator."""
+    return logits
+
+
+def r4(logits: jax.Array) -> jax.Array:
+    """Log σ(logit) - log(1 - σ(logit)): by algebra the logit again, so that r4 and r3 differ by rounding alone."""
+    return jax.nn.log_sigmoid(logits) - jax.nn.log_sigmoid(-logits)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from envs import GoalEnv
+from hgail_envs import GoalEnv
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN, RELABELLED, Config, Hyperparameters
 from hgail_jax.rollout import Trajectory
 from hgail_jax.samples import Samples, flatten, pursued_samples, relabelled_samples
@@ -86,7 +86,7 @@ def keep_best(env: GoalEnv, hyper: Hyperparameters, best: BestEpisodes, trajecto
     count = best.returns.shape[0]
     fresh = BestEpisodes(
         samples=pursued_samples(env, trajectory),
-        returns=jnp.where(trajectory.sound, trajectory.reward.sum(axis=0), _LEAST_RETURN),
+        returns=jnp.where(trajectory.valid, trajectory.reward.sum(axis=0), _LEAST_RETURN),
         distance=jnp.asarray(trajectory.outcome.distance_l1),
     )
     returns = jnp.concatenate([best.returns, fresh.returns])

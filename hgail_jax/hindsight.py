@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from hgail_jax.validation import check_share
+from hgail_envs.validation import check_share
 
 FUTURE, FINAL = range(2)
 

@@ -1,17 +1,17 @@
-"""The methods of the paper, as the few choices in which they differ."""
+"""The methods of the paper, as data: the few choices in which they differ."""
 
 import dataclasses
 
 from hgail_jax.config import BEST, DEMONSTRATIONS
-from hgail_jax.presets import Preset
+from hgail_jax.defaults import Preset
 
-LIKELIHOOD_BATCH = 512
-"""Expert samples beside a minibatch of PPO where a method or a user asks for them and nothing says how many."""
+BC_BATCH = 512
+"""Expert samples of the BC loss beside a minibatch of PPO, where a method or a user asks for it without a number."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """What a method changes in a preset; the training step is the same for all."""
+    """Changes of a method to a preset; the training step is the same for all."""
 
     description: str
     config: dict = dataclasses.field(default_factory=dict)
@@ -23,10 +23,12 @@ class Method:
 
     def apply(self, preset: Preset) -> Preset:
         """Returns `preset` as this method runs it."""
-        raised = {name: max(getattr(preset.config, name), least) for name, least in self.at_least.items()}
-        return Preset(
-            dataclasses.replace(preset.config, **self.config, **raised),
-            preset.hyperparameters.replace(**self.hyperparameters),
+        sizes = vars(preset.config) | vars(preset.config.learner)
+        raised = {name: max(sizes[name], least) for name, least in self.at_least.items()}
+        return dataclasses.replace(
+            preset,
+            config=preset.config.replace(**self.config, **raised),
+            hyperparameters=preset.hyperparameters.replace(**self.hyperparameters),
         )
 
 
@@ -34,30 +36,30 @@ METHODS = {
     "hgail": Method("hindsight supplies the expert samples of a discriminator"),
     "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
     "gail-demo": Method(
-        "demonstrations supply the expert samples (Ho & Ermon 2016), likelihood kept on (after Jena et al. 2020)",
-        {"expert_source": DEMONSTRATIONS, "explore": False},
-        {"likelihood_weight": 1.0},
-        {"likelihood_batch": LIKELIHOOD_BATCH},
+        "demonstrations supply the expert samples (Ho & Ermon 2016), with a BC loss (after Jena et al. 2020)",
+        {"expert_source": DEMONSTRATIONS, "training_goals": False},
+        {"bc_weight": 1.0},
+        {"bc_batch": BC_BATCH},
         without_effect=("p_ht", "strategy"),
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
     "gasil": Method(
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
-        {"expert_source": BEST, "explore": False},
+        {"expert_source": BEST, "training_goals": False},
         without_effect=("p_ht", "strategy"),
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",
-        {"pretrain": False, "discriminator_phases": 0, "likelihood_batch": 0, "explore": False},
+        {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
         {"environment_reward": 1.0, "ppo_weight": 1.0},
-        without_effect=("pretrain", "p_ht", "strategy", "reward", "likelihood"),
+        without_effect=("pretrain", "p_ht", "strategy", "reward", "bc_weight"),
     ),
     "gcsl": Method(
-        "hindsight maximum likelihood alone: the pre-training's objective, iterated (Ghosh et al. 2021)",
+        "behaviour cloning of relabelled samples alone: the pre-training's loss, iterated (Ghosh et al. 2021)",
         {"discriminator_phases": 0},
         {"ppo_weight": 0.0, "environment_reward": 1.0},
-        {"likelihood_batch": LIKELIHOOD_BATCH},
+        {"bc_batch": BC_BATCH},
         without_effect=("reward", "standardize_reward"),
     ),
 }

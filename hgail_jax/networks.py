@@ -1,4 +1,4 @@
-"""The three networks and the Gaussian policy."""
+"""Networks: the tanh perceptron of the paper, and its Gaussian policy's density."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -6,8 +6,6 @@ from typing import Any, cast
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-
-from hgail_jax.config import Config
 
 _LOG_SQRT_2PI = 0.9189385332046727
 
@@ -29,22 +27,7 @@ class MLP(nn.Module):
         return nn.Dense(self.outputs, kernel_init=init)(inputs)
 
 
-def policy_network(config: Config, action_size: int) -> MLP:
-    """Normalised observation to mean action; starts near zero, so that the first policy explores evenly."""
-    return MLP(config.policy_hidden, action_size, output_scale=1e-4)
-
-
-def value_network(config: Config) -> MLP:
-    """Normalised observation to the expected return, `[..., 1]`."""
-    return MLP(config.policy_hidden, 1)
-
-
-def discriminator_network(config: Config) -> MLP:
-    """Normalised observation and clipped action, concatenated, to the logit, `[..., 1]`."""
-    return MLP(config.discriminator_hidden, 1)
-
-
-def apply(network: MLP, params: Any, inputs: jax.Array) -> jax.Array:
+def apply(network: nn.Module, params: Any, inputs: jax.Array) -> jax.Array:
     """Runs a network: `[..., inputs]` to `[..., outputs]`."""
     return cast(jax.Array, network.apply(params, inputs))
 

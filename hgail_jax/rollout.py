@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from envs import EpisodeMetrics, GoalEnv, State
-from hgail_jax.distributed.sharding import gather, local_shard
-from hgail_jax.validation import check_count
+from hgail_envs import EpisodeMetrics, GoalEnv, State
+from hgail_envs.validation import check_count
+from hgail_jax.devices.sharding import gather, local_shard
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 """Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
@@ -33,12 +33,12 @@ class Trajectory(struct.PyTreeNode):
     """`[T, N]`: log-probability of `action` under the policy that drew it."""
     reward: jax.Array
     """`[T, N]`: the environment's reward."""
-    sound: jax.Array
+    valid: jax.Array
     """`[N]` booleans: whether the simulation stayed finite; where not, all of the above are 0."""
     overflow: jax.Array
     """`[N]` booleans: whether the simulation ran out of room for contacts."""
     outcome: EpisodeMetrics
-    """`[N]`: how the episodes ended; all 0 where not sound."""
+    """`[N]`: how the episodes ended; all 0 where not valid."""
 
     def observation(self, env: GoalEnv) -> jax.Array:
         """Returns the observations under the goals pursued, `[T + 1, N, observation_size]`."""
@@ -50,8 +50,8 @@ def rollout(
     policy: Policy,
     rng: jax.Array,
     num_envs: int,
-    exploring: jax.Array | bool = False,
-    probe: jax.Array | bool = False,
+    training_goals: jax.Array | bool = False,
+    lift_test: jax.Array | bool = False,
     axis: str | None = None,
 ) -> Trajectory:
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
@@ -61,9 +61,9 @@ def rollout(
       policy: what acts.
       rng: a PRNG key.
       num_envs: environments, that is, episodes.
-      exploring: whether the goals are those to learn from, see `GoalEnv`; may be traced.
-      probe: whether the outcome takes the task's probe into account, `env.probe_length` further steps that are no part
-        of the trajectory; may be traced. Without it the outcome is that of a probe that changed nothing.
+      training_goals: whether the goals are those to learn from, see `GoalEnv`; may be traced.
+      lift_test: whether the outcome includes the task's lift test, `env.lift_test_steps` further steps that are no part
+        of the trajectory; may be traced. Without it the outcome is that of a test that changed nothing.
       axis: within a `jax.shard_map`, the mesh axis that the environments are split along. Each device steps its part of
         them, asks `policy` for their actions alone, and returns the trajectory of all of them.
 
@@ -76,8 +76,8 @@ def rollout(
     reset_rngs = local_shard(jax.random.split(reset_rng, num_envs), axis)
     if env.max_worlds is not None:
         check_count("the number of environments on a device", len(reset_rngs), most=env.max_worlds)
-    start = _depend_on(reset_rng, jax.vmap(env.reset, in_axes=(0, None))(reset_rngs, exploring))
-    move = jax.jit(jax.vmap(env.step))  # which the probe does not trace again
+    start = _depend_on(reset_rng, jax.vmap(env.reset, in_axes=(0, None))(reset_rngs, training_goals))
+    move = jax.jit(jax.vmap(env.step))  # which the lift test does not trace again
 
     def step(state: State, rng: jax.Array) -> tuple[State, Any]:
         action, log_prob = policy(state.obs, rng)
@@ -86,15 +86,15 @@ def rollout(
 
     end, (seen, done) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
     seen = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, _seen(end))
-    probed = _probe(env, move, end, done["action"][-1], probe)
-    outcome = jax.vmap(env.outcome)(end, probed)
-    sound = _is_bounded(seen, env.observation_limit) & _is_finite(
-        (done["action"].swapaxes(0, 1), end.pipeline_state, probed.pipeline_state, outcome), len(reset_rngs)
+    lifted = _lift_test(env, move, end, done["action"][-1], lift_test)
+    outcome = jax.vmap(env.outcome)(end, lifted)
+    valid = _is_bounded(seen, env.observation_limit) & _is_finite(
+        (done["action"].swapaxes(0, 1), end.pipeline_state, lifted.pipeline_state, outcome), len(reset_rngs)
     )
-    overflow = jax.vmap(env.overflow)(probed.pipeline_state)
-    steps = gather(_blank(seen | done, sound, env_axis=1), axis, along=1)
-    sound, overflow, outcome = gather((sound, overflow, _blank(outcome, sound, env_axis=0)), axis, along=0)
-    return Trajectory(**steps, sound=sound, overflow=overflow, outcome=outcome)
+    overflow = jax.vmap(env.overflow)(lifted.pipeline_state)
+    steps = gather(_blank(seen | done, valid, env_axis=1), axis, along=1)
+    valid, overflow, outcome = gather((valid, overflow, _blank(outcome, valid, env_axis=0)), axis, along=0)
+    return Trajectory(**steps, valid=valid, overflow=overflow, outcome=outcome)
 
 
 def _seen(state: State) -> dict[str, jax.Array]:
@@ -103,27 +103,33 @@ def _seen(state: State) -> dict[str, jax.Array]:
     return {"features": info["observation"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
 
 
-def _probe(env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array, probe: jax.Array | bool) -> State:
-    """Returns the states that the task's probe leads to where `probe`, else `end`.
+def _lift_test(
+    env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array, wanted: jax.Array | bool
+) -> State:
+    """Returns the states that the lift test leads to where `wanted`, else `end`.
 
     Args:
       env: the task.
       move: takes a step in all environments.
       end: the last states of episodes, `[N, ...]`.
       action: their last actions, `[N, action_size]`.
-      probe: see `rollout`.
+      wanted: `lift_test` of `rollout`.
 
     """
 
     def step(_: jax.Array, carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
         state, action = carry
-        action = jax.vmap(env.probe_action)(action)
+        action = jax.vmap(env.lift_test_action)(action)
         return move(state, action), action
 
-    if not env.probe_length or probe is False:  # so that nothing is compiled for it
+    if not env.lift_test_steps or wanted is False:  # so that nothing is compiled for it
         return end
     return jax.lax.cond(
-        probe, lambda *start: jax.lax.fori_loop(0, env.probe_length, step, start)[0], lambda end, _: end, end, action
+        wanted,
+        lambda *start: jax.lax.fori_loop(0, env.lift_test_steps, step, start)[0],
+        lambda end, _: end,
+        end,
+        action,
     )
 
 
@@ -138,14 +144,14 @@ def _is_finite(tree: Any, num_envs: int) -> jax.Array:
     return jnp.stack([jnp.isfinite(leaf).all(axis=1) for leaf in leaves]).all(axis=0)
 
 
-def _blank(tree: Any, sound: jax.Array, env_axis: int) -> Any:
-    """Returns a tree with 0 for all of the episodes that are not `sound`, `[N]`; no NaN can spread from it.
+def _blank(tree: Any, valid: jax.Array, env_axis: int) -> Any:
+    """Returns a tree with 0 for all of the episodes that are not `valid`, `[N]`; no NaN can spread from it.
 
     Axis `env_axis` of the leaves counts the episodes.
     """
 
     def blank(values: jax.Array) -> jax.Array:
-        keep = jnp.expand_dims(sound, [axis for axis in range(values.ndim) if axis != env_axis])
+        keep = jnp.expand_dims(valid, [axis for axis in range(values.ndim) if axis != env_axis])
         return jnp.where(keep, values, jnp.zeros_like(values))
 
     return jax.tree.map(blank, tree)

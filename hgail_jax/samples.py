@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from envs import GoalEnv
+from hgail_envs import GoalEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.hindsight import relabel
 from hgail_jax.rollout import Trajectory
@@ -78,7 +78,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     """Returns the samples of a trajectory under goals replaced in hindsight.
 
     Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`. Within
-    a kind, samples under whose goal nothing is left to do count `hyper.trivial_weight` times.
+    a kind, samples under whose goal nothing is left to do count `hyper.solved_weight` times.
     """
     desired, weight = trajectory.desired[:-1], step_weight(trajectory)
     share = _kind_share(env, desired, weight)
@@ -90,7 +90,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     rngs = jax.random.split(rng, desired.shape[1])
     goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
     features = trajectory.features[:-1]
-    weight = weight * jnp.where(env.is_trivial(features, goal), hyper.trivial_weight, 1.0)
+    weight = weight * jnp.where(env.already_solved(features, goal), hyper.solved_weight, 1.0)
     weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
     return flatten(Samples(env.goal_observation(features, goal), trajectory.action, weight))
 
@@ -103,7 +103,7 @@ def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
 
 def step_weight(trajectory: Trajectory) -> jax.Array:
     """1 for the steps of sound episodes, else 0: `[T, N]`."""
-    return jnp.broadcast_to(trajectory.sound, trajectory.reward.shape).astype(jnp.float32)
+    return jnp.broadcast_to(trajectory.valid, trajectory.reward.shape).astype(jnp.float32)
 
 
 def flatten(tree: Any) -> Any:

@@ -1,73 +1,87 @@
 """The training step: one round of Algorithm 2 as a pure function.
 
 A round is a row of phases, each of which is one roll-out and what is done with it. A scan over the phases runs them,
-so the roll-out is traced and compiled once whatever the round holds, and `schedule` lists the rounds of a whole run:
+so the roll-out is traced and compiled once whatever the round holds, and `phase_table` lists the rounds of a whole run:
 
-    state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
+    state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, phase_table(config))
 """
 
-import enum
 import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from brax.training.acme import running_statistics, specs
 from flax import struct
 
-from envs import EpisodeMetrics, GoalEnv
-from hgail_jax.config import Config
+from hgail_envs import EpisodeMetrics, GoalEnv
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.discriminator import init_discriminator
 from hgail_jax.evaluate import mean_outcome
-from hgail_jax.rollout import Trajectory, rollout
+from hgail_jax.experts import init_expert
+from hgail_jax.learners import find_learner
+from hgail_jax.learners.base import EVALUATE, LEARNING, SKIP, Phase
+from hgail_jax.rollout import Policy, Trajectory, rollout
+from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, split_key
-from hgail_jax.updates import UpdateMetrics, make_policy, pretrain, update_discriminator, update_policy
+
+Metrics = dict[str, jax.Array]
 
 
-class Phase(enum.IntEnum):
-    """What is done with a roll-out."""
+def init_state(
+    env: GoalEnv,
+    config: Config,
+    hyperparameters: Hyperparameters,
+    rng: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns the state of an untrained learner; `jax.vmap` it over `rng` for several seeds.
 
-    SKIP = 0
-    """Nothing; there is no roll-out either."""
-    PRETRAIN = 1
-    """Policy and discriminator are fitted to it (Algorithm 2, lines 1 to 3)."""
-    POLICY = 2
-    """PPO under the discriminator's reward (a g_step)."""
-    DISCRIMINATOR = 3
-    """The discriminator learns to tell it from expert samples (a d_step)."""
-    EVALUATE = 4
-    """The mean action is measured, and nothing is learnt."""
+    Args:
+      env: the task.
+      config: sizes and counts.
+      hyperparameters: scalars, or tracers where a sweep is vmapped.
+      rng: a PRNG key, from `jax.random.key`.
+      demonstrations: leaves `[S, ...]`; where the config's expert samples are demonstrations, and only there.
+
+    Raises:
+      ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`; or there are several standard
+        deviations, but not one for each number of an action.
+
+    """
+    config.validate(env)
+    hyperparameters.validate(env.action_size)
+    *learner_rngs, discriminator_rng, rng = jax.random.split(rng, 4)
+    discriminator, discriminator_optimizer = init_discriminator(env, config, discriminator_rng)
+    return TrainState(
+        learner=find_learner(config).init(env, config, jnp.stack(learner_rngs)),
+        discriminator=discriminator,
+        discriminator_optimizer=discriminator_optimizer,
+        statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
+        hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
+        rng=rng,
+        expert=init_expert(env, config, demonstrations),
+    )
 
 
-SKIP, PRETRAIN, POLICY, DISCRIMINATOR, EVALUATE = Phase
-LEARNING = (PRETRAIN, POLICY, DISCRIMINATOR)
-"""The phases that learn."""
-
-
-def _learn_nothing(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, UpdateMetrics]:
-    del env, config, trajectory, rng
-    return state, UpdateMetrics()
-
-
-_UPDATES = {
-    SKIP: _learn_nothing,
-    PRETRAIN: pretrain,
-    POLICY: update_policy,
-    DISCRIMINATOR: update_discriminator,
-    EVALUATE: _learn_nothing,
-}
+def make_policy(
+    env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
+) -> Policy:
+    """Returns the policy of `state`, to be rolled out; see `Learner.policy`."""
+    return find_learner(config).policy(env, config, state, noise, axis)
 
 
 class PhaseMetrics(struct.PyTreeNode):
-    """What a phase measured, all `[]`."""
+    """Measurements of a phase, all `[]`."""
 
     episodes: EpisodeMetrics
-    update: UpdateMetrics
+    update: Metrics
+    """By the names of `Learner.metrics`; NaN where the phase does not measure it."""
     dropped: jax.Array | float = 0.0
-    """Share of the episodes whose simulation broke down."""
+    """Fraction of the episodes whose simulation broke down."""
     overflow: jax.Array | float = 0.0
-    """Share of the episodes whose simulation ran out of room for contacts."""
+    """Fraction of the episodes whose simulation ran out of room for contacts."""
     diverged: jax.Array | float = 0.0
     """1 where the update was not finite, and was undone."""
 
@@ -79,34 +93,33 @@ class RoundMetrics(struct.PyTreeNode):
     """Episodes under the mean action."""
     training: EpisodeMetrics
     """Episodes under the stochastic policy."""
-    update: UpdateMetrics
+    update: Metrics
+    """By the names of `Learner.metrics`."""
     dropped: jax.Array
-    """Share of all episodes whose simulation broke down; nothing was learnt from them."""
+    """Fraction of all episodes whose simulation broke down; nothing was learnt from them."""
     overflow: jax.Array
-    """Share of all episodes whose simulation ran out of room for contacts: with more than 0 results are wrong."""
+    """Fraction of all episodes whose simulation ran out of room for contacts: with more than 0 results are wrong."""
     diverged: jax.Array
-    """Share of the updates that were not finite, and were undone."""
+    """Fraction of the updates that were not finite, and were undone."""
 
 
-def schedule(config: Config) -> np.ndarray:
-    """Returns the phases of a whole run, integers `[rounds + 1, phases]`.
+def phase_table(config: Config) -> np.ndarray:
+    """Returns the phases of a whole run, integers `[rounds + 1, phases]`, as `Phase` numbers them.
 
     Row 0 is the pre-training, if there is one; every row ends with an evaluation.
     """
-    updates = [POLICY] * config.policy_phases + [DISCRIMINATOR] * config.discriminator_phases
-    first = [PRETRAIN if config.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
-    return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
+    return find_learner(config).phase_table(config)
 
 
 def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
-    """Returns the environment steps that each row of a schedule learns from; evaluations do not count."""
+    """Returns the environment steps that each row of a table of phases learns from; evaluations do not count."""
     return np.isin(phases, LEARNING).sum(axis=-1) * config.num_envs * env.episode_length
 
 
 def train_step(
     env: GoalEnv, config: Config, state: TrainState, phases: jax.Array | np.ndarray, axis: str | None = None
 ) -> tuple[TrainState, RoundMetrics]:
-    """Runs one round. Pure: bind `env` and `config`, then jit, scan over a schedule, or vmap over states.
+    """Runs one round. Pure: bind `env` and `config`, then jit, scan over a table of phases, or vmap over states.
 
     What went wrong cannot be raised from within: `check_metrics` does so from what is returned.
 
@@ -114,7 +127,7 @@ def train_step(
       env: the task.
       config: sizes and counts.
       state: the learner, from `init_state` or an earlier step.
-      phases: `[phases]`, a row of a schedule. Under a vmap over states leave it unbatched, so that a phase runs its
+      phases: `[phases]`, a row of `phase_table`. Under a vmap over states leave it unbatched, so that a phase runs its
         own update and no other.
       axis: within a `jax.shard_map`, the mesh axis that the environments are split along; see `rollout`.
 
@@ -132,29 +145,11 @@ def train_step(
     return state, RoundMetrics(
         evaluation=over(measured.episodes, phases == EVALUATE),
         training=over(measured.episodes, learns),
-        update=UpdateMetrics(
-            **{
-                name: over(values, jnp.isin(phases, jnp.array(MEASURED_BY[name])))
-                for name, values in vars(measured.update).items()
-            }
-        ),
+        update=over(measured.update, learns),
         dropped=over(measured.dropped, phases != SKIP),
         overflow=over(measured.overflow, phases != SKIP),
         diverged=over(measured.diverged, learns),
     )
-
-
-MEASURED_BY = {
-    "reward": (POLICY,),
-    "policy_loss": (POLICY,),
-    "likelihood_loss": (PRETRAIN, POLICY),
-    "value_loss": (POLICY,),
-    "clip_fraction": (POLICY,),
-    "kl": (POLICY,),
-    "discriminator_loss": (PRETRAIN, DISCRIMINATOR),
-    "discriminator_accuracy": (PRETRAIN, DISCRIMINATOR),
-}
-"""Kinds of phase that fill each of `UpdateMetrics`."""
 
 
 def check_metrics(metrics: RoundMetrics) -> None:
@@ -183,16 +178,19 @@ def _run_phase(
     env: GoalEnv, config: Config, axis: str | None, state: TrainState, phase: jax.Array
 ) -> tuple[TrainState, PhaseMetrics]:
     def skip(state: TrainState) -> tuple[TrainState, PhaseMetrics]:
-        return state, _as_arrays(PhaseMetrics(EpisodeMetrics(), UpdateMetrics()))
+        return state, _as_arrays(PhaseMetrics(EpisodeMetrics(), _named(config, {})))
 
     def run(state: TrainState) -> tuple[TrainState, PhaseMetrics]:
         evaluating = phase == EVALUATE
         following_rng, phase_rng = jax.lax.cond(evaluating, _keys_of_evaluation, _keys_of_learning, state.rng)
         rollout_rng, update_rng = jax.random.split(phase_rng)
-        policy = make_policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
-        exploring = ~evaluating if config.explore else False
-        present = env.eased(jnp.where(evaluating, 1.0, state.progress(config)))
-        trajectory = rollout(present, policy, rollout_rng, config.num_envs, exploring, probe=evaluating, axis=axis)
+        learner = find_learner(config)
+        policy = learner.policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
+        training_goals = ~evaluating if config.training_goals else False
+        present = env.curriculum(jnp.where(evaluating, 1.0, learner.progress(config, state)))
+        trajectory = rollout(
+            present, policy, rollout_rng, config.num_envs, training_goals, lift_test=evaluating, axis=axis
+        )
         after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
         return after.replace(rng=following_rng), metrics
 
@@ -217,23 +215,24 @@ def _keys_of_learning(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _learn(
     env: GoalEnv, config: Config, phase: jax.Array, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, PhaseMetrics]:
-    """Returns the learner after a phase's update, or as it was where there is nothing sound to learn."""
+    """Returns the learner after a phase's update, or as it was where there is nothing valid to learn."""
+    updates = find_learner(config).updates
 
-    def branch(update: Any) -> Any:
-        def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, UpdateMetrics]:
-            learnt, metrics = update(env, config, state, trajectory, rng)
-            return learnt, _as_arrays(metrics)
+    def branch(kind: Phase) -> Any:
+        def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, Metrics, jax.Array]:
+            learnt, metrics = updates[kind](env, config, state, trajectory, rng) if kind in updates else (state, {})
+            return learnt, _named(config, metrics), _is_finite((learnt, metrics))
 
         return run
 
-    learnt, metrics = jax.lax.switch(phase, [branch(_UPDATES[kind]) for kind in Phase], state, trajectory, rng)
-    taught, finite = trajectory.sound.any(), _is_finite((learnt, metrics))
+    learnt, metrics, finite = jax.lax.switch(phase, [branch(kind) for kind in Phase], state, trajectory, rng)
+    taught = trajectory.valid.any()
     after = jax.tree.map(lambda new, old: jnp.where(taught & finite, new, old), learnt, state)
     return after, _as_arrays(
         PhaseMetrics(
             episodes=mean_outcome(trajectory),
             update=metrics,
-            dropped=1.0 - trajectory.sound.mean(),
+            dropped=1.0 - trajectory.valid.mean(),
             overflow=trajectory.overflow.mean(),
             diverged=taught & ~finite,
         )
@@ -245,6 +244,12 @@ def _is_finite(tree: Any) -> jax.Array:
     floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     # Of one array: XLA would copy a chain over the leaves into each of the many places that need the result.
     return jnp.isfinite(jnp.concatenate(floating)).all()
+
+
+def _named(config: Config, metrics: Metrics) -> Metrics:
+    """Returns a number for each of the learner's metrics, NaN for those that were not measured."""
+    names = find_learner(config).metrics
+    return {name: jnp.asarray(metrics.get(name, jnp.nan), jnp.float32) for name in names}
 
 
 def _as_arrays(metrics: Any) -> Any:

@@ -8,9 +8,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import pytest  # noqa: E402
 
-import envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
-from envs.scenes import assets_directory, load_scene  # noqa: E402
-from envs.vision.rgbd import open_renderer  # noqa: E402
+import hgail_envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
+from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
+from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
 
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 

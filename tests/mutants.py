@@ -2,7 +2,7 @@
 
     python -m tests.mutants [module ...] [--sample N] [--seed S]
 
-A module is named by its path less the suffix, e.g. `hgail_jax/ppo`. Each mutant runs in a process of its own, forked
+A module is named by its path less the suffix, e.g. `hgail_jax/train`. Each mutant runs in a process of its own, forked
 from this one, which has imported the libraries but started nothing of JAX.
 """
 
@@ -29,18 +29,18 @@ LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
 EXPERTS, PPO, ROLLOUT, TRAIN = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout", "train"))
-GOALS, PRESETS = "tests/envs/test_goals.py", "tests/hgail_jax/test_presets.py"
-OBJECTS = "tests/envs/fetch/test_objects.py"
+GOALS, PRESETS = "tests/hgail_envs/test_goals.py", "tests/hgail_jax/test_presets.py"
+OBJECTS = "tests/hgail_envs/fetch/test_objects.py"
 
 TESTS = {
     "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
     "hgail_jax/samples": [SAMPLES, UPDATES],
     "hgail_jax/experts": [SAMPLES, EXPERTS],
     "hgail_jax/rewards": ["tests/hgail_jax/test_rewards.py", UPDATES],
-    "hgail_jax/ppo": [PPO, UPDATES],
+    "hgail_jax/learners/ppo_loss": [PPO, UPDATES],
     "hgail_jax/discriminator": ["tests/hgail_jax/test_discriminator.py", UPDATES],
     "hgail_jax/networks": [PPO, UPDATES, LEARNING],
-    "hgail_jax/updates": [UPDATES, LEARNING],
+    "hgail_jax/learners/ppo": [UPDATES, LEARNING],
     "hgail_jax/train": [UPDATES, TRAIN, LEARNING],
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, UPDATES],
     "hgail_jax/evaluate": [SAMPLES, UPDATES],
@@ -48,11 +48,11 @@ TESTS = {
     "hgail_jax/methods": [LEARNING, EXPERTS],
     "envs/base": [GOALS, SAMPLES],
     "envs/point": [GOALS, SAMPLES],
-    "envs/fetch/reach": [GOALS, PRESETS],
-    "envs/fetch/grasp": [GOALS, PRESETS],
-    "envs/fetch/objects": [OBJECTS],
-    "envs/fetch/push": [OBJECTS],
-    "envs/fetch/pick_and_place": [OBJECTS],
+    "envs/hgail_envs/fetch/reach": [GOALS, PRESETS],
+    "envs/hgail_envs/fetch/grasp": [GOALS, PRESETS],
+    "envs/hgail_envs/fetch/objects": [OBJECTS],
+    "envs/hgail_envs/fetch/push": [OBJECTS],
+    "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
 }
 """What is run for a module, the quickest first."""
 
@@ -71,12 +71,12 @@ EQUIVALENT = {
         # Any constant leaves the order to what was kept earlier.
         "order = jnp.lexsort((jnp.where(hyper.ties_by_distance, distance, 1.0), -returns))[:count]",
     ],
-    "hgail_jax/ppo": [
+    "hgail_jax/learners/ppo_loss": [
         # The shapes are the same; a sum of weights is 0 or at least 1.
         "return jax.lax.scan(accumulate, jnp.zeros_like(delta[1]), delta, reverse=True)[1]",
         "return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 2e-08)",
     ],
-    "hgail_jax/updates": [
+    "hgail_jax/learners/ppo": [
         # Of an axis of one number JAX takes that one for any index.
         'value = apply(value_network(config), state.actor_critic["value"], observation)[..., 1]',
         'predicted = apply(value_network(config), params["value"], part["observation"])[..., 1]',
@@ -84,7 +84,7 @@ EQUIVALENT = {
     ],
     "hgail_jax/rollout": [
         # It only spares the compiler a branch.
-        "if (env.probe_length or probe is not False):",
+        "if (env.lift_test_steps or probe is not False):",
         # A choice between equals, there for the compiler.
         "always = jnp.all(jax.random.key_data(rng) >= 0)",
         "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)",
@@ -96,7 +96,7 @@ EQUIVALENT = {
         # The key is replaced right after.
         "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
     ],
-    "envs/fetch/grasp": [
+    "envs/hgail_envs/fetch/grasp": [
         # The method does not look at its object.
         "return FetchEnv.goal_kind(goal, goal)",
         # The last number is set.

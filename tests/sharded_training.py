@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import envs
-from hgail_jax import Hyperparameters, schedule
-from hgail_jax.distributed.seeds import compile_train_step, init_seeds, trace_evaluation
-from hgail_jax.distributed.sharding import check_replicas, make_mesh, shard
+import hgail_envs
+from hgail_jax import Hyperparameters, phase_table
+from hgail_jax.devices.sharding import check_replicas, make_mesh, shard
+from hgail_jax.seeds import compile_train_step, init_seeds, trace_evaluation
 from tests.support import ROOT, TINY, four_devices
 
 
@@ -23,8 +23,8 @@ def train(task, groups, devices, final=True):
 
     `groups` lists equally many seeds each; those of a group train side by side, and one program trains all groups.
     """
-    env = envs.make(task, substeps=4) if task == "reach" else envs.make(task)
-    phases, mesh = schedule(TINY), make_mesh(len(groups[0]), TINY.num_envs, jax.devices()[:devices])
+    env = hgail_envs.make(task, substeps=4) if task == "reach" else hgail_envs.make(task)
+    phases, mesh = phase_table(TINY), make_mesh(len(groups[0]), TINY.num_envs, jax.devices()[:devices])
     step, evaluate, results = None, None, []
     for seeds in groups:
         states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))

@@ -7,8 +7,8 @@ import resource
 from pathlib import Path
 
 from hgail_jax import PRESETS, Config, Hyperparameters, Preset
-from hgail_jax.distributed.seeds import compile_train_step, trace_evaluation
-from hgail_jax.presets import EVALUATION_EPISODES
+from hgail_jax.defaults import EVALUATION_EPISODES
+from hgail_jax.seeds import compile_train_step, trace_evaluation
 from hgail_jax.trainer import loop, trainer
 
 ROOT = Path(__file__).parent.parent
@@ -19,7 +19,7 @@ TINY = Config(
     rounds=2,
     policy_phases=2,
     discriminator_phases=1,
-    ppo_minibatches=2,
+    minibatches=2,
     discriminator_minibatches=3,
     discriminator_batch=8,
     pretrain_policy_minibatches=3,

@@ -131,7 +131,7 @@ def grasp_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['likelihood_weight']:g}",
+                f"{row['bc_weight']:g}",
                 "{} to {}".format(*row["seeds"]),
                 fixed(row["success_rate"], 3),
                 fixed(row["worst_seed"], 3),
@@ -150,7 +150,7 @@ def push_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['likelihood_weight']:g}",
+                f"{row['bc_weight']:g}",
                 str(row["seed"]),
                 fixed(row["success_rate"], 3),
                 count(row["env_steps"]),

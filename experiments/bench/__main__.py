@@ -11,9 +11,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-import envs
-from envs.engines import ENGINES
-from envs.fetch.arm import FetchEnv
 from experiments.bench import contrastive, speed
 from experiments.bench.engine_options import measure_options
 from experiments.bench.figures import draw_learners
@@ -23,11 +20,14 @@ from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
 from experiments.bench.whole_runs import measure_compilation, measure_time_to_success
 from experiments.bench.workload import Workload, default_preset, default_substeps
+from hgail_envs import TASKS, find_class
+from hgail_envs.engines import ENGINES
+from hgail_envs.fetch.arm import FetchEnv
+from hgail_envs.validation import check_count, check_name, check_positive
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
-from hgail_jax.presets import platform_name
+from hgail_jax.defaults import platform_name
+from hgail_jax.io.provenance import provenance
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.trainer.provenance import provenance
-from hgail_jax.validation import check_count, check_name, check_positive
 
 PROGRAM = "bench"
 
@@ -120,7 +120,7 @@ def _check(options: Options) -> None:
     if options.run and not _OF_WHOLE_RUNS & set(options.section):
         raise ValueError(f"--run is for --section {' and '.join(sorted(_OF_WHOLE_RUNS))}")
     for task in options.task:
-        check_name("task", task, [task for task in envs.TASKS if issubclass(envs.find_class(task), FetchEnv)])
+        check_name("task", task, [name for name in TASKS if issubclass(find_class(name), FetchEnv)])
         if "learners" in options.section:
             check_name("task of learners", task, contrastive.TASKS)
     if "engine-options" in options.section and importlib.util.find_spec("warp") is None:

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 from mujoco import mjx, rollout
 
-from envs.engines import Control, EngineState
-from envs.engines.c import CEngine, usable_cores
-from envs.engines.mjx import MjxEngine
-from envs.fetch.arm import FetchEnv
 from experiments.bench.bare_warp import WarpLoop
 from experiments.bench.timing import compile_timed
+from hgail_envs.engines import Control, EngineState
+from hgail_envs.engines.c import CEngine, usable_cores
+from hgail_envs.engines.mjx import MjxEngine
+from hgail_envs.fetch.arm import FetchEnv
 
 _FULL_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)

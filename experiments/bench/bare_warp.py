@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from envs.engines import Control, EngineState
-from envs.engines.mjx import buffer_sizes
+from hgail_envs.engines import Control, EngineState
+from hgail_envs.engines.mjx import buffer_sizes
 
 _KERNEL_SECONDS = 2e-6  # that a GPU takes at least from the start of a kernel to that of the next
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import Env, State, Wrapper
 
-import envs
-from envs.fetch.arm import FetchEnv
-from hgail_jax.validation import check_name
+import hgail_envs
+from hgail_envs.fetch.arm import FetchEnv
+from hgail_envs.validation import check_name
 
 TASKS = ("reach", "push", "pick-and-place", "slide")
 """Tasks whose goals are positions, which is what it learns."""
@@ -61,7 +61,7 @@ class JaxGcrlTask(Env):
         check_name("task", task, TASKS)
         of_object = task != "reach"
         options = {"observation": "official"} if of_object else {}
-        env = envs.make(task, impl=impl, substeps=substeps, worlds=worlds, **options)
+        env = hgail_envs.make(task, impl=impl, substeps=substeps, worlds=worlds, **options)
         assert isinstance(env, FetchEnv)
         self.env = env
         self.state_dim = env.feature_size

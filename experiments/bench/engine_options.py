@@ -9,13 +9,13 @@ import jax
 import mujoco
 import numpy as np
 
-from envs.engines import Control, EngineState
-from envs.engines.c import CEngine
 from experiments.bench.bare_loops import rollout_loop
 from experiments.bench.bare_warp import WarpLoop
 from experiments.bench.stepping import step_task
 from experiments.bench.timing import seconds_per_call
 from experiments.bench.workload import Workload
+from hgail_envs.engines import Control, EngineState
+from hgail_envs.engines.c import CEngine
 
 _COMPARED = 64  # environments that C MuJoCo steps too
 _SWEEP_AND_PRUNE = 1  # mujoco_warp.BroadphaseType.SAP_TILE

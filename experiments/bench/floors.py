@@ -5,9 +5,9 @@ import math
 import jax
 from mujoco import mjx
 
-from envs.fetch.arm import settle
 from experiments.bench.timing import arithmetic_rate, memory_bandwidth
 from experiments.bench.workload import Workload
+from hgail_envs.fetch.arm import settle
 
 
 def measure_floors(workload: Workload) -> dict[str, float]:

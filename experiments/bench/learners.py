@@ -8,7 +8,7 @@ from typing import Any
 from experiments.bench.contrastive import JaxGcrlTask, train_contrastive
 from experiments.bench.whole_runs import made_by, train
 from experiments.bench.workload import default_substeps
-from hgail_jax.presets import platform_name
+from hgail_jax.defaults import platform_name
 
 METHODS = {"hgail": "HGAIL", "gcsl": "GCSL", "ppo": "PPO"}
 """This project's, by name, and what they are called here."""

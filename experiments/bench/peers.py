@@ -16,15 +16,15 @@ import jax
 import mujoco
 import numpy as np
 
-import envs
-from envs.engines.c import usable_cores
-from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, FetchEnv, settle
-from envs.scenes import load_scene
+import hgail_envs
 from experiments.bench.stepping import raw_rate
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload, default_substeps
 from experiments.reference import make_reference
-from hgail_jax.presets import platform_name
+from hgail_envs.engines.c import usable_cores
+from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, settle
+from hgail_envs.scenes import load_scene
+from hgail_jax.defaults import platform_name
 
 PACKAGES = ("gymnasium", "gymnasium-robotics", "envpool", "stable-baselines3", "torch")
 """What the peers are made of, beside this project's own packages."""
@@ -82,9 +82,9 @@ def own_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
         return
     trained = default_substeps(task, "cpu")
     for impl, name, substeps in (
-        ("c", "C MuJoCo", ACCURATE_SUBSTEPS),
+        ("c", "C MuJoCo", REFERENCE_SUBSTEPS),
         ("c", "C MuJoCo", trained),
-        ("jax", "MJX-JAX", ACCURATE_SUBSTEPS),
+        ("jax", "MJX-JAX", REFERENCE_SUBSTEPS),
     ):
         workload = Workload(task, impl, 4 if quick else _POOLED, substeps, quick)
         yield {
@@ -98,7 +98,7 @@ def own_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
 def rollout_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times C MuJoCo on this project's scene, in as many threads as there are cores, with random targets."""
     threads = usable_cores()
-    for substeps in (ACCURATE_SUBSTEPS, default_substeps(task, "cpu")):
+    for substeps in (REFERENCE_SUBSTEPS, default_substeps(task, "cpu")):
         rate = _rollout_rate(task, substeps, threads, 2 if quick else 50)
         yield {"what": f"mujoco.rollout, {threads} threads", "substeps": substeps, "env_steps_per_second": rate}
 
@@ -107,7 +107,7 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
     """Returns the environment steps per second of whole episodes, each of them one call."""
     from mujoco import rollout
 
-    task_class = cast(type[FetchEnv], envs.find_class(task))
+    task_class = cast(type[FetchEnv], hgail_envs.find_class(task))
     model, batch = load_scene(task_class.scene), 8 * threads
     settled = settle(model, task_class.base_x, task_class.start_height)
     model.opt.timestep = CONTROL_PERIOD / substeps
@@ -125,7 +125,7 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
 
 def _reference(task: str) -> str:
     """Returns the name of the Gymnasium environment that a task is held to."""
-    name = envs.find_class(task).reference
+    name = hgail_envs.find_class(task).reference
     if name is None:
         raise ValueError(f"{task} has no counterpart in Gymnasium")
     return name
@@ -147,7 +147,7 @@ def gymnasium_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
                 vector.step(vector.action_space.sample())
                 taken += count
         what = f"{_reference(task)}, {kind.__name__} of {count}"
-        yield {"what": what, "substeps": ACCURATE_SUBSTEPS, "env_steps_per_second": taken / seconds}
+        yield {"what": what, "substeps": REFERENCE_SUBSTEPS, "env_steps_per_second": taken / seconds}
 
 
 def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
@@ -163,7 +163,7 @@ def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     yield {
         "what": f"EnvPool {measured['version']} {_reference(task)}, {threads} threads",
         "num_envs": _POOLED,
-        "substeps": ACCURATE_SUBSTEPS,
+        "substeps": REFERENCE_SUBSTEPS,
         "env_steps_per_second": measured["env_steps_per_second"],
     }
 
@@ -228,8 +228,8 @@ def jaxgcrl_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Times JaxGCRL's arm task that resembles ours, 25 × 2 ms an action on MJX-JAX, stepped as ours is."""
     env = _make_jaxgcrl(*{"reach": ("arm_reach", "ArmReach"), "grasp": ("arm_grasp", "ArmGrasp")}[task])
 
-    def step(states: envs.State, actions: jax.Array) -> jax.Array:
-        def act(states: envs.State, actions: jax.Array) -> tuple[envs.State, None]:
+    def step(states: hgail_envs.State, actions: jax.Array) -> jax.Array:
+        def act(states: hgail_envs.State, actions: jax.Array) -> tuple[hgail_envs.State, None]:
             return jax.vmap(env.step)(states, actions), None
 
         return jax.lax.scan(act, states, actions)[0].obs

@@ -9,7 +9,7 @@ import jax
 from experiments.bench.timing import seconds_per_call
 from experiments.bench.training import Training
 from experiments.bench.workload import Workload
-from hgail_jax.distributed.sharding import make_mesh
+from hgail_jax.devices.sharding import make_mesh
 
 
 def measure_seeds(workload: Workload, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:

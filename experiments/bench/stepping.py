@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 
 import jax
 
-import envs
-from envs.engines import Control
-from envs.fetch.arm import FetchEnv
+import hgail_envs
 from experiments.bench.bare_loops import bare_loops
 from experiments.bench.bare_warp import WarpLoop
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload
+from hgail_envs.engines import Control
+from hgail_envs.fetch.arm import FetchEnv
 
 
 class Stepping:
@@ -51,14 +51,14 @@ def raw_rate(workload: Workload) -> float:
     return workload.env_steps / seconds_per_call(raw)
 
 
-def _raw(workload: Workload, start: envs.State) -> tuple[Callable, float]:
+def _raw(workload: Workload, start: hgail_envs.State) -> tuple[Callable, float]:
     """Returns an episode of random actions in one compiled program, and the seconds that its compilation took."""
     actions = workload.actions()
     step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), start, actions)
     return functools.partial(step, start, actions), compile_seconds
 
 
-def step_task(env: FetchEnv, states: envs.State, actions: jax.Array) -> tuple[envs.State, Control]:
+def step_task(env: FetchEnv, states: hgail_envs.State, actions: jax.Array) -> tuple[hgail_envs.State, Control]:
     """Steps `N` environments by actions `[T, N, action_size]`.
 
     Returns:
@@ -66,11 +66,11 @@ def step_task(env: FetchEnv, states: envs.State, actions: jax.Array) -> tuple[en
 
     """
 
-    def control(state: envs.State, action: jax.Array) -> Control:
+    def control(state: hgail_envs.State, action: jax.Array) -> Control:
         grip = action[3] if env.model.nu else None  # the fingers have servos
         return env.control(state.pipeline_state, action[:3], grip)
 
-    def step(states: envs.State, actions: jax.Array) -> tuple[envs.State, Control]:
+    def step(states: hgail_envs.State, actions: jax.Array) -> tuple[hgail_envs.State, Control]:
         return jax.vmap(env.step)(states, actions), jax.vmap(control)(states, actions)
 
     return jax.lax.scan(step, states, actions)

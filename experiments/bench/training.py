@@ -12,13 +12,12 @@ from jax.sharding import Mesh
 
 from experiments.bench.timing import compile_timed
 from experiments.bench.workload import Workload
-from hgail_jax.distributed.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
-from hgail_jax.distributed.sharding import shard
+from hgail_jax.devices.sharding import shard
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import relabelled_samples
-from hgail_jax.state import TrainState, init_state
-from hgail_jax.train import Phase, schedule
-from hgail_jax.updates import make_policy
+from hgail_jax.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
+from hgail_jax.state import TrainState
+from hgail_jax.train import Phase, init_state, make_policy, phase_table
 
 
 class Training:
@@ -34,7 +33,7 @@ class Training:
     def __init__(self, workload: Workload, seeds: int = 1, mesh: Mesh | None = None) -> None:
         preset = workload.preset()
         self.config = preset.config
-        self._row = schedule(self.config)[0]
+        self._row = phase_table(self.config)[0]
         states = init_seeds(workload.env, self.config, preset.hyperparameters, seed_keys(0, seeds))
         self._states = states if mesh is None else shard(states, mesh)
 
@@ -57,7 +56,9 @@ class Training:
 
     def updates(self) -> list[Phase]:
         """Returns the phases of a round that learn."""
-        return [Phase.POLICY] * self.config.policy_phases + [Phase.DISCRIMINATOR] * self.config.discriminator_phases
+        return [Phase.POLICY] * self.config.learner.policy_phases + [
+            Phase.DISCRIMINATOR
+        ] * self.config.learner.discriminator_phases
 
 
 class RollingOut:
@@ -133,11 +134,11 @@ def shares(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
     A phase is a roll-out, perhaps the relabelling of its samples, and an update, which is the rest.
     """
     config = workload.preset().config
-    policy, discriminator = config.policy_phases, config.discriminator_phases
+    policy, discriminator = config.learner.policy_phases, config.learner.discriminator_phases
     stepping = workload.env_steps / row["raw_env_steps_per_second"]
     rolling_out = workload.env_steps / row["rollout_env_steps_per_second"]
     relabelling = row["relabel_seconds"]
-    policy_relabelling = relabelling if config.likelihood_batch else 0.0  # PPO alone needs no expert samples
+    policy_relabelling = relabelling if config.learner.bc_batch else 0.0  # PPO alone needs no expert samples
     seconds = {
         "physics": (policy + discriminator) * stepping,
         "policy_and_bookkeeping": (policy + discriminator) * (rolling_out - stepping),

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hgail_jax.trainer.provenance import own_command
+from hgail_jax.io.provenance import own_command
 
 SUCCESS = {"reach": 0.98}
 """The success rate that every seed is to reach, by task."""

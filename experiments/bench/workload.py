@@ -5,21 +5,21 @@ import functools
 
 import jax
 
-import envs
-from envs.fetch.arm import FetchEnv
-from hgail_jax.presets import FEW_UPDATES, Preset, platform_name, task_preset
+import hgail_envs
+from hgail_envs.fetch.arm import FetchEnv
+from hgail_jax.defaults import FEW_UPDATES, Preset, platform_name, task_preset
 
 _QUICK_EPISODE = 4  # steps
 
 
 def default_preset(task: str) -> Preset:
     """Returns what a task is trained with on this platform."""
-    return task_preset(envs.find_class(task), platform_name())
+    return task_preset(hgail_envs.find_class(task), platform_name())
 
 
 def default_substeps(task: str, platform: str) -> int:
     """Returns the physics steps per action that a Fetch task is trained with on `"cpu"` or `"gpu"`."""
-    return envs.find_class(task).training[platform].options["substeps"]
+    return task_preset(hgail_envs.find_class(task), platform).task_options["substeps"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Workload:
 
     task: str
     impl: str
-    """Physics engine, see `envs.engines.resolve_impl`."""
+    """Physics engine, see `hgail_envs.engines.resolve_impl`."""
     num_envs: int
     substeps: int
     """Physics steps per action."""
@@ -40,7 +40,7 @@ class Workload:
     @functools.cached_property
     def env(self) -> FetchEnv:
         """The task."""
-        env = envs.make(self.task, impl=self.impl, substeps=self.substeps, worlds=self.worlds or self.num_envs)
+        env = hgail_envs.make(self.task, impl=self.impl, substeps=self.substeps, worlds=self.worlds or self.num_envs)
         assert isinstance(env, FetchEnv)
         if self.quick:
             env.episode_length = _QUICK_EPISODE
@@ -55,13 +55,13 @@ class Workload:
         """Returns what the task is trained with by default, in roll-outs of `num_envs` episodes."""
         preset = default_preset(self.task)
         quick = FEW_UPDATES if self.quick else {}
-        return dataclasses.replace(preset, config=dataclasses.replace(preset.config, num_envs=self.num_envs, **quick))
+        return dataclasses.replace(preset, config=preset.config.replace(num_envs=self.num_envs, **quick))
 
     def actions(self) -> jax.Array:
         """Returns random actions, `[T, N, action_size]`."""
         shape = (self.env.episode_length, self.num_envs, self.env.action_size)
         return jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
 
-    def reset(self) -> envs.State:
+    def reset(self) -> hgail_envs.State:
         """Returns the states at the start of an episode, `[N, ...]`."""
         return jax.jit(jax.vmap(self.env.reset))(jax.random.split(jax.random.key(0), self.num_envs))

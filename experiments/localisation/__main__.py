@@ -11,12 +11,12 @@ from experiments.localisation.keypoint_training import train
 from experiments.localisation.localiser import detect_colour
 from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
+from hgail_envs.validation import check_count
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import write_csv, write_json
+from hgail_jax.io.provenance import provenance
+from hgail_jax.trainer.folder import create_folder, next_folder
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.trainer.provenance import provenance
-from hgail_jax.trainer.run_folder import create_folder, next_folder
-from hgail_jax.validation import check_count
 
 _PROGRAM = "localisation"
 _MOST_SEED = 2**31 - 1

@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.localisation.localiser import Detector, Noise, Sighting, locate, sight
 from experiments.localisation.random_scenes import Sample, Studio
-from hgail_jax.trainer.status import progress_bar
+from hgail_jax.terminal.status import progress_bar
 
 SWEEPS: dict[str, tuple[float, ...]] = {
     "pixel": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import traverse_util
 
-from envs.vision.camera import Camera
-from envs.vision.rgbd import Picture
 from experiments.localisation.localiser import PIXELS, Detection, Detector
+from hgail_envs.vision.camera import Camera
+from hgail_envs.vision.rgbd import Picture
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
 

@@ -14,7 +14,7 @@ import optax
 from experiments.localisation.keypoint_network import KeypointNetwork, labels, predictor
 from experiments.localisation.localiser import PIXELS
 from experiments.localisation.random_scenes import Studio
-from hgail_jax.trainer.status import progress_bar
+from hgail_jax.terminal.status import progress_bar
 
 _BATCH = 64
 _LEARNING_RATE, _WEIGHT_DECAY = 3e-3, 1e-4

@@ -20,9 +20,9 @@ import mujoco
 import numpy as np
 from scipy import ndimage
 
-from envs.fetch.grasp import CUBE_WIDTH
-from envs.vision.camera import Camera, look_at
-from envs.vision.rgbd import Photographer, Picture, Stage, add_shape
+from hgail_envs.fetch.grasp import CUBE_WIDTH
+from hgail_envs.vision.camera import Camera, look_at
+from hgail_envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 
 MARKER_RADIUS = 0.02
 """Metres, radius of the ball that marks a goal in the air."""

@@ -15,13 +15,13 @@ import numpy as np
 from matplotlib.colors import hsv_to_rgb
 from scipy.spatial.transform import Rotation
 
-from envs.fetch.arm import LEAST_DISTANCE, TABLE_HEIGHT, settle
-from envs.fetch.grasp import CUBE_RANGE, CUBE_WIDTH
-from envs.fetch.reach import GOAL_RANGE
-from envs.scenes import load_scene
-from envs.vision.camera import Camera
-from envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 from experiments.localisation.localiser import MARKER_RADIUS, RED, ball, overhead, paint, read_depth, surface_to_centre
+from hgail_envs.fetch.arm import LEAST_DISTANCE, TABLE_HEIGHT, settle
+from hgail_envs.fetch.grasp import CUBE_RANGE, CUBE_WIDTH
+from hgail_envs.fetch.reach import GOAL_RANGE
+from hgail_envs.scenes import load_scene
+from hgail_envs.vision.camera import Camera
+from hgail_envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 
 _AWAY = [0.0, 0.0, -1.0]  # metres; under the floor, where the cube is when the ball is the target
 _MOST_CLUTTER = 8

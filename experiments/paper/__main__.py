@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 from typing import Annotated, Literal
 
-import envs
+import hgail_envs
 from experiments.paper.aggregate import write_aggregates
 from experiments.paper.seeds import choose_seeds
 from experiments.paper.spread import carry_out
@@ -15,13 +15,13 @@ from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.study import Study
 from experiments.paper.trials import Scale
 from experiments.paper.work import Unfinished, Work, redraw, time_one_program
+from hgail_envs.validation import check_count, check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
-from hgail_jax.distributed.gpus import visible_gpus
-from hgail_jax.presets import platform_name
+from hgail_jax.defaults import platform_name
+from hgail_jax.devices.gpus import visible_gpus
+from hgail_jax.terminal.signals import stop_on_signal
+from hgail_jax.trainer.folder import sole_user
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.trainer.run_folder import sole_user
-from hgail_jax.trainer.signals import stop_on_signal
-from hgail_jax.validation import check_count, check_name
 
 _PROGRAM = "paper"
 _QUICK_SEEDS = 2
@@ -77,7 +77,7 @@ def plan(options: Options, platform: str) -> list[Work]:
     folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
     works = []
     for task in tasks:
-        envs.find_class(task)
+        hgail_envs.find_class(task)
         studies = _wanted(options, task)
         for study in studies:
             _check_options(study, task)
@@ -89,7 +89,7 @@ def plan(options: Options, platform: str) -> list[Work]:
 
 def _check_options(study: Study, task: str) -> None:
     asked = {option for setting in study.settings for option in setting.task_options}
-    if lacking := asked - set(envs.accepted_options(task)):
+    if lacking := asked - set(hgail_envs.accepted_options(task)):
         raise ValueError(f"study {study.name!r} is for tasks with the option {min(lacking)!r}; {task!r} has none")
 
 

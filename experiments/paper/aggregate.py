@@ -8,7 +8,7 @@ import numpy as np
 from experiments.paper.tables import files
 from experiments.paper.work import Work
 from hgail_jax.io.files import write_csv
-from hgail_jax.statistics import interquartile_mean
+from hgail_jax.trainer.statistics import interquartile_mean
 
 
 def write_aggregates(works: list[Work]) -> None:

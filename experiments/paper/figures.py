@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.paper.studies import FIGURES
 from hgail_jax.io.files import replace_file
-from hgail_jax.statistics import confidence_interval
+from hgail_jax.trainer.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow

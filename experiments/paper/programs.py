@@ -10,14 +10,15 @@ from typing import Any
 import jax
 import numpy as np
 
-import envs
+import hgail_envs
 from experiments.paper.trials import Trial
-from hgail_jax.distributed.seeds import evaluate_seeds, evaluation_episodes, split_sweep
+from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.samples import Samples
+from hgail_jax.seeds import evaluate_seeds, split_sweep
+from hgail_jax.terminal.status import StatusLine
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.loop import Program, Progress, SavingPolicy, begin, train
-from hgail_jax.trainer.status import StatusLine
 
 _CHECKPOINT_SECONDS = 60.0
 
@@ -32,7 +33,7 @@ def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
     return list(groups.values())
 
 
-def make_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None) -> Program:
+def make_program(env: hgail_envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None) -> Program:
     """Returns the program of trials that share one."""
     return Program(
         env=env,
@@ -46,7 +47,7 @@ def make_program(env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples
 
 
 def train_program(
-    env: envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None, folder: Path, stop: threading.Event
+    env: hgail_envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None, folder: Path, stop: threading.Event
 ) -> list[dict[str, Any]] | None:
     """Trains and evaluates all seeds of trials that share a program.
 
@@ -109,7 +110,8 @@ def _results(
             "success": curves["success"][index].T.tolist(),
             "distance_l1": curves["distance_l1"][index].T.tolist(),
             "final": {name: np.asarray(values)[index].tolist() for name, values in final.items()},
-            "evaluation_episodes": evaluation_episodes(program.config, trials[0].evaluation_episodes),
+            "evaluation_episodes": whole_rollouts(trials[0].evaluation_episodes, program.config.num_envs)
+            * program.config.num_envs,
             "diverged_seeds": int(diverged[index].sum()),
             "program": {"settings": len(trials), "seconds": seconds, "dropped": worst_dropped},
         }
@@ -117,7 +119,7 @@ def _results(
     ]
 
 
-def time_sweep(env: envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
+def time_sweep(env: hgail_envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
     """Trains trials that share a program at once, then one after another, and returns the seconds of both.
 
     Both compile once, apart from the training, and neither is evaluated in the end.

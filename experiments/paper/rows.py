@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from experiments.paper.study import Setting, Study
-from hgail_jax.statistics import Estimate, confidence_interval, interquartile_mean, probability_of_improvement
+from hgail_jax.trainer.statistics import Estimate, confidence_interval, interquartile_mean, probability_of_improvement
 
 _FINAL = {
     "success": "success_rate",

@@ -1,6 +1,6 @@
 """Which seeds choose settings, and which are reported: never the same ones."""
 
-from hgail_jax.distributed.seeds import check_seeds
+from hgail_jax.seeds import check_seeds
 
 REPORTED_SEEDS = range(0, 8)
 """Of the tables and figures. No setting is chosen by what comes of them."""

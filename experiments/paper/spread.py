@@ -126,5 +126,5 @@ def _carry_out(job: Job) -> None:
 def _size(job: Job) -> int:
     """Returns about how many environment steps a job has."""
     config = job.trials[0].config
-    phases = config.rounds * (config.policy_phases + config.discriminator_phases + 1)
+    phases = config.rounds * (config.learner.policy_phases + config.learner.discriminator_phases + 1)
     return phases * config.num_envs * len(job.trials) * len(job.trials[0].seeds)

@@ -6,7 +6,7 @@ from experiments.paper.parts import PARTS
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.defaults import AS_WRITTEN
 
 MOST_DEMONSTRATIONS = 100
 LONGER = "table1-longer"
@@ -58,7 +58,7 @@ _METHODS = Study(
             f"GAIL-demo ({PAPER_DEMONSTRATIONS}), no likelihood",
             _VARIANTS,
             method="gail-demo",
-            config={"likelihood_batch": 0},
+            config={"bc_batch": 0},
             demonstrations=PAPER_DEMONSTRATIONS,
             paper=_GAIL_DEMO,
         ),
@@ -67,7 +67,7 @@ _METHODS = Study(
                 f"GAIL-demo ({PAPER_DEMONSTRATIONS}), likelihood × {weight:g}",
                 _VARIANTS,
                 method="gail-demo",
-                hyperparameters={"likelihood_weight": weight},
+                hyperparameters={"bc_weight": weight},
                 demonstrations=PAPER_DEMONSTRATIONS,
                 paper=_GAIL_DEMO,
             )

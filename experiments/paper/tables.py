@@ -11,7 +11,7 @@ from experiments.paper.seeds import describe_seeds
 from experiments.paper.studies import LONGER
 from experiments.paper.study import Study
 from hgail_jax.io.files import replace_file, write_csv
-from hgail_jax.statistics import Estimate
+from hgail_jax.trainer.statistics import Estimate
 
 _OLDER = "**Older:** the settings of this table are no longer those of its name.\n\n"
 

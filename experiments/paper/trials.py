@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-import envs
-from envs.engines import resolve_impl
+import hgail_envs
 from experiments.paper.study import Setting
+from hgail_envs.engines import resolve_impl
 from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.defaults import EVALUATION_EPISODES, FEW_UPDATES, Preset, task_preset
 from hgail_jax.methods import METHODS
-from hgail_jax.presets import EVALUATION_EPISODES, FEW_UPDATES, Preset, task_preset
-from hgail_jax.train import env_steps, schedule
+from hgail_jax.train import env_steps, phase_table
 
 FEW_ROUNDS = 100
 """Up to so many rounds a setting is evaluated in every one of them."""
@@ -36,9 +36,9 @@ class Scale:
     """Takes sizes that show that everything runs, and nothing else."""
 
     @property
-    def task_class(self) -> type[envs.GoalEnv]:
+    def task_class(self) -> type[hgail_envs.GoalEnv]:
         """The task."""
-        return envs.find_class(self.task)
+        return hgail_envs.find_class(self.task)
 
     @property
     def evaluation_episodes(self) -> int:
@@ -48,16 +48,16 @@ class Scale:
     @property
     def task_options(self) -> dict[str, Any]:
         """Options of the task's class in training, e.g. `substeps` of the Fetch tasks."""
-        return dict(self.task_class.training[self.platform].options)
+        return dict(task_preset(self.task_class, self.platform).task_options)
 
     def preset(self, name: str = "parallel") -> Preset:
         """Returns what a setting starts from."""
         preset = task_preset(self.task_class, self.platform, name)
-        config = dataclasses.replace(preset.config, **(_QUICK if self.quick else {}))
-        config = dataclasses.replace(config, best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
+        config = preset.config.replace(**(_QUICK if self.quick else {}))
+        config = config.replace(best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
         return dataclasses.replace(preset, config=config)
 
-    def make_env(self, worlds: int, **options: Any) -> envs.GoalEnv:
+    def make_env(self, worlds: int, **options: Any) -> hgail_envs.GoalEnv:
         """Makes the task with the physics that it is trained in, for so many environments at once.
 
         Args:
@@ -66,9 +66,9 @@ class Scale:
 
         """
         options = self.task_options | options
-        if "worlds" in envs.accepted_options(self.task):
+        if "worlds" in hgail_envs.accepted_options(self.task):
             options["worlds"] = worlds
-        return envs.make(self.task, **options)
+        return hgail_envs.make(self.task, **options)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Trial:
 
     def identity(self) -> dict[str, Any]:
         """Returns, as JSON has it, what another computation of the same results shares with this one."""
-        physics = {"impl": resolve_impl("auto")} if "impl" in envs.accepted_options(self.task) else {}
+        physics = {"impl": resolve_impl("auto")} if "impl" in hgail_envs.accepted_options(self.task) else {}
         identity = {
             "task": self.task,
             "method": self.setting.method,
@@ -96,7 +96,7 @@ class Trial:
             "evaluation_episodes": self.evaluation_episodes,
             "physics": physics | self.task_options,
             "demonstrations": self.demonstrations_sha256,
-            "config": dataclasses.asdict(self.config),
+            "config": self.config.as_dict(),
             "hyperparameters": {name: np.asarray(value).tolist() for name, value in vars(self.hyperparameters).items()},
         }
         return json.loads(json.dumps(identity))
@@ -135,12 +135,12 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
     """
     env = scale.task_class
     base = METHODS[setting.method].apply(scale.preset(setting.preset))
-    config = dataclasses.replace(base.config, **setting.config)
+    config = base.config.replace(**setting.config)
     if "rounds" not in setting.config:
         wanted = setting.steps_on(scale.task) * _steps(env, scale.preset().config)
-        before = _steps(env, dataclasses.replace(config, rounds=0))
-        each = _steps(env, dataclasses.replace(config, rounds=1)) - before
-        config = dataclasses.replace(config, rounds=max(round((wanted - before) / each), 1))
+        before = _steps(env, config.replace(rounds=0))
+        each = _steps(env, config.replace(rounds=1)) - before
+        config = config.replace(rounds=max(round((wanted - before) / each), 1))
     return Trial(
         task=scale.task,
         setting=setting,
@@ -150,9 +150,9 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
         task_options=scale.task_options | setting.task_options,
         evaluation_episodes=scale.evaluation_episodes,
         demonstrations_sha256=demonstrations_sha256,
-        usual_evaluate_every=env.training[scale.platform].evaluate_every,
+        usual_evaluate_every=base.evaluate_every,
     )
 
 
 def _steps(env: Any, config: Config) -> int:
-    return int(env_steps(env, config, schedule(config)).sum())
+    return int(env_steps(env, config, phase_table(config)).sum())

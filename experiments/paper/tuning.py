@@ -5,7 +5,7 @@ from typing import Any
 
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from hgail_jax.config import REWARDS
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.defaults import AS_WRITTEN
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
@@ -37,17 +37,17 @@ _OF_NUMBERS = (
 )
 _OF_COUNTS = (
     _change("policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}),
-    _change("policy: 1 update of 3,200", {"ppo_minibatches": 1}),
-    _change("policy: 5 updates of 640", {"ppo_minibatches": 5}),
-    _change("policy: 2 × 4 updates of 800", {"ppo_epochs": 2, "ppo_minibatches": 4}),
-    _change("policy: 4 × 25 updates of 128", {"ppo_epochs": 4}),
+    _change("policy: 1 update of 3,200", {"minibatches": 1}),
+    _change("policy: 5 updates of 640", {"minibatches": 5}),
+    _change("policy: 2 × 4 updates of 800", {"epochs": 2, "minibatches": 4}),
+    _change("policy: 4 × 25 updates of 128", {"epochs": 4}),
     *(_change(f"discriminator: {count} updates", {"discriminator_minibatches": count}) for count in (1, 10, 200, 500)),
     *(
         _change(f"phases {policy} + {discriminator}", {"policy_phases": policy, "discriminator_phases": discriminator})
         for policy, discriminator in ((1, 3), (3, 3), (16, 16))
     ),
     *(
-        _change(f"{episodes} episodes in a phase", {"num_envs": episodes, "ppo_minibatches": minibatches})
+        _change(f"{episodes} episodes in a phase", {"num_envs": episodes, "minibatches": minibatches})
         for episodes, minibatches in ((5, 2), (16, 6), (256, 100))  # of 125 to 133 samples each
     ),
 )
@@ -77,7 +77,7 @@ _GAIL_DEMO_WEIGHT = Study(
         Setting(
             f"likelihood × {weight:g}",
             method="gail-demo",
-            hyperparameters={"likelihood_weight": weight},
+            hyperparameters={"bc_weight": weight},
             demonstrations=PAPER_DEMONSTRATIONS,
         )
         for weight in (1.0, 0.3, 3.0, 10.0)
@@ -99,7 +99,7 @@ def _grasp(episodes: int, rounds: int, hidden: int | None) -> tuple[Setting, ...
     sizes = {"num_envs": episodes, "rounds": rounds}
     panel = f"{episodes} episodes, {rounds} rounds" + (f", {hidden} wide" if hidden else "")
     return tuple(
-        Setting(f"likelihood × {weight:g}", panel, config=sizes | widths, hyperparameters={"likelihood_weight": weight})
+        Setting(f"likelihood × {weight:g}", panel, config=sizes | widths, hyperparameters={"bc_weight": weight})
         for weight in (0.3, 1.0, 3.0)
     )
 

@@ -19,9 +19,9 @@ from experiments.paper.tables import files, set_aside, write_study
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
-from hgail_jax.recording import load_or_record, make_for_demonstrations
-from hgail_jax.trainer.identity import AnotherRunError, refuse_another_run
-from hgail_jax.trainer.provenance import own_command, provenance
+from hgail_jax.io.provenance import own_command, provenance
+from hgail_jax.play.recording import load_or_record, make_for_demonstrations
+from hgail_jax.trainer.folder import AnotherRunError, refuse_another_run
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +174,7 @@ def time_one_program(work: Work) -> None:
     trials = [work.trial(setting) for setting in SWEEP]
     env = work.scale.make_env(len(trials) * len(trials[0].seeds) * trials[0].config.num_envs)
     timed = time_sweep(env, trials)
-    write_json(path, timed | {"config": dataclasses.asdict(trials[0].config)} | work.made_by())
+    write_json(path, timed | {"config": trials[0].config.as_dict()} | work.made_by())
     print(f"one program is {timed['ratio']:.1f} times as fast as {len(trials)} one after another -> {path}")
 
 

@@ -8,26 +8,26 @@ from pathlib import Path
 
 import numpy as np
 
-import envs
-from envs.fetch.arm import ACCURATE_SUBSTEPS, FAST_SUBSTEPS
+import hgail_envs
 from experiments.parity.moves import one_step_errors, open_loop_drift, open_loop_ends, random_moves
 from experiments.parity.reference import make_counterpart
+from hgail_envs.fetch.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import check_writable, write_json
-from hgail_jax.trainer.provenance import provenance
+from hgail_jax.io.provenance import provenance
 
 PROGRAM = "parity"
 
 _ROWS = (
-    ("reach", "c", ACCURATE_SUBSTEPS),
+    ("reach", "c", REFERENCE_SUBSTEPS),
     ("reach", "c", FAST_SUBSTEPS),
-    ("reach", "jax", ACCURATE_SUBSTEPS),
+    ("reach", "jax", REFERENCE_SUBSTEPS),
     ("reach", "jax", FAST_SUBSTEPS),
-    ("grasp", "c", ACCURATE_SUBSTEPS),
+    ("grasp", "c", REFERENCE_SUBSTEPS),
     ("grasp", "c", 8),
-    ("push", "c", ACCURATE_SUBSTEPS),
-    ("pick-and-place", "c", ACCURATE_SUBSTEPS),
-    ("slide", "c", ACCURATE_SUBSTEPS),
+    ("push", "c", REFERENCE_SUBSTEPS),
+    ("pick-and-place", "c", REFERENCE_SUBSTEPS),
+    ("slide", "c", REFERENCE_SUBSTEPS),
 )
 
 
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def measure(task: str, impl: str, substeps: int) -> dict[str, str | int | float]:
     """Returns a row of the table: errors of the gripper in one action and drifts without feedback, millimetres."""
-    env = envs.make(task, impl=impl, substeps=substeps)
+    env = hgail_envs.make(task, impl=impl, substeps=substeps)
     reference = make_counterpart(env)
     errors = 1000 * one_step_errors(env, reference, random_moves(reference))
     drift = 1000 * open_loop_drift(env, *open_loop_ends(reference))

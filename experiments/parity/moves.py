@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from envs.fetch.arm import FetchEnv, FetchPhysics
 from experiments.parity.reference import gripper, place
+from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 
 EPISODES, STEPS = 8, 48
 """Of the moves: 384 of them."""

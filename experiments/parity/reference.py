@@ -6,8 +6,8 @@ import jax
 import mujoco
 import numpy as np
 
-from envs.fetch.arm import FetchEnv, FetchPhysics
 from experiments.reference import make_reference
+from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 
 _LONGER_THAN_ANY = 10_000  # steps
 _NAMES = {

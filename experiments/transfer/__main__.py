@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
-from envs.engines.c import usable_cores
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
@@ -18,11 +17,11 @@ from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
+from hgail_envs.engines.c import usable_cores
+from hgail_envs.validation import check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
+from hgail_jax.terminal.status import progress_bar
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.trainer.status import progress_bar
-from hgail_jax.validation import check_count, check_not_negative, parse_option
-from hgail_jax.wording import counted
 
 if TYPE_CHECKING:
     RobotName = str

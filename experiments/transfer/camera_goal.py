@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from envs.vision.rgbd import open_renderer
 from experiments.localisation.keypoint_network import load_detector
 from experiments.localisation.localiser import TILTED, Localiser, Noise, overhead
 from experiments.localisation.paths import WEIGHTS
 from experiments.transfer.conditions import Estimate
 from experiments.transfer.robots.base import Robot
+from hgail_envs.vision.rgbd import open_renderer
 
 
 def check_rendering() -> None:

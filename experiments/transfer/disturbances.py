@@ -104,10 +104,10 @@ DISTURBANCES = {
         (-0.1, -0.05, 0.0, 0.05, 0.1),
         lambda share: Conditions(gravity=share),
     ),
-    "sag": Disturbance(
+    "z_bias": Disturbance(
         "sinking in each action, share of a full displacement",
         (-0.1, -0.05, 0.0, 0.05, 0.1),
-        sizes=_twice("sag"),
+        sizes=_twice("z_bias"),
     ),
     "friction": Disturbance(
         "friction, times the model's",

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from envs import EpisodeMetrics, GoalEnv, find_class
-from envs.fetch.grasp import LEAST_RISE
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.model_changes import changed
 from experiments.transfer.observing import History, Sensors
 from experiments.transfer.robots.base import Robot
+from hgail_envs import EpisodeMetrics, GoalEnv, find_class
+from hgail_envs.fetch.grasp import LEAST_RISE
 
 
 def run_episode(
@@ -59,11 +59,13 @@ def _run(
         robot.step(action)
         watch()
     position, target = robot.carried(), robot.target()
-    achieved = bool(robot.features()[7]) if task.probe_length else robot.reached()  # 7: whether the hand holds the cube
-    for _ in range(task.probe_length):
-        robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.probe_action`
+    achieved = (
+        bool(robot.features()[7]) if task.lift_test_steps else robot.reached()
+    )  # 7: whether the hand holds the cube
+    for _ in range(task.lift_test_steps):
+        robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.lift_test_action`
         watch()
-    rise = robot.target()[2] - target[2] if task.probe_length else np.inf
+    rise = robot.target()[2] - target[2] if task.lift_test_steps else np.inf
     return _judge(task, position, target, achieved, achieved and rise > LEAST_RISE)
 
 

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 
-from envs.vision.rgbd import open_renderer
 from experiments.transfer.conditions import MeanAction
 from experiments.transfer.episode import episode_rngs, run_episode
 from experiments.transfer.robots.base import Robot
+from hgail_envs.vision.rgbd import open_renderer
 from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels

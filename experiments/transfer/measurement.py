@@ -12,15 +12,15 @@ import jax
 import numpy as np
 from scipy import stats
 
-from envs import EpisodeMetrics
 from experiments.localisation.localiser import TargetNotSeenError
 from experiments.transfer.conditions import Conditions
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
+from hgail_envs import EpisodeMetrics
 from hgail_jax.io.policy import MeanPolicy, load_policy
-from hgail_jax.trainer.status import progress_bar
+from hgail_jax.terminal.status import progress_bar
 
 Measured = dict[str, float | None]
 """Columns of a row that are measured."""

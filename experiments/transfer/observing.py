@@ -4,9 +4,9 @@ import collections
 
 import numpy as np
 
-from envs.randomization import Randomization
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.robots.base import Robot
+from hgail_envs.randomization import Randomization
 
 
 class Sensors:

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import envs
-from envs import EpisodeMetrics
-from envs.randomization import Randomization
-from envs.randomized import RandomizedEnv
+import hgail_envs
+from hgail_envs import EpisodeMetrics
+from hgail_envs.randomization import Randomization
+from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.io.policy import MeanPolicy, mean_action
 from hgail_jax.rollout import rollout
 
@@ -26,7 +26,7 @@ _MOST = Randomization(  # of what the points below ask for; the program is made 
     friction=(0.5, 1.5),
     hand_opening=1.0,
 )
-_SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history", "growth"))
+_SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history", "ramp"))
 
 
 class ParallelFetch:
@@ -43,7 +43,7 @@ class ParallelFetch:
     def __init__(self, task: str, policies: Sequence[MeanPolicy], episodes: int, seed: int) -> None:
         history = policies[0].randomization.history
         most = Randomization(**{**vars(_MOST), "history": history})
-        env = RandomizedEnv(envs.make(task, impl="c"), most)
+        env = RandomizedEnv(hgail_envs.make(task, impl="c"), most)
         turns = np.arange(episodes) % len(policies)
         parts = [(policy.mean, policy.std, policy.layers) for policy in policies]
         stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)[turns]), *parts)
@@ -55,7 +55,7 @@ class ParallelFetch:
             return action, jnp.zeros(episodes)
 
         def run(sizes: Mapping[str, Any], rng: jax.Array) -> EpisodeMetrics:
-            return rollout(env.with_sizes(sizes), act, rng, episodes, probe=True).outcome
+            return rollout(env.with_sizes(sizes), act, rng, episodes, lift_test=True).outcome
 
         self._run: Callable[..., EpisodeMetrics] = jax.jit(run)
         self._rng = jax.random.key(seed)
@@ -64,7 +64,7 @@ class ParallelFetch:
         """Returns the outcomes of a point's episodes, leaves `[episodes]`.
 
         Args:
-          **sizes: fields of `Randomization` but `posture`, `history` and `growth`; all others disturb nothing.
+          **sizes: fields of `Randomization` but `posture`, `history` and `ramp`; all others disturb nothing.
 
         """
         unknown = set(sizes) - set(_SIZES)

@@ -17,9 +17,8 @@ from experiments.transfer.studies import table
 from experiments.transfer.sweeps import FETCH, axes, fetch_points, fetch_rows, measured_pairs, robot_name, robot_points
 from experiments.transfer.tasks import TASKS
 from hgail_jax.io.files import write_csv, write_json
-from hgail_jax.io.versions import installed
-from hgail_jax.trainer.provenance import provenance
-from hgail_jax.trainer.status import progress_bar
+from hgail_jax.io.provenance import installed, provenance
+from hgail_jax.terminal.status import progress_bar
 
 
 def write_table(

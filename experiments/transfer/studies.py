@@ -4,13 +4,13 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.goal_sources import EXACT, stage
 from experiments.transfer.measurement import Point
 from experiments.transfer.policies import Policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.tasks import TASKS
+from hgail_envs.fetch.arm import CONTROL_PERIOD
 
 
 def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], policies: Policies) -> Iterator[Point]:

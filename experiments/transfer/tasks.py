@@ -22,4 +22,4 @@ TASKS = {
     "grasp": Task(paper_success=0.93, paper_distance_l1=0.02, pictured_steps=(0, 3, 5, 8, 50, -1)),
     "pick-and-place": Task(None, None, pictured_steps=(0, 3, 6, 9, 12, -1), seen_by_cameras=False),
 }
-"""The tasks of the tables, curves and pictures, by their names in `envs.TASKS`; a robot may do others too."""
+"""The tasks of the tables, curves and pictures, by their names in `hgail_envs.TASKS`; a robot may do others too."""

@@ -14,7 +14,7 @@ import jax
 import tyro
 from tyro import _errors as tyro_errors
 
-from hgail_jax.interrupts import stop_in_one_line
+from hgail_jax.terminal.signals import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
@@ -92,7 +92,7 @@ def _choices(event: Any) -> list[str]:
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.interrupts`."""
+    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.terminal.signals`."""
     with stop_in_one_line(program):
         try:
             yield

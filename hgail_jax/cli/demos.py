@@ -4,14 +4,13 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
+from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_writable
-from hgail_jax.recording import make_for_demonstrations, record
+from hgail_jax.play.recording import make_for_demonstrations, record
+from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.trainer.status import StatusLine
-from hgail_jax.validation import MOST_SEED, check_count
-from hgail_jax.wording import counted
 
 PROGRAM = "hgail demos"
 

@@ -8,18 +8,18 @@ from typing import Annotated
 
 import jax
 
-import envs
-from envs.randomization import LEVELS, Randomization
-from envs.randomized import randomize
-from envs.scenes import assets_directory
-from envs.vision.rgbd import RenderingError
+import hgail_envs
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import randomize
+from hgail_envs.scenes import assets_directory
+from hgail_envs.validation import MOST_SEED, check_count, check_name
+from hgail_envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import from_here
-from hgail_jax.io.film import check_film
 from hgail_jax.io.policy import MeanPolicy, load_policy
-from hgail_jax.playback import film, show
+from hgail_jax.play.film import check_film
+from hgail_jax.play.playback import film, show
 from hgail_jax.trainer.options import unless_given
-from hgail_jax.validation import MOST_SEED, check_count, check_name
 
 PROGRAM = "hgail play"
 
@@ -111,14 +111,14 @@ def _default_task(path: Path | None) -> str:
     if path is None:
         return _TASK
     task = load_policy(path).task
-    if task not in envs.TASKS:
+    if task not in hgail_envs.TASKS:
         raise ValueError(
             f"{path} was trained on {task!r}, which is none of this package; name a task of your own by --task"
         )
     return task
 
 
-def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[envs.GoalEnv, MeanPolicy]:
+def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
     """Returns the task and the policy, and prints the policy's file and what the episodes are disturbed by.
 
     Args:
@@ -132,20 +132,20 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
       OSError: the policy's file cannot be read.
 
     """
-    if envs.find_class(task).scene is None:
-        shown = [name for name in envs.TASKS if envs.find_class(name).scene]
+    if hgail_envs.find_class(task).scene is None:
+        shown = [name for name in hgail_envs.TASKS if hgail_envs.find_class(name).scene]
         raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
     path = path or _shipped(task, level)
     if path is None:
         raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
     policy = load_policy(path)
-    taken = {name: value for name, value in physics.items() if name in envs.accepted_options(task)}
+    taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
     randomization = policy.randomization
     if level is not None:
         randomization = dataclasses.replace(LEVELS[level], history=randomization.history)  # it is shown as much
     if policy.task != task:
         raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
-    env = randomize(envs.make(task, **policy.task_options | taken), randomization)
+    env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization)
     if policy.observation_size != env.observation_size:
         raise ValueError(
             f"the policy reads {policy.observation_size} numbers, but an observation of {task} has "
@@ -157,8 +157,8 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
 
 def _disturbances(randomization: Randomization, level: str | None) -> str:
     """Names the level of the disturbances, which need not be the `level` asked for: the policy has its own history."""
-    if randomization == randomization.undisturbed():
-        return "undisturbed"
+    if randomization == randomization.nominal():
+        return "nominal"
     name = next((name for name, sizes in LEVELS.items() if sizes == randomization), level)
     return f"disturbances {name or 'as in its training'}"
 
@@ -180,10 +180,10 @@ def _serve(options: Options, shown: str) -> None:
     """
     jax.config.update("jax_platforms", "cpu")  # one robot gains nothing by a GPU, which may be at work for others
     try:
-        from hgail_jax.web.page import Page, free_port
+        from hgail_jax.play.page import Page, free_port
     except ModuleNotFoundError as error:
         raise ValueError(f"--web needs the package {error.name}: pip install 'hgail-jax[web]'") from None
-    from hgail_jax.web.session import Session
+    from hgail_jax.play.session import Session
 
     def open_session(task: str, seed: int) -> Session:
         path = options.policy if task == shown else None
@@ -191,7 +191,7 @@ def _serve(options: Options, shown: str) -> None:
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)
-    others = [task for task in envs.TASKS if task != shown and _shipped(task)]
+    others = [task for task in hgail_envs.TASKS if task != shown and _shipped(task)]
     print(f"compiling {shown} ...", flush=True)
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)

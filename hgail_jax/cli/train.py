@@ -13,17 +13,17 @@ from typing import Annotated, Any, Literal
 import jax
 import numpy as np
 
+from hgail_envs.validation import counted
 from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
-from hgail_jax.distributed.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
-from hgail_jax.distributed.sharding import ReplicaError
+from hgail_jax.defaults import platform_name
+from hgail_jax.devices.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
+from hgail_jax.devices.sharding import ReplicaError
 from hgail_jax.io.files import from_here
-from hgail_jax.playback import film
-from hgail_jax.presets import platform_name
-from hgail_jax.statistics import confidence_interval
+from hgail_jax.play.playback import film
+from hgail_jax.terminal.signals import stop_on_signal
 from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.options import task_defaults, unless_given
-from hgail_jax.trainer.signals import stop_on_signal
-from hgail_jax.wording import counted
+from hgail_jax.trainer.statistics import confidence_interval
 
 PROGRAM = "hgail train"
 
@@ -138,7 +138,7 @@ def _go_on(words: list[str], folder: Path) -> str:
 def _film(trainer: Trainer) -> None:
     """Writes rollout.mp4, or says in one line why it cannot."""
     try:
-        env, policy = trainer.run.env.accurate(), trainer.policy(trainer.options.first_seed)
+        env, policy = trainer.run.env.reference_physics(), trainer.policy(trainer.options.first_seed)
         film(trainer.folder / "rollout.mp4", env, policy)
         print(trainer.folder / "rollout.mp4")
         trainer.log_film(trainer.folder / "rollout.mp4")
@@ -157,8 +157,8 @@ def _report(summary: dict[str, Any], trainer: Trainer) -> None:
         f"{summary['env_steps_per_second']:,.0f} env steps/s, evaluate {seconds['evaluation']:.1f} s, "
         f"total {seconds['total']:.1f} s -> {trainer.folder}"
     )
-    if "undisturbed_success_rate" in summary:
-        print(f"undisturbed: success {_mean(summary['undisturbed_success_rate'])}")
+    if "nominal_success_rate" in summary:
+        print(f"undisturbed: success {_mean(summary['nominal_success_rate'])}")
     if summary["diverged_seeds"]:
         print(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", file=sys.stderr)
 

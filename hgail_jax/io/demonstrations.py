@@ -18,7 +18,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from envs import GoalEnv
+from hgail_envs import GoalEnv
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
 from hgail_jax.samples import Samples

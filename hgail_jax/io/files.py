@@ -12,7 +12,7 @@ from typing import IO, Any
 import jax
 import numpy as np
 
-from hgail_jax.interrupts import unfinished
+from hgail_jax.terminal.signals import unfinished
 
 _PARTIAL = ".partial"
 

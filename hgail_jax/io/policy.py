@@ -23,11 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from envs import GoalEnv
-from envs.randomization import Randomization
+from hgail_envs import GoalEnv
+from hgail_envs.randomization import Randomization
+from hgail_jax.config import Config
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
-from hgail_jax.io.versions import installed
+from hgail_jax.io.provenance import installed
+from hgail_jax.learners import find_learner
+from hgail_jax.state import TrainState
 
 _FORMAT = "hgail_jax policy 2"
 _CLIP = 5.0
@@ -109,16 +112,17 @@ def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np
     return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
 
 
-def from_state(task: str, env: GoalEnv, state, task_options: Mapping[str, Any] | None = None) -> MeanPolicy:
-    """Takes the policy out of a `TrainState` of one seed, trained on `env`, which `task` and its options name."""
-    dense = state.actor_critic["policy"]["params"]
-    layers = [dense[f"Dense_{index}"] for index in range(len(dense))]
+def from_state(
+    task: str, env: GoalEnv, config: Config, state: TrainState, task_options: Mapping[str, Any] | None = None
+) -> MeanPolicy:
+    """Takes the policy out of the state of one seed, trained on `env`, which `task` and its options name."""
+    layers = find_learner(config).layers(state)
     return MeanPolicy(
         task=task,
         goal_size=env.goal_size,
         mean=np.asarray(state.statistics.mean),
         std=np.asarray(state.statistics.std),
-        layers=tuple((np.asarray(layer["kernel"]), np.asarray(layer["bias"])) for layer in layers),
+        layers=tuple((np.asarray(weights), np.asarray(biases)) for weights, biases in layers),
         versions=installed("hgail-jax", "jax", "mujoco-mjx"),
         randomization=getattr(env, "randomization", Randomization()),
         task_options=dict(task_options or {}),

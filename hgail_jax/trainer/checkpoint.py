@@ -3,11 +3,12 @@
 import contextlib
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,9 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from hgail_jax.distributed.sharding import is_first_process
-from hgail_jax.trainer.identity import AnotherRunError, as_json, refuse_another_run
-from hgail_jax.trainer.quiet_orbax import quiet_late_failures
+from hgail_jax.devices.sharding import is_first_process
+from hgail_jax.trainer.folder import AnotherRunError, as_json, refuse_another_run
+
+# orbax tells of each write over several lines; its errors are raised as well.
+logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
 
 SCHEMA = 1
 """Version of what a checkpoint holds; one of another schema is refused."""
@@ -64,7 +67,6 @@ class Checkpoints:
         self._run = as_json(run)
         self._scores: dict[str, list[float]] = {}  # by rounds done
         self._manager: ocp.CheckpointManager | None = None
-        self._end_quiet: Callable[[], None] = lambda: None
 
     def __enter__(self) -> "Checkpoints":
         return self
@@ -73,7 +75,6 @@ class Checkpoints:
         if self._manager is not None:
             with self._one_error():
                 self._manager.close()
-        self._end_quiet()
 
     def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole.
@@ -165,7 +166,6 @@ class Checkpoints:
             multiprocessing_options=_alone(),
         )
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._end_quiet = quiet_late_failures()
         return ocp.CheckpointManager(self.folder, options=options)
 
     def _read_body(self, rounds: int) -> dict:
@@ -209,7 +209,6 @@ class Checkpoints:
         try:
             yield
         except Exception as error:
-            self._end_quiet = lambda: None  # other arrays fail when this is long over
             self._remove_unfinished()
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 

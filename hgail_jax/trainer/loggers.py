@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 import imageio
 import numpy as np
 
+from hgail_envs.validation import check_name
 from hgail_jax.io.files import replace_file, write_csv
-from hgail_jax.statistics import confidence_interval
 from hgail_jax.trainer.run import Run
-from hgail_jax.validation import check_name
+from hgail_jax.trainer.statistics import confidence_interval
 
 _PROJECT = "hgail_jax"
 _FILM_STEP = 4  # of a film's frames, and of its rows and columns, TensorBoard is given one in so many

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-import envs
+import hgail_envs
+from hgail_envs.validation import counted
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.distributed.seeds import SeedsStep, compile_train_step, init_sweep, seed_keys
-from hgail_jax.distributed.sharding import (
+from hgail_jax.devices.sharding import (
     any_process,
     check_replicas,
     from_first_process,
@@ -22,11 +22,11 @@ from hgail_jax.distributed.sharding import (
     shard,
 )
 from hgail_jax.samples import Samples
+from hgail_jax.seeds import SeedsStep, compile_train_step, init_sweep, seed_keys
 from hgail_jax.state import TrainState
-from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, schedule
+from hgail_jax.terminal.status import StatusLine, short
+from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, phase_table
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
-from hgail_jax.trainer.status import StatusLine, short
-from hgail_jax.wording import counted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Program:
     What it returns has an axis over settings times seeds, the seeds within a setting; see `split_sweep`.
     """
 
-    env: envs.GoalEnv
+    env: hgail_envs.GoalEnv
     config: Config
     settings: tuple[Hyperparameters, ...]
     seeds: int
@@ -49,7 +49,7 @@ class Program:
 
     def phases(self) -> np.ndarray:
         """Returns the schedule, `[rounds + 1, phases]`."""
-        rows = schedule(self.config)
+        rows = phase_table(self.config)
         rows[np.arange(len(rows)) % self.evaluate_every > 0, -1] = SKIP
         rows[-1, -1] = EVALUATE
         return rows

@@ -1,4 +1,4 @@
-"""What a user may ask of a training, and what that comes to for a task on a platform."""
+"""Options of a training, and the run that they ask for on a platform."""
 
 import dataclasses
 from pathlib import Path
@@ -7,20 +7,19 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-import envs
-from envs.engines import ENGINES
-from envs.randomization import LEVELS
-from envs.randomized import randomize
+import hgail_envs
+from hgail_envs.engines import ENGINES
+from hgail_envs.randomization import LEVELS
+from hgail_envs.randomized import randomize
+from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.distributed.processes import choose_mesh
-from hgail_jax.distributed.seeds import check_seeds
+from hgail_jax.defaults import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
-from hgail_jax.methods import LIKELIHOOD_BATCH, METHODS
-from hgail_jax.presets import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.methods import BC_BATCH, METHODS
+from hgail_jax.seeds import check_seeds
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
-from hgail_jax.trainer.memory import check_memory
 from hgail_jax.trainer.run import Run
-from hgail_jax.validation import check_count, check_name, parse_option
 
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that `TrainOptions` has options of its own for."""
@@ -67,8 +66,8 @@ class TrainOptions:
     reward: Annotated[str, _choices("How the discriminator's logit becomes a reward", REWARDS)] = "r1"
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
-    likelihood: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
-    """Weight of the likelihood of expert samples in the policy's updates, 0 for the paper's."""
+    bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
+    """Weight of the behaviour-cloning (BC) loss of expert samples in the policy's updates, 0 for the paper's."""
     action_std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
     """Standard deviation of the policy, one number or one for each of the action's."""
     devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
@@ -93,16 +92,14 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
 
     """
     check_name("method", method, METHODS)
-    task_class = _find(task)
-    whole = METHODS[method].apply(task_preset(task_class, platform, preset))
-    config, hyperparameters = whole.config, whole.hyperparameters
-    own = task_class.training[platform].options
+    whole = METHODS[method].apply(task_preset(_find(task), platform, preset))
+    config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
         "num_envs": config.num_envs,
         "iterations": config.rounds,
-        **({"substeps": own["substeps"]} if "substeps" in own else {}),
+        **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
         "p_ht": hyperparameters.p_ht,
-        "likelihood": hyperparameters.likelihood_weight if config.likelihood_batch else 0,
+        "bc_weight": hyperparameters.bc_weight if config.learner.bc_batch else 0,
         "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
     }
     return {name: value for name, value in values.items() if name not in METHODS[method].without_effect}
@@ -116,19 +113,19 @@ def plan(options: TrainOptions, platform: str) -> Run:
 
     """
     _check(options)
-    task_class = _find(options.task)
-    preset = _with_hyperparameters(options, METHODS[options.method].apply(_with_sizes(options, task_class, platform)))
+    preset = _with_sizes(options, task_preset(_find(options.task), platform, options.preset))
+    preset = _with_hyperparameters(options, METHODS[options.method].apply(preset))
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     task_options = dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size
-    env = _make(options, task_class.training[platform].options, worlds, task_options)
-    if options.task not in envs.TASKS:  # those have tests
-        envs.check_task(env)
+    env = _make(options, preset.task_options, worlds, task_options)
+    if options.task not in hgail_envs.TASKS:  # those have tests
+        hgail_envs.check_task(env)
     env = randomize(env, options.randomize)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (options.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
-    run = Run(
+    return Run(
         task=options.task,
         method=options.method,
         seeds=options.seeds,
@@ -139,13 +136,11 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hyperparameters=preset.hyperparameters.validate(env.action_size),
         evaluation_episodes=EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
-        evaluate_every=options.evaluate_every or task_class.training[platform].evaluate_every,
+        evaluate_every=options.evaluate_every or preset.evaluate_every,
         mesh=mesh,
         demonstrations=demonstrations,
         loggers=check_loggers(options.logger),
     )
-    check_memory(run)
-    return run
 
 
 def _check(options: TrainOptions) -> None:
@@ -174,21 +169,20 @@ def _check(options: TrainOptions) -> None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
 
 
-def _with_sizes(options: TrainOptions, task_class: type[envs.GoalEnv], platform: str) -> Preset:
-    """Returns the task's preset with the sizes that are given."""
-    preset = task_preset(task_class, platform, options.preset)
+def _with_sizes(options: TrainOptions, preset: Preset) -> Preset:
+    """Returns a preset with the sizes that are given."""
     given: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
     sizes = {name: value for name, value in given.items() if value is not None}
-    if options.likelihood:
-        sizes["likelihood_batch"] = preset.config.likelihood_batch or LIKELIHOOD_BATCH
-    return dataclasses.replace(preset, config=dataclasses.replace(preset.config, pretrain=options.pretrain, **sizes))
+    if options.bc_weight:
+        sizes["bc_batch"] = preset.config.learner.bc_batch or BC_BATCH
+    return dataclasses.replace(preset, config=preset.config.replace(pretrain=options.pretrain, **sizes))
 
 
 def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
     """Returns a method's preset with the hyperparameters that are given."""
     given: dict[str, Any] = {
         "p_ht": options.p_ht,
-        "likelihood_weight": options.likelihood,
+        "bc_weight": options.bc_weight,
         "action_std": options.action_std,
     }
     if isinstance(options.action_std, tuple) and len(options.action_std) == 1:
@@ -199,24 +193,23 @@ def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
         standardize_reward=options.standardize_reward,
         **{name: value for name, value in given.items() if value is not None},
     )
-    config = preset.config
-    if options.likelihood == 0:  # not even for a method that has it by default
-        config = dataclasses.replace(config, likelihood_batch=0)
-    return Preset(config, hyperparameters)
+    # a weight of 0 leaves the BC loss out, even for a method that has it by default
+    config = preset.config.replace(bc_batch=0) if options.bc_weight == 0 else preset.config
+    return dataclasses.replace(preset, config=config, hyperparameters=hyperparameters)
 
 
-def _find(task: str) -> type[envs.GoalEnv]:
+def _find(task: str) -> type[hgail_envs.GoalEnv]:
     try:
-        return envs.find_class(task)
+        return hgail_envs.find_class(task)
     except ValueError:
         raise
     except Exception as error:  # a module of the user's own raises what it likes
         raise ValueError(f"cannot load task {task!r}: {error}") from error
 
 
-def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> envs.GoalEnv:
+def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> hgail_envs.GoalEnv:
     """Makes the task; `defaults` are the options that it is trained with unless others are given."""
-    accepted = envs.accepted_options(options.task)
+    accepted = hgail_envs.accepted_options(options.task)
     given = {"impl": options.impl, "worlds": worlds} | defaults
     if options.substeps is not None:
         given["substeps"] = options.substeps
@@ -224,7 +217,9 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     try:
-        return envs.make(options.task, **{name: given[name] for name in accepted if name in given}, **task_options)
+        return hgail_envs.make(
+            options.task, **{name: given[name] for name in accepted if name in given}, **task_options
+        )
     except ValueError:
         raise
     except Exception as error:  # a class that is abstract, or the user's own

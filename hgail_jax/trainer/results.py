@@ -7,14 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from envs import EpisodeMetrics
-from hgail_jax.distributed.seeds import evaluation_episodes
+from hgail_envs import EpisodeMetrics
+from hgail_envs.validation import counted
+from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.io.policy import from_state, save_policy
 from hgail_jax.state import TrainState
 from hgail_jax.trainer.curves import draw_curves
 from hgail_jax.trainer.loop import Progress, diverged_seeds
 from hgail_jax.trainer.run import Run
-from hgail_jax.wording import counted
 
 
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
@@ -22,7 +22,8 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
     (folder / "policies").mkdir(exist_ok=True)
     on_host = jax.device_get(states.replace(rng=None, expert=None))  # a device would compile the taking apart
     for index in range(run.seeds):
-        policy = from_state(run.task, run.env, jax.tree.map(lambda leaf, i=index: leaf[i], on_host), run.task_options)
+        state = jax.tree.map(lambda leaf, i=index: leaf[i], on_host)
+        policy = from_state(run.task, run.env, run.config, state, run.task_options)
         save_policy(folder / "policies" / f"seed-{run.first_seed + index}.npz", policy)
     size = f"{counted(run.seeds, 'seed')}, {counted(run.config.num_envs, 'environment')} each"
     title = f"{run.method} on {run.task}: {size}"
@@ -42,7 +43,7 @@ def summarize(
     Args:
       run: what was trained.
       progress: after its last round.
-      evaluations: of the final evaluation, `"final"`, and of one without disturbances, `"undisturbed"`, where the task
+      evaluations: of the final evaluation, `"final"`, and of one without disturbances, `"nominal"`, where the task
         is randomised; leaves `[seeds]`.
       timing: seconds of `compile`, `train` and `evaluation`.
 
@@ -52,11 +53,10 @@ def summarize(
         values = np.asarray(measured)
         return {"mean": float(values.mean()), "std": float(values.std()), "per_seed": values.tolist()}
 
+    rollouts = whole_rollouts(run.evaluation_episodes, run.config.num_envs)
     final, steps = evaluations["final"], progress.history[-1]["env_steps"]
     undisturbed = (
-        {"undisturbed_success_rate": over_seeds(evaluations["undisturbed"].success)}
-        if "undisturbed" in evaluations
-        else {}
+        {"nominal_success_rate": over_seeds(evaluations["nominal"].success)} if "nominal" in evaluations else {}
     )
     return {
         "task": run.task,
@@ -70,7 +70,7 @@ def summarize(
         "distance_l1": over_seeds(final.distance_l1),
         "distance_l2": over_seeds(final.distance_l2),
         "diverged_seeds": diverged_seeds(run.program(), progress),
-        "evaluation_episodes_per_seed": evaluation_episodes(run.config, run.evaluation_episodes),
+        "evaluation_episodes_per_seed": rollouts * run.config.num_envs,
         "env_steps_per_seed": steps,
         "env_steps_per_second": steps * run.seeds / timing["train"],
         "wall_seconds": timing,

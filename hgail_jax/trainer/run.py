@@ -5,7 +5,7 @@ from typing import Any
 
 from jax.sharding import Mesh
 
-import envs
+import hgail_envs
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.trainer.loop import Program
@@ -19,7 +19,7 @@ class Run:
     method: str
     seeds: int
     first_seed: int
-    env: envs.GoalEnv
+    env: hgail_envs.GoalEnv
     task_options: dict[str, Any]
     """The options of its own that the task was given."""
     config: Config
@@ -43,7 +43,7 @@ class Run:
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
             "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")} | self._randomization(),
             "task_options": self.task_options,
-            "config": dataclasses.asdict(self.config),
+            "config": self.config.as_dict(),
             "hyperparameters": dataclasses.asdict(self.hyperparameters),
             "demonstrations": None if self.demonstrations is None else self.demonstrations.sha256,
         }

@@ -14,23 +14,23 @@ from typing import Any, Self, cast
 
 import jax
 
-from envs import GoalEnv
-from envs.randomized import RandomizedEnv
-from hgail_jax.distributed.processes import silent_but_first
-from hgail_jax.distributed.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
-from hgail_jax.distributed.sharding import any_process, is_first_process, replicate
+from hgail_envs import GoalEnv
+from hgail_envs.randomized import RandomizedEnv
+from hgail_jax.defaults import platform_name
+from hgail_jax.devices.processes import silent_but_first
+from hgail_jax.devices.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import MeanPolicy, load_policy
-from hgail_jax.presets import platform_name
+from hgail_jax.io.provenance import provenance
+from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
+from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.trainer.folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
 from hgail_jax.trainer.loggers import LOGGERS, Logger
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
 from hgail_jax.trainer.options import TrainOptions, plan
-from hgail_jax.trainer.provenance import provenance
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
-from hgail_jax.trainer.run_folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
-from hgail_jax.trainer.status import StatusLine
 
 _RUNS = Path("runs")
 
@@ -262,7 +262,7 @@ class Trainer:
         run, states = self.run, jax.eval_shape(self.run.program().init)
         tasks: dict[str, GoalEnv] = {"final": run.env}
         if isinstance(run.env, RandomizedEnv):
-            tasks["undisturbed"] = run.env.undisturbed()
+            tasks["nominal"] = run.env.nominal()
         return {
             name: trace_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)
             for name, env in tasks.items()

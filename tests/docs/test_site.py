@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-import envs
+import hgail_envs
 import hgail_jax
 from docs._generate import diagrams, pages
 from tests.support import ROOT
@@ -52,9 +52,9 @@ def test_links_lead_somewhere_in_the_repository_too(path):
 
 def test_public_names_are_documented():
     written = " ".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
-    for package in (hgail_jax, envs):
+    for package in (hgail_jax, hgail_envs):
         for name in package.__all__:
-            assert re.search(rf"\b(hgail_jax|envs)\.{name}\b", written), name
+            assert re.search(rf"\b(hgail_jax|hgail_envs)\.{name}\b", written), name
 
 
 def test_diagrams_are_as_drawn():

@@ -7,14 +7,14 @@ import jax
 import numpy as np
 import pytest
 
-import envs
-from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, schedule
-from hgail_jax.distributed.seeds import compile_train_step, init_sweep, seed_keys
+import hgail_envs
+from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, phase_table
+from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
 from tests.support import TINY
 
-ENV = envs.make("point")
+ENV = hgail_envs.make("point")
 SOUND = Hyperparameters()
 # With such steps the policy's weights overflow in their second; the discriminator's are as ever.
 DIVERGES = SOUND.replace(policy_learning_rate=1e38)
@@ -24,7 +24,7 @@ DIVERGES = SOUND.replace(policy_learning_rate=1e38)
 def step():
     """The step of two settings of one seed."""
     states = init_sweep(ENV, TINY, [SOUND, SOUND], seed_keys(0, 1))
-    return compile_train_step(ENV, TINY, states, schedule(TINY)[0])
+    return compile_train_step(ENV, TINY, states, phase_table(TINY)[0])
 
 
 def start(*settings):
@@ -41,7 +41,7 @@ def assert_same(left, right):
 
 
 def row(*phases):
-    return np.array([*phases, *[SKIP] * (schedule(TINY).shape[1] - len(phases))])
+    return np.array([*phases, *[SKIP] * (phase_table(TINY).shape[1] - len(phases))])
 
 
 def test_a_round_that_diverges_for_one_leaves_the_others_to_the_bit_what_they_are_without_it(step):

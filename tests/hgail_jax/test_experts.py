@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import envs
+import hgail_envs
 from hgail_jax import METHODS, Config, Hyperparameters, Preset, init_state, rollout, train_step
 from hgail_jax.config import BEST, DEMONSTRATIONS
 from hgail_jax.experts import init_expert, keep_best
@@ -14,7 +14,7 @@ from hgail_jax.samples import Samples
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from tests.support import TINY
 
-ENV = envs.make("point")
+ENV = hgail_envs.make("point")
 HYPER = Hyperparameters()
 
 
@@ -25,13 +25,13 @@ def random_policy(observation, rng):
 roll_out = jax.jit(lambda seed: rollout(ENV, random_policy, jax.random.key(seed), 6))
 
 
-def with_returns(trajectory, returns, distance=0.0, sound=True):
+def with_returns(trajectory, returns, distance=0.0, valid=True):
     """The trajectory, its episodes told apart by their actions, with the returns asked for."""
     length, episodes = trajectory.reward.shape
     return trajectory.replace(
         reward=jnp.broadcast_to(jnp.array(returns) / length, (length, episodes)),
         action=jnp.broadcast_to(jnp.array(returns)[:, None], trajectory.action.shape),
-        sound=jnp.broadcast_to(jnp.array(sound), (episodes,)),
+        valid=jnp.broadcast_to(jnp.array(sound), (episodes,)),
         outcome=trajectory.outcome.replace(distance_l1=jnp.broadcast_to(jnp.array(distance), (episodes,))),
     )
 

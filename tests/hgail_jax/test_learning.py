@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.base import GoalEnv
-from hgail_jax import METHODS, PRESETS, Preset, init_state, rollout, schedule, train_step
-from hgail_jax.updates import make_policy
+from hgail_envs.base import GoalEnv
+from hgail_jax import METHODS, PRESETS, Preset, init_state, phase_table, rollout, train_step
+from hgail_jax.learners.ppo import make_policy
 
 
 class Short(GoalEnv):
@@ -56,16 +56,16 @@ SIZES = {
 }
 
 
-def learn(method, env, rounds, likelihood_batch=0, **changes):
+def learn(method, env, rounds, bc_batch=0, **changes):
     """Trains by a method; returns its mean action's episodes and the metrics of its rounds."""
     preset = METHODS[method].apply(PRESETS["parallel"])
-    config = dataclasses.replace(preset.config, rounds=rounds, likelihood_batch=likelihood_batch, **SIZES)
+    config = dataclasses.replace(preset.config, rounds=rounds, bc_batch=bc_batch, **SIZES)
     hyper = preset.hyperparameters.replace(policy_learning_rate=3e-3, **changes)
 
     @jax.jit
     def run(rng):
         state = init_state(env, config, hyper, rng)
-        state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, schedule(config))
+        state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, phase_table(config))
         policy = make_policy(env, config, state, noise=0.0)
         return rollout(env, policy, jax.random.key(100), 256), metrics
 
@@ -73,12 +73,12 @@ def learn(method, env, rounds, likelihood_batch=0, **changes):
 
 
 @pytest.mark.parametrize(
-    ("method", "rounds", "likelihood_batch"),
+    ("method", "rounds", "bc_batch"),
     [("ppo", 20, 0), pytest.param("gcsl", 5, 64, marks=pytest.mark.slow), ("hgail", 8, 64)],
     ids=["ppo", "gcsl", "hgail"],
 )
-def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, likelihood_batch):
-    episodes, metrics = learn(method, Short(), rounds, likelihood_batch)
+def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, bc_batch):
+    episodes, metrics = learn(method, Short(), rounds, bc_batch)
     assert episodes.outcome.success.mean() > 0.9
     assert (np.sum(episodes.action[0] * episodes.desired[0], axis=-1) > 0).mean() > 0.98
     assert metrics.evaluation.success[-1] > 0.9
@@ -87,7 +87,7 @@ def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, likelihood_b
         assert metrics.evaluation.success[0] < 0.3
         assert (np.diff(metrics.evaluation.success[[1, 3, -1]]) >= 0).all()
     else:  # pre-training or the likelihood beside PPO has raised the likelihood of the actions that led to a goal
-        assert metrics.update.likelihood_loss[0] < 0.5
+        assert metrics.update.bc_loss[0] < 0.5
 
 
 @pytest.mark.slow
@@ -105,26 +105,26 @@ def test_methods_change_what_they_differ_in_and_nothing_else():
         "hgail": ({}, {}),
         "hgail-no": ({}, {"p_ht": 0.0}),
         "gail-demo": (
-            {"expert_source": "demonstrations", "explore": False, "likelihood_batch": 512},
-            {"likelihood_weight": 1.0},
+            {"expert_source": "demonstrations", "training_goals": False, "bc_batch": 512},
+            {"bc_weight": 1.0},
         ),
-        "gasil": ({"expert_source": "best", "explore": False}, {}),
+        "gasil": ({"expert_source": "best", "training_goals": False}, {}),
         "ppo": (
-            {"pretrain": False, "discriminator_phases": 0, "likelihood_batch": 0, "explore": False},
+            {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
             {"environment_reward": 1.0, "ppo_weight": 1.0},
         ),
         "gcsl": (
-            {"discriminator_phases": 0, "likelihood_batch": 512},
+            {"discriminator_phases": 0, "bc_batch": 512},
             {"ppo_weight": 0.0, "environment_reward": 1.0},
         ),
     }
     odd = Preset(
-        dataclasses.replace(config, rounds=3, explore=True, pretrain=True, likelihood_batch=2048),
-        hyper.replace(p_ht=0.7, likelihood_weight=0.3, ppo_weight=0.2, environment_reward=0.4),
+        dataclasses.replace(config, rounds=3, training_goals=True, pretrain=True, bc_batch=2048),
+        hyper.replace(p_ht=0.7, bc_weight=0.3, ppo_weight=0.2, environment_reward=0.4),
     )
     for name, (sizes, scalars) in expected.items():
         for preset in (PRESETS["parallel"], odd):
-            raised = sizes | ({"likelihood_batch": 2048} if preset is odd and sizes.get("likelihood_batch") else {})
+            raised = sizes | ({"bc_batch": 2048} if preset is odd and sizes.get("bc_batch") else {})
             applied = METHODS[name].apply(preset)
             assert applied.config == dataclasses.replace(preset.config, **raised)
             assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)

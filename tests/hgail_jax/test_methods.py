@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.point import Point
-from hgail_jax import METHODS, Config, Hyperparameters, Preset, schedule
+from hgail_envs.point import Point
+from hgail_jax import METHODS, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.distributed.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
-from hgail_jax.presets import FEW_UPDATES
-from hgail_jax.recording import record
+from hgail_jax.defaults import FEW_UPDATES
+from hgail_jax.play.recording import record
+from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 
 SEEDS = 2
 SMALL = Config(
@@ -44,9 +44,9 @@ class Line(Point):
 
 def train(config, states):
     """Returns the success rates after each round, `[rounds + 1, settings * seeds]`, and the states."""
-    step = compile_train_step(Line(), config, states, schedule(config)[0])
+    step = compile_train_step(Line(), config, states, phase_table(config)[0])
     success = []
-    for row in schedule(config):
+    for row in phase_table(config):
         states, metrics = step(states, row)
         success.append(np.asarray(metrics.evaluation.success))
     return np.array(success), states
@@ -59,9 +59,9 @@ def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method)
         "strategy": {"strategy": STRATEGIES["final"]},
         "reward": {"reward": REWARDS["r3"]},
         "standardize_reward": {"standardize_reward": False},
-        "likelihood": {"likelihood_weight": 2.0},
+        "likelihood": {"bc_weight": 2.0},
     }
-    small = dataclasses.replace(SMALL, num_envs=8, rounds=1, likelihood_batch=32, **FEW_UPDATES)
+    small = dataclasses.replace(SMALL, num_envs=8, rounds=1, bc_batch=32, **FEW_UPDATES)
     preset = METHODS[method].apply(Preset(small, HYPER))
     settings = [preset.hyperparameters.replace(**change) for change in ({}, *changes.values())]
     demonstrations = record(Line(), "line", 4).samples(Line()) if method == "gail-demo" else None
@@ -95,7 +95,7 @@ def test_hindsight_is_what_teaches():
 def test_adversarial_imitation_keeps_what_demonstrations_taught():
     """GAIL from 20 demonstrations: success is 1 after the pre-training, and it stays there."""
     preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER))
-    config = dataclasses.replace(preset.config, likelihood_batch=0, rounds=3)
+    config = dataclasses.replace(preset.config, bc_batch=0, rounds=3)
     samples = record(Line(), "line", 20).samples(Line())
     success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS), samples))
     assert success[0].min() >= 0.95

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_jax.config import REWARDS
-from hgail_jax.rewards import R4, imitation_reward, r1, r2, r3, r4
+from hgail_jax.discriminator import R4, imitation_reward, r1, r2, r3, r4
 
 LOGITS = np.linspace(-8, 8, 65, dtype=np.float32)
 

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.fetch.reach import Reach
-from envs.point import Point
+from hgail_envs.fetch.reach import Reach
+from hgail_envs.point import Point
 from hgail_jax import rollout
 
 NUM_ENVS = 16
@@ -13,13 +13,13 @@ NUM_ENVS = 16
 class Probed(Point):
     """The point, measured where three further steps bring it; out of room where its x is negative then."""
 
-    probe_length = 3
+    lift_test_steps = 3
 
-    def probe_action(self, action):
+    def lift_test_action(self, action):
         return 0.5 * action - 0.4
 
-    def outcome(self, end, probed):
-        return self.measure(probed.info["achieved_goal"], end.info["desired_goal"])
+    def outcome(self, end, lifted):
+        return self.measure(lifted.info["achieved_goal"], end.info["desired_goal"])
 
     def overflow(self, physics):
         return physics[0] < 0.0
@@ -34,7 +34,7 @@ def passing(observation, rng):
 
 @pytest.mark.parametrize("probe", [False, True, jnp.array(False), jnp.array(True)])
 def test_a_roll_out_is_the_loop_over_its_steps_and_its_probe(probe):
-    episodes = jax.jit(lambda rng: rollout(Probed(), passing, rng, NUM_ENVS, probe=probe))(jax.random.key(0))
+    episodes = jax.jit(lambda rng: rollout(Probed(), passing, rng, NUM_ENVS, lift_test=probe))(jax.random.key(0))
     goal = np.asarray(episodes.desired[0], np.float64)
     assert len(np.unique(goal)) == goal.size
     position = np.zeros((NUM_ENVS, 3))
@@ -64,7 +64,7 @@ def test_a_roll_out_is_the_loop_over_its_steps_and_its_probe(probe):
 @pytest.mark.parametrize("probe", [False, True])
 def test_seeds_side_by_side_roll_out_as_alone(probe):
     def roll_out(rng, probe):
-        return rollout(Probed(), passing, rng, NUM_ENVS, probe=probe)
+        return rollout(Probed(), passing, rng, NUM_ENVS, lift_test=probe)
 
     keys = jax.random.split(jax.random.key(1), 3)
     together = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))(keys, probe)
@@ -88,10 +88,10 @@ class Fragile(Probed):
         following = super().step_physics(physics, action)
         return jnp.where(following[1] > 1.51, jnp.nan, following)
 
-    def probe_action(self, action):
+    def lift_test_action(self, action):
         return action
 
-    def outcome(self, end, probed):
+    def outcome(self, end, lifted):
         return self.measure(end.info["achieved_goal"], end.info["desired_goal"])
 
 
@@ -100,14 +100,14 @@ def test_an_episode_whose_simulation_breaks_down_in_the_probe_is_not_sound(probe
     def policy(observation, rng):
         return jnp.where(observation[:, 4:5] > 0.0, jnp.array([0.0, 1.0, 0.0]), 0.0), jnp.zeros(len(observation))
 
-    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, probe=probe)
+    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, lift_test=probe)
     far = np.asarray(episodes.achieved[-1, :, 1]) > 1.0
     if probe:
-        assert 0 < episodes.sound.sum() < NUM_ENVS
-        np.testing.assert_array_equal((np.asarray(episodes.desired[0]) == 0.0).all(axis=-1), ~episodes.sound)
+        assert 0 < episodes.valid.sum() < NUM_ENVS
+        np.testing.assert_array_equal((np.asarray(episodes.desired[0]) == 0.0).all(axis=-1), ~episodes.valid)
         assert not far.any()
     else:
-        assert episodes.sound.all()
+        assert episodes.valid.all()
         assert 0 < far.sum() < NUM_ENVS
 
 
@@ -132,11 +132,11 @@ def test_an_episode_that_mujoco_warns_of_is_not_sound_and_leaves_the_others_alon
         jax.jit(lambda rng, env=env: rollout(env, straight, rng, NUM_ENVS))(jax.random.key(0))
         for env in (plain(impl="c", substeps=4), Refused(impl="c", substeps=4))
     )
-    assert whole.sound.all()
+    assert whole.valid.all()
     farthest = np.asarray(whole.achieved)[:-1, :, 1].max(axis=0)
-    np.testing.assert_array_equal(broken.sound, farthest <= np.asarray(whole.achieved)[0, :, 1] + 0.01)
-    assert 0 < broken.sound.sum() < NUM_ENVS
+    np.testing.assert_array_equal(broken.valid, farthest <= np.asarray(whole.achieved)[0, :, 1] + 0.01)
+    assert 0 < broken.valid.sum() < NUM_ENVS
     for name in ("features", "achieved", "action", "reward"):
         ours, theirs = (np.asarray(getattr(episodes, name)) for episodes in (broken, whole))
-        np.testing.assert_array_equal(ours[:, broken.sound], theirs[:, broken.sound])
-        assert (ours[:, ~broken.sound] == 0.0).all()
+        np.testing.assert_array_equal(ours[:, broken.valid], theirs[:, broken.valid])
+        assert (ours[:, ~broken.valid] == 0.0).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from envs.base import EpisodeMetrics, GoalEnv
+from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import Config, Hyperparameters
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN, RELABELLED
 from hgail_jax.evaluate import evaluate, mean_outcome
@@ -50,8 +50,8 @@ class Line(GoalEnv):
     def sample_goal(self, rng, physics):
         return jnp.array([1.0, 0.0])
 
-    def plan_goals(self, rng, physics, exploring):
-        return jnp.where(exploring, jnp.array([-1.0, 1.0]), self.sample_goal(rng, physics))
+    def plan_goals(self, rng, physics, training_goals):
+        return jnp.where(training_goals, jnp.array([-1.0, 1.0]), self.sample_goal(rng, physics))
 
     def goal_kind(self, goal):
         return goal[..., 1].astype(jnp.int32)
@@ -60,7 +60,7 @@ class Line(GoalEnv):
 ENV = Line()
 
 
-def trajectory(episodes=EPISODES, kind=None, sound=None, **changes):
+def trajectory(episodes=EPISODES, kind=None, valid=None, **changes):
     """A roll-out in which the achieved goal (100 n + t, kind) says that it is of step t of episode n."""
     time, episode = np.mgrid[: LENGTH + 1, :episodes].astype(np.float32)
     kind = np.zeros_like(time) if kind is None else kind
@@ -90,7 +90,7 @@ def relabelled_steps(trajectory, seed=0, **changes):
     samples = relabelled(trajectory, jax.random.key(seed), hyper)
     np.testing.assert_array_equal(samples.observation[:, :1], trajectory.features[:-1].reshape(-1, 1))
     np.testing.assert_array_equal(samples.action, trajectory.action.reshape(-1, 1))
-    episodes = trajectory.sound.shape[0]
+    episodes = trajectory.valid.shape[0]
     return (np.asarray(leaf).reshape(LENGTH, episodes, -1) for leaf in (samples.observation[:, 1:], samples.weight))
 
 
@@ -99,7 +99,7 @@ def relabelled_steps(trajectory, seed=0, **changes):
 
 def test_policy_samples_are_the_steps_under_the_goals_pursued():
     sound = np.arange(EPISODES) % 3 != 0
-    given = trajectory(sound=sound)
+    given = trajectory(valid=sound)
     observation = np.concatenate([given.features, given.desired], axis=-1)[:-1]
     weight = np.broadcast_to(sound, (LENGTH, EPISODES)).astype(np.float32)
     ordered, samples = pursued_samples(ENV, given), policy_samples(ENV, given)
@@ -196,7 +196,7 @@ def test_shapes_that_do_not_fit_are_refused():
 def test_kinds_have_among_samples_drawn_the_share_they_have_among_goals_pursued():
     kind = (RNG.uniform(size=(LENGTH + 1, 400)) < 0.1).astype(np.float32)
     sound = np.arange(400) % 5 != 0
-    given = trajectory(400, kind=kind, sound=sound)
+    given = trajectory(400, kind=kind, valid=sound)
     wanted = np.asarray(given.desired[:-1, sound, 1]).mean()
     for changes in ({}, {"p_ht": 0.5}, {"strategy": FINAL}):
         goal, weight = relabelled_steps(given, **changes)
@@ -227,7 +227,7 @@ def test_kinds_that_are_not_pursued_or_not_achieved_do_no_harm():
     kind = goal[..., 1]
     by_hand = np.where(kind == 1, 1e-6 / (kind.mean() + 1e-6), 1.0 / (1.0 - kind.mean()))  # of 0 a millionth is left
     np.testing.assert_allclose(weight[..., 0], by_hand, rtol=1e-3)
-    broken = given.replace(sound=jnp.zeros(EPISODES, bool))
+    broken = given.replace(valid=jnp.zeros(EPISODES, bool))
     _, weight = relabelled_steps(broken)
     np.testing.assert_array_equal(weight, 0.0)
 
@@ -261,7 +261,7 @@ def test_the_best_episodes_are_those_of_a_sorted_list(ties):
     keep = jax.jit(lambda best, given: keep_best(ENV, hyper, best, given))
     best, listed = best_episodes(10), []
     for shift in (0, 1, 2):
-        given = trajectory(sound=sound)
+        given = trajectory(valid=sound)
         given = given.replace(features=given.features + 100 * EPISODES * shift)
         best = keep(best, given)
         returns, distance = np.asarray(given.reward).sum(axis=0), np.asarray(given.outcome.distance_l1)
@@ -279,7 +279,7 @@ def test_the_best_episodes_are_those_of_a_sorted_list(ties):
 
 def test_places_that_no_sound_episode_fills_have_no_weight():
     sound = np.arange(EPISODES) < 3
-    best = keep_best(ENV, Hyperparameters(), best_episodes(5), trajectory(sound=sound))
+    best = keep_best(ENV, Hyperparameters(), best_episodes(5), trajectory(valid=sound))
     np.testing.assert_array_equal(best.samples.weight, np.broadcast_to([1, 1, 1, 0, 0], (LENGTH, 5)))
     assert (np.asarray(best.returns)[3:] == np.finfo(np.float32).min).all()
     empty = best_episodes(5)
@@ -301,7 +301,7 @@ def assert_same(one, other):
 
 
 def test_each_source_gives_its_expert_samples():
-    first, second = trajectory(sound=np.arange(EPISODES) > 1), trajectory(sound=np.arange(EPISODES) > 4)
+    first, second = trajectory(valid=np.arange(EPISODES) > 1), trajectory(valid=np.arange(EPISODES) > 4)
     fresh = relabelled(first, jax.random.key(0), jax.tree.map(jnp.asarray, Hyperparameters()))
     kept, samples = learn_from(RELABELLED, None, first)
     assert kept is None
@@ -342,7 +342,7 @@ def test_demonstrations_are_given_where_they_are_asked_for_and_nowhere_else():
 class Breaking(Line):
     """The line, which breaks down beyond 40 and runs out of room beyond 30; its probe goes on with half the action."""
 
-    probe_length = 2
+    lift_test_steps = 2
 
     def step_physics(self, physics, action):
         following = physics + 10.0 * action
@@ -351,11 +351,11 @@ class Breaking(Line):
     def overflow(self, physics):
         return physics[0] > 30.0
 
-    def probe_action(self, action):
+    def lift_test_action(self, action):
         return 0.5 * action
 
-    def outcome(self, end, probed):
-        return self.measure(probed.info["achieved_goal"][:1], end.info["achieved_goal"][:1])
+    def outcome(self, end, lifted):
+        return self.measure(lifted.info["achieved_goal"][:1], end.info["achieved_goal"][:1])
 
 
 def play(env, policy, episodes, seed=0, **options):
@@ -373,8 +373,8 @@ def steady(speeds):
 
 
 @jax.jit
-def break_down(rng, exploring, probe):
-    return rollout(Breaking(), steady([0.1, 0.45, 0.6, 0.9, -0.9, 0.0]), rng, 6, exploring, probe=probe)
+def break_down(rng, training_goals, probe):
+    return rollout(Breaking(), steady([0.1, 0.45, 0.6, 0.9, -0.9, 0.0]), rng, 6, training_goals, lift_test=probe)
 
 
 def test_episodes_that_break_down_are_blank_and_counted():
@@ -382,7 +382,7 @@ def test_episodes_that_break_down_are_blank_and_counted():
     for probe, sound in ((False, [1, 1, 1, 0, 0, 1]), (True, [1, 1, 0, 0, 0, 1])):
         given = break_down(jax.random.key(0), False, probe)
         sound = np.array(sound, bool)
-        np.testing.assert_array_equal(given.sound, sound)
+        np.testing.assert_array_equal(given.valid, sound)
         for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
             leaf = np.asarray(getattr(given, name))
             assert (leaf[:, ~sound] == 0).all()
@@ -398,10 +398,10 @@ def test_episodes_that_break_down_are_blank_and_counted():
         np.testing.assert_array_equal(given.overflow, [0, probe, not probe, 0, 0, 0])  # nothing overflows once broken
 
 
-@pytest.mark.parametrize("exploring", [False, True])
-def test_only_exploring_episodes_have_goals_to_learn_from(exploring):
-    given = break_down(jax.random.key(1), exploring, False)
-    goal = [-1.0, 1.0] if exploring else [1.0, 0.0]
+@pytest.mark.parametrize("training_goals", [False, True])
+def test_only_exploring_episodes_have_goals_to_learn_from(training_goals):
+    given = break_down(jax.random.key(1), training_goals, False)
+    goal = [-1.0, 1.0] if training_goals else [1.0, 0.0]
     np.testing.assert_array_equal(given.desired[:, :3], np.broadcast_to(goal, (LENGTH + 1, 3, 2)))
 
 
@@ -423,8 +423,8 @@ def test_observations_may_reach_the_limit_and_no_further():
         observation_limit = 25.25
 
     policy = steady([0.25])
-    assert play(Far(), policy, 1).sound.all()
-    assert not play(Wide(), policy, 1).sound.any()
+    assert play(Far(), policy, 1).valid.all()
+    assert not play(Wide(), policy, 1).valid.any()
 
     class Still(Line):
         observation_limit = 1.0
@@ -432,20 +432,20 @@ def test_observations_may_reach_the_limit_and_no_further():
         def reset_physics(self, rng):
             return jnp.ones(1)
 
-    assert play(Still(), steady([0.0]), 1).sound.all()
-    assert not play(Still(), steady([-1.0]), 1).sound.any()
+    assert play(Still(), steady([0.0]), 1).valid.all()
+    assert not play(Still(), steady([-1.0]), 1).valid.any()
 
 
 def test_an_action_or_outcome_that_is_not_finite_spoils_its_episode_alone():
     class Unmeasured(Line):
-        def outcome(self, end, probed):
+        def outcome(self, end, lifted):
             return self.measure(end.obs, end.obs).replace(distance_l2=1.0 / jnp.where(end.obs[0] > 2.0, 0.0, 1.0))
 
     given = play(Unmeasured(), steady([0.0, 1.0, 0.0]), 3)
-    np.testing.assert_array_equal(given.sound, [True, False, True])
+    np.testing.assert_array_equal(given.valid, [True, False, True])
     np.testing.assert_array_equal(given.outcome.distance_l2, [1.0, 0.0, 1.0])
     given = play(Line(), steady([0.0, jnp.inf, 0.0]), 3)
-    np.testing.assert_array_equal(given.sound, [True, False, True])
+    np.testing.assert_array_equal(given.valid, [True, False, True])
 
 
 def test_starts_are_drawn_apart_from_actions():
@@ -480,7 +480,7 @@ def test_the_physics_of_a_task_may_hold_a_key():
             return jnp.append(physics[0], 0.0)
 
     given = play(Shaken(), steady([0.0, 0.0]), 2)
-    assert given.sound.all()
+    assert given.valid.all()
     assert len(np.unique(given.features[1:])) == 2 * LENGTH
 
 
@@ -492,8 +492,8 @@ def test_a_device_steps_no_more_environments_than_the_task_was_made_for():
         return rollout(Narrow(), steady(jnp.zeros(episodes // 2)), rng, episodes, axis="devices")
 
     split = jax.vmap(of_two_devices, in_axes=(None, None), axis_name="devices", axis_size=2)
-    assert play(Narrow(), steady(jnp.zeros(3)), 3).sound.all()
-    assert jax.eval_shape(lambda rng: split(rng, 6), jax.random.key(0)).sound.shape == (2, 6)
+    assert play(Narrow(), steady(jnp.zeros(3)), 3).valid.all()
+    assert jax.eval_shape(lambda rng: split(rng, 6), jax.random.key(0)).valid.shape == (2, 6)
     with pytest.raises(ValueError, match="it must be at most 3"):
         play(Narrow(), steady(jnp.zeros(4)), 4)
     with pytest.raises(ValueError, match="it must be at most 3"):
@@ -503,13 +503,13 @@ def test_a_device_steps_no_more_environments_than_the_task_was_made_for():
 def test_means_count_broken_episodes_as_failures_and_in_no_distance():
     outcome = EpisodeMetrics(*np.float32([[1, 0, 1, 0], [1, 0, 0, 0], [1, 1, 1, 0], [1, 2, 3, 0], [4, 5, 6, 0]]))
     sound = np.array([True, True, True, False])
-    means = mean_outcome(trajectory(4, outcome=outcome, sound=sound))
+    means = mean_outcome(trajectory(4, outcome=outcome, valid=sound))
     found = [
         float(getattr(means, name)) for name in ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
     ]
     np.testing.assert_allclose(found, [0.5, 0.25, 0.75, 2.0, 5.0], rtol=1e-6)
     blank = jax.tree.map(np.zeros_like, outcome)
-    means = mean_outcome(trajectory(4, outcome=blank, sound=np.zeros(4, bool)))
+    means = mean_outcome(trajectory(4, outcome=blank, valid=np.zeros(4, bool)))
     assert means.success == means.achieved == means.success_l1 == 0.0
     assert np.isnan([means.distance_l1, means.distance_l2]).all()
 
@@ -518,14 +518,14 @@ def test_an_evaluation_probes_and_does_not_explore():
     seen = []
 
     class Watched(Breaking):
-        def reset(self, rng, exploring=False):
-            seen.append(exploring)
-            return super().reset(rng, exploring)
+        def reset(self, rng, training_goals=False):
+            seen.append(training_goals)
+            return super().reset(rng, training_goals)
 
     speeds = [0.1, 0.2, 0.3, 0.0]
     measured = jax.jit(lambda rng: evaluate(Watched(), steady(speeds), rng, 4))(jax.random.key(0))
     np.testing.assert_allclose(measured.distance_l1, np.mean([0.75, 1.5, 2.25, 0.0]), rtol=1e-4)
-    assert not any(bool(exploring) for exploring in seen)
+    assert not any(bool(training_goals) for training_goals in seen)
 
 
 # Drawing
@@ -572,14 +572,14 @@ def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
 
 def test_trivial_samples_count_less_and_kinds_keep_their_shares():
     class Trivial(Line):
-        def is_trivial(self, features, goal):
+        def already_solved(self, features, goal):
             return goal[..., 0] - features[..., 0] < 1.0  # the goal is what the step itself achieves
 
     kind = np.broadcast_to(np.arange(LENGTH + 1)[:, None] % 2, (LENGTH + 1, 400)).astype(np.float32)
     given, key = trajectory(400, kind=kind), jax.random.key(2)
 
     def relabel(weight):
-        hyper = jax.tree.map(jnp.asarray, Hyperparameters(trivial_weight=weight))
+        hyper = jax.tree.map(jnp.asarray, Hyperparameters(solved_weight=weight))
         return jax.jit(lambda: relabelled_samples(Trivial(), hyper, given, key))()
 
     plain, weighted = relabel(1.0), relabel(0.25)

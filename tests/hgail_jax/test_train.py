@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-import envs
-from envs import EpisodeMetrics
-from envs.point import Point
-from hgail_jax import Config, Hyperparameters, env_steps, init_state, rollout, schedule, train_step
+import hgail_envs
+from hgail_envs import EpisodeMetrics
+from hgail_envs.point import Point
+from hgail_jax import Config, Hyperparameters, env_steps, init_state, phase_table, rollout, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.distributed.seeds import evaluate_seeds, evaluation_episodes, init_seeds, seed_keys, trace_evaluation
 from hgail_jax.evaluate import evaluate
+from hgail_jax.learners.ppo import make_policy, pretrain, update_discriminator, update_policy
 from hgail_jax.samples import relabelled_samples
+from hgail_jax.seeds import evaluate_seeds, evaluation_episodes, init_seeds, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
 from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.updates import make_policy, pretrain, update_discriminator, update_policy
 from tests.support import TINY
 
-ENV = envs.make("point")
-PHASES = schedule(TINY)
+ENV = hgail_envs.make("point")
+PHASES = phase_table(TINY)
 tiny_step = jax.jit(functools.partial(train_step, ENV, TINY))
 seeds_step = jax.jit(jax.vmap(functools.partial(train_step, ENV, TINY), in_axes=(0, None)))
 
@@ -76,7 +76,7 @@ class Drawn(Still):
     def sample_goal(self, rng, physics):
         return jax.random.uniform(rng, (3,))
 
-    def outcome(self, end, probed):
+    def outcome(self, end, lifted):
         return EpisodeMetrics(distance_l1=end.info["achieved_goal"][0], distance_l2=end.info["desired_goal"][0])
 
 
@@ -115,16 +115,16 @@ class Told(Still):
     def sample_goal(self, rng, physics):
         return jnp.full(3, self.MEASURED)
 
-    def plan_goals(self, rng, physics, exploring):
-        return jnp.full(3, jnp.where(exploring, self.LEARNT_FROM, self.MEASURED))
+    def plan_goals(self, rng, physics, training_goals):
+        return jnp.full(3, jnp.where(training_goals, self.LEARNT_FROM, self.MEASURED))
 
-    def outcome(self, end, probed):
+    def outcome(self, end, lifted):
         return EpisodeMetrics(distance_l1=end.info["desired_goal"][0], distance_l2=1.0)
 
 
 @pytest.mark.parametrize("explore", [True, False])
 def test_learning_phases_explore_where_the_config_says_so_and_evaluations_never(explore):
-    config = dataclasses.replace(TINY, explore=explore)
+    config = dataclasses.replace(TINY, training_goals=explore)
     step = jax.jit(functools.partial(train_step, Told(), config))
     states = init_seeds(Told(), config, Hyperparameters(), seed_keys(0, 1))
     if explore:
@@ -141,7 +141,7 @@ class Progressing(Point):
 
     progress = 1.0
 
-    def eased(self, progress):
+    def curriculum(self, progress):
         env = copy.copy(self)
         env.progress = progress
         return env
@@ -149,7 +149,7 @@ class Progressing(Point):
     def sample_goal(self, rng, physics):
         return jnp.zeros(3).at[0].set(self.progress)
 
-    def outcome(self, end, probed):
+    def outcome(self, end, lifted):
         return EpisodeMetrics(distance_l2=end.info["desired_goal"][0])
 
 
@@ -158,7 +158,7 @@ def test_a_task_that_becomes_harder_is_learnt_so_and_measured_as_it_is(pretraine
     env, config = Progressing(), dataclasses.replace(TINY, rounds=4, policy_phases=1, pretrain=pretrained)
     state = init_state(env, config, Hyperparameters(), jax.random.key(0))
     run = functools.partial(jax.lax.scan, functools.partial(train_step, env, config))
-    metrics = jax.jit(run)(state, schedule(config))[1]
+    metrics = jax.jit(run)(state, phase_table(config))[1]
     np.testing.assert_array_equal(metrics.evaluation.distance_l2, np.ones(5))
     # In each round one phase before the policy's update, and `discriminator_phases` after it.
     begun = np.arange(4) / 4
@@ -243,10 +243,10 @@ def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
 
 def test_schedule_and_its_steps():
     np.testing.assert_array_equal(
-        schedule(dataclasses.replace(TINY, rounds=1)),
+        phase_table(dataclasses.replace(TINY, rounds=1)),
         [[PRETRAIN, SKIP, SKIP, SKIP, EVALUATE], [SKIP, POLICY, POLICY, DISCRIMINATOR, EVALUATE]],
     )
-    assert schedule(dataclasses.replace(TINY, pretrain=False))[0, 0] == SKIP
+    assert phase_table(dataclasses.replace(TINY, pretrain=False))[0, 0] == SKIP
     np.testing.assert_array_equal(env_steps(ENV, TINY, PHASES), np.array([1, 3, 3]) * 4 * 50)
 
 
@@ -255,7 +255,7 @@ class Refined(Point):
 
     gain = 1.0
 
-    def accurate(self):
+    def reference_physics(self):
         env = copy.copy(self)
         env.gain = 0.5
         return env
@@ -274,7 +274,7 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
             state = jax.tree.map(lambda leaf, seed=seed: leaf[seed], states)
             policy = make_policy(env, TINY, state, noise=0.0)
             rngs = jax.random.split(split_key(state.rng).final_evaluation, rollouts)
-            alone = [evaluate(env.accurate(), policy, rng, 4) for rng in rngs]
+            alone = [evaluate(env.reference_physics(), policy, rng, 4) for rng in rngs]
             expected = np.mean([outcome.distance_l1 for outcome in alone])
             np.testing.assert_allclose(measured.distance_l1[seed], expected, rtol=1e-4)
 
@@ -282,9 +282,9 @@ def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physi
 class Fragile(Drawn):
     """It breaks down in the episodes whose goal is beyond the middle."""
 
-    def outcome(self, end, probed):
+    def outcome(self, end, lifted):
         broken = end.info["desired_goal"][0] > 0.5
-        return super().outcome(end, probed).replace(success=1.0, distance_l2=jnp.where(broken, jnp.nan, 1.0))
+        return super().outcome(end, lifted).replace(success=1.0, distance_l2=jnp.where(broken, jnp.nan, 1.0))
 
 
 def test_roll_outs_that_broke_down_are_failures_in_the_final_evaluation_and_have_no_distance():
@@ -296,10 +296,10 @@ def test_roll_outs_that_broke_down_are_failures_in_the_final_evaluation_and_have
         policy = make_policy(env, config, jax.tree.map(lambda leaf, i=seed: leaf[i], states), noise=0.0)
         rngs = jax.random.split(split_key(key).final_evaluation, 16)
         alone = list(map(jax.jit(lambda rng, policy=policy: rollout(env, policy, rng, 1)), rngs))
-        sound = [bool(episode.sound[0]) for episode in alone]
+        sound = [bool(episode.valid[0]) for episode in alone]
         assert 0 < sum(sound) < 16
         np.testing.assert_allclose(measured.success[seed], np.mean(sound))
-        starts = [float(episode.outcome.distance_l1[0]) for episode in alone if episode.sound[0]]
+        starts = [float(episode.outcome.distance_l1[0]) for episode in alone if episode.valid[0]]
         np.testing.assert_allclose(measured.distance_l1[seed], np.mean(starts), rtol=1e-5)
 
 
@@ -353,7 +353,7 @@ def test_a_broken_episode_is_blank_and_leaves_the_others_as_they_are():
         jax.jit(lambda rng, env=env: rollout(env, policy, rng, 16))(jax.random.key(3))
         for env in (ENV, Faulty(), exploded)
     )
-    sound = np.asarray(broken.sound)
+    sound = np.asarray(broken.valid)
     assert 1 <= (~sound).sum() <= 15
     np.testing.assert_array_equal(sound, np.asarray(whole.features)[:-1, :, 1].max(0) <= Faulty.border)
     for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
@@ -367,7 +367,7 @@ def test_a_broken_episode_is_blank_and_leaves_the_others_as_they_are():
 @pytest.mark.parametrize("source", [RELABELLED, BEST])
 def test_what_is_in_an_episode_that_is_not_sound_does_not_matter(update, source):
     """Not even where it is not blank: whatever is put there, all that is learnt is the same to the bit."""
-    config = dataclasses.replace(TINY, num_envs=8, likelihood_batch=16, expert_source=source, best_episodes=12)
+    config = dataclasses.replace(TINY, num_envs=8, bc_batch=16, expert_source=source, best_episodes=12)
     state = init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0))
     policy = make_policy(ENV, config, state, noise=1.0)
     whole, another = (rollout(ENV, policy, jax.random.key(seed), 8) for seed in (3, 4))
@@ -380,7 +380,7 @@ def test_what_is_in_an_episode_that_is_not_sound_does_not_matter(update, source)
             name: jnp.where(sound[:, None] if getattr(whole, name).ndim == 3 else sound, getattr(whole, name), values)
             for name, values in filling.items()
         }
-        return whole.replace(sound=sound, **mixed)
+        return whole.replace(valid=sound, **mixed)
 
     learn = jax.jit(functools.partial(update, ENV, config))
 
@@ -392,7 +392,7 @@ def test_what_is_in_an_episode_that_is_not_sound_does_not_matter(update, source)
     results = [learnt(with_broken(filling)) for filling in fillings]
     for other in results[1:]:
         jax.tree.map(np.testing.assert_array_equal, results[0], other)
-    with_all = learnt(with_broken(fillings[1]).replace(sound=jnp.ones(8, bool)))
+    with_all = learnt(with_broken(fillings[1]).replace(valid=jnp.ones(8, bool)))
     assert not all(map(np.array_equal, jax.tree.leaves(results[1]), jax.tree.leaves(with_all)))
 
 

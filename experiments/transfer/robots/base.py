@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-import envs
+import hgail_envs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Robot(abc.ABC):
     packages: ClassVar[tuple[str, ...]]
     """Distributions behind the extra; results record their versions."""
     tasks: ClassVar[tuple[str, ...]] = ("reach", "grasp")
-    """Tasks that it can do, by their names in `envs.TASKS`."""
+    """Tasks that it can do, by their names in `hgail_envs.TASKS`."""
     curves: ClassVar[tuple[OptionCurve, ...]] = ()
     """Curves over the robot's own options, for the robustness figure."""
     unaffected_by: ClassVar[tuple[str, ...]] = ()
@@ -83,7 +83,7 @@ class Robot(abc.ABC):
     def features(self) -> np.ndarray:
         """Returns what the policy sees besides the goal, in the Fetch's units.
 
-        That is `[6]` as in `envs.fetch.reach.Reach`, `[8]` as in `envs.fetch.grasp.Grasp`, and so on.
+        That is `[6]` as in `hgail_envs.fetch.reach.Reach`, `[8]` as in `hgail_envs.fetch.grasp.Grasp`, and so on.
         """
 
     @abc.abstractmethod
@@ -96,7 +96,9 @@ class Robot(abc.ABC):
 
     def reached(self) -> bool:
         """Returns whether that is near enough to the target."""
-        return bool(np.linalg.norm(self.carried() - self.target()) <= envs.find_class(self.task).success_threshold)
+        return bool(
+            np.linalg.norm(self.carried() - self.target()) <= hgail_envs.find_class(self.task).success_threshold
+        )
 
     @abc.abstractmethod
     def step(self, action: np.ndarray) -> None:

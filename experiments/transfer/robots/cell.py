@@ -2,8 +2,8 @@
 
 import mujoco
 
-from envs.scenes import assets_directory
 from experiments.transfer.robots.arms import HAND, Arm
+from hgail_envs.scenes import assets_directory
 
 TOOL_CENTRE = "tool_centre"
 """Name of the site between the finger pads, which stands for the Fetch's `grip`."""

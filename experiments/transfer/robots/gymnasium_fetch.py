@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-import envs
-from envs.fetch.grasp import is_held
-from envs.fetch.objects import OBSERVATIONS
+import hgail_envs
 from experiments.reference import make_reference
 from experiments.transfer.robots.base import Robot
-from hgail_jax.validation import check_name
+from hgail_envs.fetch.grasp import is_held
+from hgail_envs.fetch.objects import OBSERVATIONS
+from hgail_envs.validation import check_name
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # see `Robot.step`
@@ -30,7 +30,7 @@ class GymnasiumFetch(Robot):
     | object position less gripper position, object position | not seen | 6:9, 3:6; not seen in grasp |
     | object velocity × 0.04 s | not seen | the sum of 14:17 and 20:23; not seen in grasp |
     | gap between the fingers | not seen | the sum of 9:11; not seen in push and slide |
-    | holding | not seen | `envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
+    | holding | not seen | `hgail_envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
     | target position | the desired goal | the desired goal; in grasp 3:6, the cube |
 
     Actions are the same four numbers.
@@ -38,7 +38,7 @@ class GymnasiumFetch(Robot):
     Args:
       task: one of `tasks`.
       observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
-        numbers (`envs.fetch.objects.ObjectEnv.official_features`).
+        numbers (`hgail_envs.fetch.objects.ObjectEnv.official_features`).
 
     Raises:
       ValueError: there is no such observation of the task.
@@ -59,10 +59,10 @@ class GymnasiumFetch(Robot):
         import gymnasium  # here, so that the class can be read without its extra
 
         self.task = task
-        has_object_in_sight = "observation" in envs.accepted_options(task)
+        has_object_in_sight = "observation" in hgail_envs.accepted_options(task)
         check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])
         self._official = observation == "official"
-        name: Any = envs.find_class(task).reference
+        name: Any = hgail_envs.find_class(task).reference
         env: Any = make_reference(name, disable_env_checker=True).unwrapped
         env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
         self.model, self.data = env.model, env.data

@@ -6,8 +6,8 @@ on which an action lasts `CONTROL_PERIOD`.
 
 import numpy as np
 
-from envs.fetch.arm import LEAD
-from envs.fetch.grasp import WIDEST_GAP
+from hgail_envs.fetch.arm import LEAD
+from hgail_envs.fetch.grasp import WIDEST_GAP
 
 # The weld of assets/fetch/robot.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
 # as the gripper drags the arm along; this constant fits the reference.

@@ -6,15 +6,15 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from envs.fetch import grasp
-from envs.fetch.arm import ACCURATE_SUBSTEPS, CONTROL_PERIOD, LEAST_DISTANCE, TABLE_HEIGHT, settle
-from envs.fetch.pick_and_place import HIGHEST
-from envs.fetch.reach import GOAL_RANGE
-from envs.scenes import load_scene
 from experiments.transfer.robots.arms import FRANKA, UR5E, Arm
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
-from hgail_jax.validation import check_count
+from hgail_envs.fetch import grasp
+from hgail_envs.fetch.arm import CONTROL_PERIOD, LEAST_DISTANCE, REFERENCE_SUBSTEPS, TABLE_HEIGHT, settle
+from hgail_envs.fetch.pick_and_place import HIGHEST
+from hgail_envs.fetch.reach import GOAL_RANGE
+from hgail_envs.scenes import load_scene
+from hgail_envs.validation import check_count
 
 _FETCH_GAPS = (0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP)  # metres
 _SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
@@ -161,7 +161,7 @@ class ServoArm(Robot):
         # The Fetch's pads come to rest on the table; these servos would press on.
         target[2] = max(target[2], self.arm.hand.below_tool)
         finger = self._fingers.lead(self._gap(), action[3])
-        commands = self.slowdown * ACCURATE_SUBSTEPS // _SERVO_STEPS
+        commands = self.slowdown * REFERENCE_SUBSTEPS // _SERVO_STEPS
         fetch_time = CONTROL_PERIOD / commands  # here it lasts `slowdown` times longer
         period, lag = _SERVO_STEPS * self.model.opt.timestep, np.array(self.arm.lag)
         for _ in range(commands):

@@ -10,7 +10,7 @@ import pytest
 
 from experiments.bench import __main__ as bench
 from experiments.bench import results
-from hgail_jax.trainer.provenance import provenance
+from hgail_jax.io.provenance import provenance
 from tests.experiments.bench.devices import HERE
 
 ROOT = Path(results.__file__).resolve().parents[2]

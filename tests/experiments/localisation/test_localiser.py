@@ -4,8 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from envs.vision.camera import look_at
-from envs.vision.rgbd import Picture
 from experiments.localisation.localiser import (
     ABOVE,
     MARKER_RADIUS,
@@ -21,6 +19,8 @@ from experiments.localisation.localiser import (
     overhead,
     surface_to_centre,
 )
+from hgail_envs.vision.camera import look_at
+from hgail_envs.vision.rgbd import Picture
 
 STRANGER = """
 <mujoco>

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-import envs
+import hgail_envs
 from experiments.paper import __main__ as paper
 from experiments.paper import work
 from experiments.paper.programs import group_by_program, make_program, train_program
@@ -18,8 +18,8 @@ from experiments.paper.study import Study
 from experiments.paper.tables import write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
 from experiments.paper.work import Unfinished
-from hgail_jax import PRESETS, env_steps, schedule
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax import PRESETS, env_steps, phase_table
+from hgail_jax.defaults import AS_WRITTEN
 from hgail_jax.train import EVALUATE
 
 QUICK = ["--quick", "--seeds", "3"]
@@ -31,7 +31,7 @@ def trials_of(study, task, platform="gpu"):
 
 
 def phases_of(trial):
-    return make_program(envs.make("point"), [trial], None).phases()
+    return make_program(hgail_envs.make("point"), [trial], None).phases()
 
 
 def read(path):
@@ -44,7 +44,7 @@ def results_of(trials):
     found = []
     for trial in trials:
         rng = np.random.default_rng(int(trial.key(), 16))
-        steps = env_steps(envs.make("point"), trial.config, schedule(trial.config)).cumsum()
+        steps = env_steps(hgail_envs.make("point"), trial.config, phase_table(trial.config)).cumsum()
         curve = {name: rng.uniform(size=(len(steps), len(trial.seeds))).tolist() for name in ("success", "distance_l1")}
         names = ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
         seconds = {"compile": 1.0, "train": 6.0, "evaluation": 1.0}
@@ -121,10 +121,10 @@ def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
 
 def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     prepared = []
-    monkeypatch.setattr(envs.find_class("point"), "prepare", lambda env: prepared.append(env))
+    monkeypatch.setattr(hgail_envs.find_class("point"), "prepare", lambda env: prepared.append(env))
     (planned,) = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
     trials = [planned.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
-    env, stopped = envs.make("point"), threading.Event()
+    env, stopped = hgail_envs.make("point"), threading.Event()
     (whole, *_) = train_program(env, trials, None, tmp_path / "whole", threading.Event())
     stopped.set()
     assert train_program(env, trials, None, tmp_path / "parts", stopped) is None  # after a round
@@ -361,7 +361,7 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, capsys,
 @pytest.mark.parametrize(("task", "platform"), [("reach", "gpu"), ("reach", "cpu"), ("grasp", "gpu")])
 def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, platform):
     def steps(config):
-        return env_steps(envs.find_class(task), config, schedule(config)).sum()
+        return env_steps(hgail_envs.find_class(task), config, phase_table(config)).sum()
 
     expected = steps(Scale(task, platform).preset().config)
     for trial in trials_of(BY_NAME["table1"], task, platform):
@@ -375,14 +375,14 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
 
 def test_settings_of_few_rounds_are_evaluated_in_every_one():
     for trial in trials_of(BY_NAME["table1-longer"], "reach", "gpu") + trials_of(BY_NAME["table1"], "grasp", "gpu"):
-        np.testing.assert_array_equal(phases_of(trial), schedule(trial.config))
+        np.testing.assert_array_equal(phases_of(trial), phase_table(trial.config))
 
 
 def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_of_many_rounds_and_the_last():
     for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
         evaluated = np.flatnonzero(phases_of(trial)[:, -1] == EVALUATE)
         assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]
-        np.testing.assert_array_equal(phases_of(trial)[:, :-1], schedule(trial.config)[:, :-1])
+        np.testing.assert_array_equal(phases_of(trial)[:, :-1], phase_table(trial.config)[:, :-1])
 
 
 def test_settings_that_differ_in_numbers_alone_share_a_program():
@@ -417,9 +417,9 @@ def test_likelihoods_are_weighed_as_their_names_say(task):
     for name, weight in weights.items():
         trial = trials[f"GAIL-demo (20), {name}"]
         assert (trial.setting.method, trial.setting.demonstrations) == ("gail-demo", 20)
-        assert float(trial.hyperparameters.likelihood_weight) == weight
-        assert trial.config.likelihood_batch > 0
-    assert trials["GAIL-demo (20), no likelihood"].config.likelihood_batch == 0
+        assert float(trial.hyperparameters.bc_weight) == weight
+        assert trial.config.bc_batch > 0
+    assert trials["GAIL-demo (20), no likelihood"].config.bc_batch == 0
 
 
 def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
@@ -429,10 +429,10 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
     preset = PRESETS["paper"].config
     for trial in second:
         assert (trial.config.policy_phases, trial.config.discriminator_phases) == (1, 3)
-        assert (trial.config.num_envs, trial.config.ppo_minibatches) == (preset.num_envs, preset.ppo_minibatches)
+        assert (trial.config.num_envs, trial.config.minibatches) == (preset.num_envs, preset.minibatches)
     assert len(second) == 6
     for trial in trials_of(BY_NAME["paper-sizes"], "reach", "cpu"):
-        steps = env_steps(envs.find_class("reach"), trial.config, schedule(trial.config)).sum()
+        steps = env_steps(hgail_envs.find_class("reach"), trial.config, phase_table(trial.config)).sum()
         least, most = (490_000, 510_000) if trial.setting.panel == "phases 1 + 3" else (180_000, 260_000)
         assert least <= steps <= most
     for trial in [trial for trial in trials if trial not in second]:
@@ -443,8 +443,8 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
         assert trial.config.policy_phases == changes.get("policy_phases", 16)
         assert float(trial.hyperparameters.action_std) == changes.get("action_std", 1.0)
         assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
-        samples = trial.config.num_envs * 50 // trial.config.ppo_minibatches
-        assert samples == pytest.approx(128, abs=6) or set(changes) <= {"ppo_epochs", "ppo_minibatches"}
+        samples = trial.config.num_envs * 50 // trial.config.minibatches
+        assert samples == pytest.approx(128, abs=6) or set(changes) <= {"epochs", "minibatches"}
     programs = group_by_program(trials)
     assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
 
@@ -456,7 +456,7 @@ def test_sizes_of_grasp_are_those_that_their_names_tell():
         sizes = f"{trial.config.num_envs} episodes, {trial.config.rounds} rounds"
         wide = trial.config.policy_hidden == trial.config.discriminator_hidden == (256, 256)
         assert trial.setting.panel == sizes + (", 256 wide" if wide else "")
-        assert trial.setting.name == f"likelihood × {float(trial.hyperparameters.likelihood_weight):g}"
+        assert trial.setting.name == f"likelihood × {float(trial.hyperparameters.bc_weight):g}"
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():

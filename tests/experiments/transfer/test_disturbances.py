@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from envs.randomization import Randomization
 from experiments.transfer.conditions import Conditions
 from experiments.transfer.disturbances import DISTURBANCES
+from hgail_envs.randomization import Randomization
 
 
 @pytest.mark.parametrize("disturbance", DISTURBANCES.values(), ids=DISTURBANCES.keys())

@@ -5,11 +5,11 @@ import typing
 import numpy as np
 import pytest
 
-import envs
-from envs.fetch.grasp import LEAST_RISE
-from envs.randomization import Randomization
+import hgail_envs
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.episode import run_episode, run_episodes
+from hgail_envs.fetch.grasp import LEAST_RISE
+from hgail_envs.randomization import Randomization
 
 
 class Dot:
@@ -181,4 +181,4 @@ def test_starts_depend_on_seed_and_number_alone():
     assert [outcome.distance_l1 for outcome in later] == [both[1].distance_l1, both[3].distance_l1]
     other = run_episodes(robot, policies, [1], seed=4)
     assert other[0].distance_l1 != both[1].distance_l1
-    assert isinstance(both[0], envs.EpisodeMetrics)
+    assert isinstance(both[0], hgail_envs.EpisodeMetrics)

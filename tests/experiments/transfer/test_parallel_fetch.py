@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-import envs
-from envs.randomization import Randomization
-from envs.randomized import RandomizedEnv
+import hgail_envs
 from experiments.transfer.parallel_fetch import ParallelFetch
+from hgail_envs.randomization import Randomization
+from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.io.policy import load_policy
 from hgail_jax.rollout import rollout
 
@@ -30,18 +30,18 @@ def test_points_are_measured_as_each_alone_and_policies_take_turns(shipped_polic
 
     # the same sizes, drawn by a task that has no others; what may differ in length is as long as the program's
     sizes = Randomization(goal_offset=0.05, robot_noise=1e-9, hand_opening=1e-9, friction=(1.0, 1.0 + 1e-9))
-    env = RandomizedEnv(envs.make("reach", impl="c"), sizes)
+    env = RandomizedEnv(hgail_envs.make("reach", impl="c"), sizes)
 
     def act(seen, rng):
         return policy(seen, jax.numpy), jax.numpy.zeros(len(seen))
 
-    alone = jax.jit(lambda rng: rollout(env, act, rng, 6, probe=True).outcome)(jax.random.key(3))
+    alone = jax.jit(lambda rng: rollout(env, act, rng, 6, lift_test=True).outcome)(jax.random.key(3))
     point = fetch.outcomes(goal_offset=0.05)
     np.testing.assert_allclose(np.asarray(alone.distance_l1)[::2], np.asarray(point.distance_l1)[::2], atol=2e-3)
 
 
 def test_a_size_that_the_program_is_not_made_for_is_refused(shipped_policy):
     fetch = ParallelFetch("reach", [load_policy(shipped_policy)], episodes=1, seed=0)
-    for name in ("posture", "history", "growth"):
+    for name in ("posture", "history", "ramp"):
         with pytest.raises(ValueError, match=f"a point cannot have '{name}'; it may have delay, step_size"):
             fetch.outcomes(**{name: 1})

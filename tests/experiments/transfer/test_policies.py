@@ -2,8 +2,8 @@ import dataclasses
 
 import pytest
 
-from envs.scenes import assets_directory
 from experiments.transfer.policies import find_policies, load_policies, policy_paths
+from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy, save_policy
 
 

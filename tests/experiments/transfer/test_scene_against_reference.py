@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-import envs
+import hgail_envs
 from experiments.transfer.episode import run_episode
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from hgail_jax.recording import run_controller
+from hgail_jax.play.recording import run_controller
 
 EPISODES = 24
 
@@ -34,7 +34,7 @@ def in_reference(robot, controller, cube):
     ],
 )
 def test_a_controller_lifts_the_cubes_that_it_lifts_in_the_reference(robot, name, least_agreement):
-    env = envs.make("grasp")
+    env = hgail_envs.make("grasp")
     episodes = run_controller(env, name, EPISODES, seed=0)
     starts = np.asarray(episodes.desired[0, :, :3])  # where the cube lies
     theirs = np.array([in_reference(robot, env.controllers[name], cube) for cube in starts])

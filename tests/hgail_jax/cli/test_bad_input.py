@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hgail_envs.validation import MOST
 from hgail_jax.cli import train as run
-from hgail_jax.validation import MOST
 
 GOOD = (
     ["--task", "point"],
@@ -59,7 +59,7 @@ bad_arguments = st.one_of(
     bad("--p-ht", st.floats().filter(lambda share: not 0.0 <= share <= 1.0).map(str) | no_number(float)),
     *(bad(option, words.filter(lambda word, known=known: word not in known)) for option, known in CHOICES.items()),
     bad("--task", words.filter(lambda word: word not in ("point", "reach"))),
-    bad("--task", words.map(lambda word: f"envs.point:{word}").filter(lambda task: not task.endswith(":Point"))),
+    bad("--task", words.map(lambda word: f"hgail_envs.point:{word}").filter(lambda task: not task.endswith(":Point"))),
     bad("--task", words.map(lambda word: f"{word}:Point")),
     bad("--resume", words.filter(lambda word: word != "auto").map(lambda word: f"no-{word}")),
     bad("--out", st.sampled_from(["", ".", "file", "file/run", "a" * 300])),

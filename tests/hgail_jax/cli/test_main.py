@@ -74,7 +74,7 @@ def test_a_command_has_help_of_its_own(capsys, prepared):
 
 
 TASK_OF_ONE_S_OWN = """
-from envs.point import Point
+from hgail_envs.point import Point
 
 class Near(Point):
     success_threshold = 9.0

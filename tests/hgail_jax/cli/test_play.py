@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import envs
-from envs.randomization import LEVELS, Randomization
-from envs.randomized import randomize
+import hgail_envs
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import randomize
 from hgail_jax.cli import play
 from hgail_jax.io.policy import load_policy, save_policy
-from hgail_jax.playback import Playback, film
+from hgail_jax.play.playback import Playback, film
 from tests.hgail_jax.trainer.test_status import Terminal
 from tests.support import ROOT
 
 
 def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
-    env = envs.make("grasp")
+    env = hgail_envs.make("grasp")
     playback = Playback(env, load_policy(grasp_policy), seed=0)
     heights = [playback.data.body("cube").xpos[2] for _ in playback.play(1)]
     assert playback.outcomes == [True]
-    assert len(heights) == env.episode_length + env.probe_length + 10
+    assert len(heights) == env.episode_length + env.lift_test_steps + 10
     assert heights[0] == pytest.approx(0.425, abs=1e-3)
     assert heights[-1] > 0.6
     start = jax.jit(env.reset)(jax.random.split(jax.random.key(0), 1)[0])
@@ -36,7 +36,7 @@ def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
 def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rendering):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr("hgail_jax.playback._SIZE", (48, 64))  # where there is no GPU, large pictures take long
+    monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))  # where there is no GPU, large pictures take long
     play.main(["--task", "reach", "--episodes", "1"])
     assert [path.name for path in tmp_path.iterdir()] == ["reach.mp4"]
     with imageio.get_reader("reach.mp4", format="FFMPEG") as written:
@@ -53,17 +53,17 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
 @pytest.mark.parametrize(
     ("trained", "level", "told"),
     [
-        (LEVELS["none"], None, "undisturbed"),
+        (LEVELS["none"], None, "nominal"),
         (LEVELS["none"], "mild", "disturbances mild"),
         (LEVELS["full-history"], None, "disturbances full-history"),
-        (LEVELS["full-history"], "none", "undisturbed"),
+        (LEVELS["full-history"], "none", "nominal"),
         (LEVELS["mild-history"], "full", "disturbances full-history"),  # the policy sees as much as in its training
         (OF_ITS_OWN, None, "disturbances as in its training"),
         (OF_ITS_OWN, "full", "disturbances full"),
     ],
 )
 def test_the_policy_s_file_and_the_disturbances_are_told(trained, level, told, in_folder, shipped_policy, capsys):
-    policy, size = load_policy(shipped_policy), randomize(envs.make("reach"), trained).observation_size
+    policy, size = load_policy(shipped_policy), randomize(hgail_envs.make("reach"), trained).observation_size
     first, *others = policy.layers
     layers = ((np.zeros((size, first[1].size), np.float32), first[1]), *others)
     normalisation = {"mean": np.zeros(size, np.float32), "std": np.ones(size, np.float32)}
@@ -154,14 +154,14 @@ def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):
 INTERRUPTED = """
 import os, signal, sys, time
 import numpy as np
-import hgail_jax.cli, hgail_jax.playback
+import hgail_jax.cli, hgail_jax.play.playback
 
 def frames(*_):
     yield np.zeros((48, 64, 3), np.uint8)
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(60)
 
-hgail_jax.playback.frames = frames
+hgail_jax.play.playback.frames = frames
 hgail_jax.cli.main(["play", "--task", "reach"])
 """
 
@@ -209,7 +209,7 @@ def test_where_nothing_can_be_shown_one_line_says_why(environment, options, mess
 
 
 REACH_OF_ONE_S_OWN = """
-from envs.fetch.reach import Reach
+from hgail_envs.fetch.reach import Reach
 
 class Near(Reach):
     episode_length = 3
@@ -218,7 +218,7 @@ class Near(Reach):
 
 def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
     monkeypatch.syspath_prepend(in_folder)
-    monkeypatch.setattr("hgail_jax.playback._SIZE", (48, 64))
+    monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))
     (in_folder / "my_reach.py").write_text(REACH_OF_ONE_S_OWN)
     policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
     save_policy("near.npz", policy)
@@ -242,9 +242,9 @@ class BlackPictures:
 def test_a_terminal_is_told_how_far_the_film_is(in_folder, shipped_policy, monkeypatch):
     monkeypatch.syspath_prepend(in_folder)
     (in_folder / "one_more_reach.py").write_text(REACH_OF_ONE_S_OWN)
-    monkeypatch.setattr("hgail_jax.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
+    monkeypatch.setattr("hgail_jax.play.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
     monkeypatch.setattr(sys, "stderr", Terminal())
-    film(in_folder / "near.gif", envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
+    film(in_folder / "near.gif", hgail_envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
     frames = sys.stderr.frames()
     pictures = 2 * (3 + 10) + 8  # episodes with their ends held, and a fade between them
     told = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]

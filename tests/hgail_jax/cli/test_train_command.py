@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from envs.engines.c import usable_cores
+from hgail_envs.engines.c import usable_cores
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.trainer.checkpoint import Checkpoints
@@ -141,7 +141,7 @@ def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
         (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
         (["--substeps", "0"], "substeps is 0; it must be an integer from 4 to 20"),
         (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
-        (["--likelihood", "-1"], "likelihood_weight is -1.0; it must be at least 0"),
+        (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),
         (["--action-std", "0"], "action_std is 0.0; it must be positive"),
         (["--action-std", "1", "2"], "action_std is (1.0, 2.0); it must be one number or 4"),
         (["--task-options", "height"], "task option 'height' is not name=value"),
@@ -211,8 +211,8 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
 def test_no_likelihood_costs_none(likelihood, batch):
     """Also of a method that has it by default."""
     prepared = plan(TrainOptions(task="point", method="gcsl", likelihood=likelihood), "cpu")
-    assert prepared.config.likelihood_batch == batch
-    assert prepared.hyperparameters.likelihood_weight == (1.0 if likelihood is None else likelihood)
+    assert prepared.config.bc_batch == batch
+    assert prepared.hyperparameters.bc_weight == (1.0 if likelihood is None else likelihood)
 
 
 def test_every_option_has_a_help_line(capsys):
@@ -245,7 +245,7 @@ def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     with pytest.raises(SystemExit):
         run.main(["--task", "point", "--method", "ppo", "--help"])
     (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
-    assert "--action-std" in line and "--p-ht" not in line and "--likelihood" not in line
+    assert "--action-std" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 
 def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
@@ -266,7 +266,7 @@ def test_a_wheel_finds_its_assets(tmp_path):
     subprocess.run(build, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
-    code = "import envs.scenes as s; print(s.assets_directory(), s.load_scene('fetch/reach').nv)"
+    code = "import hgail_envs.scenes as s; print(s.assets_directory(), s.load_scene('fetch/reach').nv)"
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=tmp_path,
@@ -275,12 +275,12 @@ def test_a_wheel_finds_its_assets(tmp_path):
         capture_output=True,
         text=True,
     )
-    assert done.stdout.split() == [str(tmp_path / "site" / "envs" / "assets"), "13"]
+    assert done.stdout.split() == [str(tmp_path / "site" / "hgail_envs" / "assets"), "13"]
 
 
 TASK_WITH_A_MISTAKE = """
 import numpy as np
-from envs.point import Point
+from hgail_envs.point import Point
 
 class Mistaken(Point):
     def step_physics(self, physics, action):

@@ -3,10 +3,10 @@ import json
 import numpy as np
 import pytest
 
-import envs
+import hgail_envs
 from hgail_jax import Demonstrations, load_demonstrations, save_demonstrations
 
-ENV = envs.make("point")
+ENV = hgail_envs.make("point")
 EPISODES, LENGTH = 4, 5
 
 
@@ -73,7 +73,7 @@ def test_there_are_only_so_many(count):
 
 def test_sizes_of_another_task_are_refused():
     with pytest.raises(ValueError, match=r"sizes \(3, 3, 3\); the task: \(6, 3, 4\)"):
-        DEMONSTRATIONS.samples(envs.make("reach"))
+        DEMONSTRATIONS.samples(hgail_envs.make("reach"))
 
 
 @pytest.mark.parametrize(

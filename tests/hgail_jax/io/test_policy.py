@@ -9,10 +9,10 @@ import pytest
 from jaxlib.mlir import ir
 from jaxlib.mlir.dialects import stablehlo
 
-import envs
+import hgail_envs
 from hgail_jax import Config, Hyperparameters, MeanPolicy, export_policy, init_state, load_policy, save_policy
 from hgail_jax.io.policy import from_state
-from hgail_jax.updates import make_policy
+from hgail_jax.learners.ppo import make_policy
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def policy(shipped_policy):
 
 
 def test_a_saved_policy_is_the_mean_action(tmp_path):
-    env = envs.make("point")
+    env = hgail_envs.make("point")
     state = init_state(env, Config(), Hyperparameters(), jax.random.key(0))
     state = state.observe(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
     # weights large enough that some actions are clipped

@@ -1,7 +1,7 @@
 import importlib.metadata
 
 import hgail_jax
-from hgail_jax.io.versions import installed
+from hgail_jax.io.provenance import installed
 
 
 def test_a_checkout_that_is_not_installed_has_its_own_version(monkeypatch):

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import envs
-from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, schedule
+import hgail_envs
+from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, phase_table
+from hgail_jax.learners.ppo import UpdateMetrics
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
-from hgail_jax.updates import UpdateMetrics
 from tests.support import TINY
 
-ENV = envs.make("point")
+ENV = hgail_envs.make("point")
 NAN = float("nan")
 
 
@@ -99,7 +99,7 @@ def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
             seen.append((progress.rounds, progress.history[-1]["success_rate"], checkpoints.saved))
 
         train(program(rounds=2), told(*rounds, given=given), progress, checkpoints, after_round=watch)
-    assert given == schedule(dataclasses.replace(TINY, rounds=2)).tolist()
+    assert given == phase_table(dataclasses.replace(TINY, rounds=2)).tolist()
     assert seen == [(1, [0.0, 0.0], None), (2, [0.0, 0.25], 1), (3, [0.0, 0.5], 2)]
     np.testing.assert_array_equal(progress.states.expert, 3.0)
     assert [record["env_steps"] for record in progress.history] == [200, 800, 1400]

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envs.point import Point
-from envs.randomization import LEVELS, Randomization
-from envs.randomized import RandomizedEnv
+from hgail_envs.point import Point
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import RandomizedEnv
 from hgail_jax import Trainer, load_policy
 from hgail_jax.cli import play
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
 from tests.support import compile_once, make_runs_tiny
 
-PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, growth=0.5)
+PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
 SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--iterations", "1", "--out", "run"]
 
 
@@ -42,7 +42,7 @@ def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
     config, summary = (json.loads((Path("run") / f"{name}.json").read_text()) for name in ("config", "summary"))
     assert config["options"]["randomize"] == "probe"
     assert Randomization.from_json(config["physics"]["randomization"]) == PROBE
-    assert len(summary["undisturbed_success_rate"]["per_seed"]) == 2
+    assert len(summary["nominal_success_rate"]["per_seed"]) == 2
     policy = load_policy("run/policies/seed-1.npz")
     assert policy.randomization == PROBE
     assert policy.observation_size == 6 + 2 * (3 + 3)

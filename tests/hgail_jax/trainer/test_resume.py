@@ -21,7 +21,7 @@ from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.checkpoint import Checkpoints
-from hgail_jax.trainer.run_folder import sole_user
+from hgail_jax.trainer.folder import sole_user
 from tests.support import ROOT, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
 ROUNDS = 4  # and the pre-training
@@ -167,7 +167,7 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
 
 TWICE = """
 import os, signal, sys, time
-from hgail_jax.trainer.signals import stop_on_signal
+from hgail_jax.terminal.signals import stop_on_signal
 with stop_on_signal() as stop:
     os.kill(os.getpid(), signal.SIGINT)
     while not stop.is_set():

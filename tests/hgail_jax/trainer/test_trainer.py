@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-import envs
+import hgail_envs
 from hgail_jax import Trainer, TrainOptions
 from hgail_jax.trainer import curves, results
 from tests.support import compile_once, make_runs_tiny
@@ -94,7 +94,7 @@ def test_the_physics_is_prepared_before_the_first_round(monkeypatch):
         assert len(prepared) == 1
         return rounds(self, *arguments)
 
-    monkeypatch.setattr(envs.registry.find_class("point"), "prepare", prepare)
+    monkeypatch.setattr(hgail_envs.registry.find_class("point"), "prepare", prepare)
     monkeypatch.setattr(Trainer, "_train_rounds", train_rounds)
     Trainer(SMALL).train()
 
@@ -118,7 +118,7 @@ def test_a_run_in_a_notebook():
 
 def test_a_policy_says_which_task_options_it_was_trained_with(monkeypatch, tmp_path):
     (tmp_path / "sized.py").write_text(
-        "from envs.point import Point\n\n\n"
+        "from hgail_envs.point import Point\n\n\n"
         "class Sized(Point):\n"
         "    def __init__(self, radius: float = 0.05) -> None:\n"
         "        self.success_threshold = radius\n"

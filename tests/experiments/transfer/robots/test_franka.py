@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from envs.fetch import controllers
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka
+from hgail_envs.fetch import controllers
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.motion import move
 from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_table_is_not_pressed

@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-import envs
-from envs.fetch import controllers
-from envs.fetch.arm import CONTROL_PERIOD
-from envs.scenes import assets_directory
+import hgail_envs
 from experiments.parity.reference import joint_indices
 from experiments.transfer.conditions import Conditions
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import CONTROL_PERIOD
+from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
 
@@ -104,7 +104,7 @@ def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
 @pytest.mark.parametrize("task", ["push", "pick-and-place", "slide"])
 def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task, observation):
     robot = GymnasiumFetch(task, observation=observation)
-    env = envs.make(task, impl="c", observation=observation)
+    env = hgail_envs.make(task, impl="c", observation=observation)
     robot.reset(np.random.default_rng(1))
     for action in np.random.default_rng(0).uniform(-1, 1, (6, 4)):
         robot.step(action)
@@ -117,7 +117,7 @@ def test_features_of_tasks_with_an_object_are_ours_of_the_same_state(task, obser
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "least"), [("push", 0.9), ("pick-and-place", 0.9), ("slide", 0.3)])
 def test_controllers_written_for_ours_succeed_there(task, least):
-    policy = jax.jit(next(iter(envs.find_class(task).controllers.values())))
+    policy = jax.jit(next(iter(hgail_envs.find_class(task).controllers.values())))
     outcomes = run_episodes(GymnasiumFetch(task), [lambda seen: np.asarray(policy(seen))], range(30))
     success = np.mean([outcome.success for outcome in outcomes])
     print(f"{task}: {success:.2f}")

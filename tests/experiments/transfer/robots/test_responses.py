@@ -3,9 +3,9 @@ import itertools
 import numpy as np
 import pytest
 
-from envs.fetch.arm import CONTROL_PERIOD
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
+from hgail_envs.fetch.arm import CONTROL_PERIOD
 from tests.experiments.transfer.robots.motion import move
 
 

@@ -5,13 +5,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from envs.fetch import controllers
-from envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
-from envs.scenes import assets_directory
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka, UR5e
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
+from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.motion import move
 

@@ -1,0 +1,13 @@
+"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own."""
+
+from hgail_envs import _platform
+
+_platform.prepare()
+
+from brax.envs.base import State  # noqa: E402
+
+from hgail_envs.base import EpisodeMetrics, GoalEnv  # noqa: E402
+from hgail_envs.checking import check_task  # noqa: E402
+from hgail_envs.registry import TASKS, accepted_options, find_class, make  # noqa: E402
+
+__all__ = ["TASKS", "EpisodeMetrics", "GoalEnv", "State", "accepted_options", "check_task", "find_class", "make"]

@@ -1,0 +1,121 @@
+"""Works around faults of the installed JAX and MJX, before either has started."""
+
+import contextlib
+import ctypes.util
+import importlib
+import io
+import os
+import sys
+from collections.abc import Callable
+
+import jax
+import jaxlib.version
+
+# Two faults of jaxlib's CPU backend, both mended in the releases that Python 3.12 gets:
+# - the fusion emitters duplicate work along the arm's kinematic chain, so that a batched MJX step compiles for minutes
+#   and runs a thousand times slower (releases without the fault may abort on the flag as unknown);
+# - a batched Cholesky factorisation waits, inside a thread of XLA's pool, for tasks it hands to the same pool. MJX has
+#   up to three at once, which on two cores wait for one another for ever. More threads than that, and none is stuck.
+_FAULTY = [(0, minor) for minor in range(7, 11)]
+_NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
+_ENOUGH_THREADS = 8
+
+rendering_fault: str | None = None
+"""Why MuJoCo cannot render with what `MUJOCO_GL` names; None where it can, or where that is not known yet."""
+
+# Shardy, JAX's default partitioner, crashes in these releases over a training step that several devices share.
+_SHARDY_CRASHES = [(0, 11)]
+
+
+def _release(version: str) -> tuple[int, int]:
+    major, minor = version.split(".")[:2]
+    return int(major), int(minor)
+
+
+def xla_flags(flags: str, jaxlib_version: str) -> str:
+    """Returns the XLA flags to run with, given those already set and jaxlib's version, e.g. `"0.10.2"`.
+
+    >>> xla_flags("", "0.10.2")
+    '--xla_cpu_use_fusion_emitters=false'
+    >>> xla_flags("--xla_cpu_use_fusion_emitters=true", "0.10.2")
+    '--xla_cpu_use_fusion_emitters=true'
+    >>> xla_flags("", "0.12.0")
+    ''
+    """
+    if "xla_cpu_use_fusion_emitters" in flags or _release(jaxlib_version) not in _FAULTY:
+        return flags
+    return f"{flags} {_NO_FUSION_EMITTERS}".strip()
+
+
+def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
+    """Returns the threads that XLA's CPU client needs, or None where its own choice is right.
+
+    >>> thread_pool_size(2, "0.10.2")
+    8
+    >>> thread_pool_size(2, "0.12.0") is None
+    True
+    """
+    if _release(jaxlib_version) in _FAULTY and cores < _ENOUGH_THREADS:
+        return _ENOUGH_THREADS
+    return None
+
+
+def uses_shardy(jaxlib_version: str) -> bool:
+    """Returns whether programs for several devices can be partitioned as JAX does by default.
+
+    >>> uses_shardy("0.11.2"), uses_shardy("0.12.0")
+    (False, True)
+    """
+    return _release(jaxlib_version) not in _SHARDY_CRASHES
+
+
+def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
+    """Returns what MuJoCo can render with where there is no display: `"egl"`, `"osmesa"` or nothing.
+
+    MuJoCo cannot even be imported with a backend named whose library is missing.
+
+    >>> headless_backend({"OSMesa": "libOSMesa.so.8"}.get)
+    'osmesa'
+    """
+    return next((library.lower() for library in ("EGL", "OSMesa") if find_library(library)), None)
+
+
+def import_mujoco() -> None:
+    """Imports MuJoCo, without its renderer where `MUJOCO_GL` names one that is unknown or whose library is missing.
+
+    MuJoCo alone could not be imported then, not even by those who only want its physics.
+    """
+    global rendering_fault
+    chosen = os.environ.get("MUJOCO_GL")
+    if not chosen or "mujoco" in sys.modules:
+        importlib.import_module("mujoco")
+        return
+    os.environ["MUJOCO_GL"] = "disable"
+    mujoco = importlib.import_module("mujoco")
+    os.environ["MUJOCO_GL"] = chosen
+    try:
+        mujoco.GLContext = importlib.reload(mujoco.rendering.classic.gl_context).GLContext  # type: ignore[attr-defined]
+    except Exception as error:  # those of PyOpenGL and ctypes are of many kinds
+        rendering_fault = f"MUJOCO_GL={chosen} does not work: {error}"
+
+
+def prepare() -> None:
+    """Sets what XLA, JAX and MuJoCo's renderer go by; imports MJX without its notices of missing packages."""
+    version = jaxlib.version.__version__
+    os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
+    threads = thread_pool_size(os.cpu_count() or 1, version)
+    if threads is not None:
+        os.environ.setdefault("NPROC", str(threads))
+    backend = headless_backend(ctypes.util.find_library)
+    chosen = any(os.environ.get(name) for name in ("DISPLAY", "MUJOCO_GL"))
+    if sys.platform == "linux" and not chosen and backend is not None:
+        os.environ["MUJOCO_GL"] = backend
+        if "mujoco" in sys.modules:  # it has read the variable already
+            importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
+    import_mujoco()
+    with contextlib.redirect_stdout(io.StringIO()):
+        importlib.import_module("mujoco.mjx")
+    # A program that calls C MuJoCo on the host (`hgail_envs.engines.c`) can hang if a CPU dispatches it asynchronously.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    if not uses_shardy(version) and "JAX_USE_SHARDY_PARTITIONER" not in os.environ:
+        jax.config.update("jax_use_shardy_partitioner", False)

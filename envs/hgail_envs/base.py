@@ -1,0 +1,301 @@
+"""The interface between a goal-reaching task and the learner."""
+
+import abc
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env, State
+from flax import struct
+
+from hgail_envs.variation import ModelFactors, SensorErrors
+
+Controller = Callable[[jax.Array], jax.Array]
+"""A scripted policy without a memory: observations `[..., observation_size]` to actions `[..., action_size]` in
+[-1, 1]."""
+
+
+class EpisodeMetrics(struct.PyTreeNode):
+    """How an episode ended: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
+
+    success: jax.Array | float = 0.0
+    """1 where the episode is a success by the task's strictest test, else 0."""
+    achieved: jax.Array | float = 0.0
+    """1 where the last step satisfies the goal; differs from `success` in a task with a probe."""
+    success_l1: jax.Array | float = 0.0
+    """1 where the L1 distance is within the task's threshold, as in the paper, else 0."""
+    distance_l1: jax.Array | float = 0.0
+    """Sum of absolute differences between where the last step is and where it should be, in the goal's unit."""
+    distance_l2: jax.Array | float = 0.0
+    """Euclidean distance between them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingDefaults:
+    """What a task is trained with on a platform unless the user says otherwise; it travels with the task."""
+
+    config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Changes to the fields of `hgail_jax.Config`."""
+    hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Changes to the fields of `hgail_jax.Hyperparameters`."""
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of the task's own class, e.g. `substeps` of the Fetch tasks."""
+    evaluate_every: int = 1
+    """Rounds from one evaluation to the next."""
+
+
+class GoalEnv(Env):
+    """A task in which a state must be brought to a goal within `episode_length` steps.
+
+    It has brax's `reset` and `step`, so any brax trainer can drive it, and a goal interface from which hindsight can
+    rebuild an observation for another goal without stepping. Everything here is for a single environment; batches
+    come from `jax.vmap`. `P` below is the task's own physics state, any pytree.
+
+    A task sets the five class attributes without a value and implements the five abstract methods; the others have
+    defaults. Episodes never end early: `done` stays 0 and the time limit is the caller's, who treats it as a
+    truncation.
+
+    The goals of an episode follow a plan. `plan_goals` draws it at the reset, and from it `current_goal` says what the
+    goal is at each step. By default the plan is one goal of `sample_goal`, which stays. A task that learns better on
+    other goals than those it is measured on has training goals, the plans of episodes reset with `training_goals`: a
+    random place, a stage on the way, a new place every few steps.
+
+    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
+    (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is `goal_observation(observation, desired_goal)`,
+    `[observation_size]`. `State.reward` is -1, or 0 where the state is at the goal (`reached`).
+    """
+
+    episode_length: int
+    """Steps in an episode."""
+    feature_size: int
+    """Numbers in the part of the observation that does not depend on the goal."""
+    goal_size: int
+    """Numbers in a goal."""
+    action_size: int
+    """Numbers in an action; each is clipped to [-1, 1]."""
+    success_threshold: float
+    """Largest Euclidean distance between achieved and desired goal that counts as success."""
+    goal_kinds: int = 1
+    """Kinds of goals, see `goal_kind`."""
+    lift_test_steps: int = 0
+    """Steps that an evaluation appends to an episode to test what it ended with, see `lift_test_action`."""
+    observation_limit: float = 1e3
+    """Largest absolute observation of a sound simulation; beyond it, or not a number, the episode is left out."""
+    max_worlds: int | None = None
+    """Environments that its physics can step at once; None is any number."""
+    control_period: float = 0.04
+    """Seconds between two actions, at which an episode is shown."""
+    scene: str | None = None
+    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show. The physics of
+    a task with a scene have `qpos`, and its goals begin with the position of the target, metres, world frame."""
+    target_body: str | None = None
+    """Name of the scene's body that is the target itself; None where a mark is to show the target."""
+    reference: str | None = None
+    """Name of the Gymnasium environment that the task is held to."""
+    controllers: ClassVar[Mapping[str, Controller]] = {}
+    """Scripted controllers by name; the first demonstrates the task."""
+    training: ClassVar[Mapping[str, TrainingDefaults]] = {
+        "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}),
+        "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}),
+    }
+    """What it is trained with by default, by platform."""
+
+    @abc.abstractmethod
+    def reset_physics(self, rng: jax.Array) -> Any:
+        """Returns the physics state `P` at the start of an episode."""
+
+    @abc.abstractmethod
+    def step_physics(self, physics: Any, action: jax.Array) -> Any:
+        """Returns the physics state `P` after `action`, `[action_size]`, already clipped to [-1, 1]."""
+
+    @abc.abstractmethod
+    def features(self, physics: Any) -> jax.Array:
+        """Returns what the policy sees besides the goal, `[feature_size]`."""
+
+    @abc.abstractmethod
+    def achieved_goal(self, physics: Any) -> jax.Array:
+        """Returns the goal that the physics state achieves, `[goal_size]`."""
+
+    @abc.abstractmethod
+    def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
+        """Draws the desired goal of an episode that starts in `physics` and is measured, `[goal_size]`."""
+
+    def plan_goals(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
+        """Draws what decides the goals of an episode that starts in `physics`; by default one goal of `sample_goal`.
+
+        All that is random about the goals is drawn here. `training_goals`, which may be traced, is whether they are the
+        task's training goals; the plan is any pytree, of the same structure and shapes in either case.
+        """
+        del training_goals
+        return self.sample_goal(rng, physics)
+
+    def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
+        """Returns the desired goal, `[goal_size]`, in `physics` after `step` steps; by default the plan itself."""
+        del physics, step
+        return plan
+
+    def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns the observation of `features`, `[..., feature_size]`, under `goal`, `[..., goal_size]`."""
+        return jnp.concatenate([features, goal], axis=-1)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`."""
+        return jnp.linalg.norm(achieved - desired, axis=-1) <= self.success_threshold
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
+
+        Hindsight draws its goals so that each kind has the share among them that it has among the desired ones, where
+        a roll-out achieved it at all. Otherwise a kind that is rarely achieved would hardly be taught, and would give
+        away which samples are relabelled.
+        """
+        return jnp.zeros(goal.shape[:-1], jnp.int32)
+
+    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
+        """Returns whether `physics` is at the goal `desired`, `[goal_size]`: a boolean `[]`, by the achieved goal."""
+        return self.success(self.achieved_goal(physics), desired)
+
+    def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether nothing is left to do for goals, where hindsight may weigh them less: booleans `[...]`.
+
+        Args:
+          features: `[..., feature_size]`, of the states that act.
+          goal: `[..., goal_size]`, what hindsight has put in the place of their desired goals.
+
+        By default none is; see `Hyperparameters.solved_weight`.
+
+        """
+        del features
+        return jnp.zeros(goal.shape[:-1], bool)
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Returns a state with the target at `position`, `[3]`, metres: somebody drags it while the policy acts.
+
+        A task in which the target is a body of the scene moves that body too.
+        """
+        plan = self.aim(state.info["plan"], position)
+        return self._advance(state, state.pipeline_state, plan, state.info["step"])
+
+    def aim(self, plan: Any, position: jax.Array) -> Any:
+        """Returns a plan with the target at `position`, `[3]`; by default the plan is a goal that begins with it."""
+        return plan.at[:3].set(position)
+
+    def lift_test_action(self, action: jax.Array) -> jax.Array:
+        """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
+        return action
+
+    def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
+        """Measures an episode by its last state, `end`, and by the state at the end of the probe, `lifted`.
+
+        Without a probe `lifted` is `end`; so it is in roll-outs to learn from, of any task.
+        """
+        del lifted
+        achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
+        reached = self.success(achieved, desired).astype(jnp.float32)
+        return self.measure(achieved, desired).replace(success=reached, achieved=reached)
+
+    def measure(self, position: jax.Array, target: jax.Array) -> EpisodeMetrics:
+        """Returns the distances between two vectors, and what follows from them alone."""
+        l1 = jnp.sum(jnp.abs(position - target))
+        return EpisodeMetrics(
+            success_l1=(l1 <= self.success_threshold).astype(jnp.float32),
+            distance_l1=l1,
+            distance_l2=jnp.linalg.norm(position - target),
+        )
+
+    def overflow(self, physics: Any) -> jax.Array:
+        """Returns whether the simulation ran out of room for contacts, and so is wrong: a boolean `[]`."""
+        del physics
+        return jnp.zeros((), bool)
+
+    def add_sensor_noise(self, physics: Any, errors: SensorErrors) -> Any:
+        """Returns `physics` as wrong sensors see it, for `features`; `hgail_envs.randomization` needs it."""
+        raise NotImplementedError
+
+    def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
+        """Returns a start with another model from now on; a randomisation of friction, masses or sizes needs it."""
+        raise NotImplementedError
+
+    def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: jax.Array | float) -> Any:
+        """Returns a start with the robot elsewhere; `hgail_envs.randomization` needs it for another posture.
+
+        Args:
+          rng: a PRNG key.
+          physics: from `reset_physics`.
+          shift: metres along each axis by which the gripper is moved at most.
+          opening: share of its widest by which the hand is open at most.
+
+        """
+        raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Does what the first step would otherwise wait for, while the caller compiles; by default nothing."""
+        return
+
+    def curriculum(self, progress: jax.Array | float) -> "GoalEnv":
+        """Returns the task to learn from once a share of the rounds is through: easier at first; by default this one.
+
+        Episodes are reset and stepped in it. Sizes, observations and what the goals mean must be those of this one.
+
+        Args:
+          progress: the share of the rounds that is through, `[]`, which may be traced. At 1 the task is this one.
+
+        """
+        del progress
+        return self
+
+    def reference_physics(self) -> "GoalEnv":
+        """Returns the task with its most accurate physics; a task with one physics only returns itself."""
+        return self
+
+    def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
+        """Starts an episode to be measured, or one to learn from where `training_goals`, which may be traced."""
+        physics_rng, goal_rng = jax.random.split(rng)
+        physics = self.reset_physics(physics_rng)
+        return self._observe(physics, self.plan_goals(goal_rng, physics, training_goals), jnp.zeros((), jnp.int32), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
+
+        Raises:
+          ValueError: the action has another shape.
+
+        """
+        if jnp.shape(action) != (self.action_size,):
+            raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
+        physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))
+        return self._advance(state, physics, state.info["plan"], state.info["step"] + 1)
+
+    def _advance(self, state: State, physics: Any, plan: Any, step: jax.Array) -> State:
+        """Returns `state` with other physics, another plan and another step."""
+        seen = self._observe(physics, plan, step, state.metrics)
+        return seen.replace(info=state.info | seen.info)
+
+    def _observe(self, physics: Any, plan: Any, step: jax.Array, metrics: dict[str, jax.Array]) -> State:
+        features, desired = self.features(physics), self.current_goal(plan, physics, step)
+        return State(
+            pipeline_state=physics,
+            obs=self.goal_observation(features, desired),
+            reward=self.reached(physics, desired).astype(jnp.float32) - 1.0,
+            done=jnp.zeros(()),
+            metrics=metrics,
+            info={
+                "observation": features,
+                "achieved_goal": self.achieved_goal(physics),
+                "desired_goal": desired,
+                "plan": plan,
+                "step": step,
+            },
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in `State.obs`; a task with a `goal_observation` of its own overrides this too."""
+        return self.feature_size + self.goal_size
+
+    @property
+    def backend(self) -> str:
+        """Brax's name for the physics; `"mjx"` unless the task says otherwise."""
+        return "mjx"

@@ -1,0 +1,208 @@
+"""Checks a task of one's own against the interface, method by method, before anything is compiled for it."""
+
+import inspect
+import math
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hgail_envs.base import EpisodeMetrics, GoalEnv, State
+
+_BATCH = (2, 3)
+"""Leading axes that a method which must take any is tried with."""
+_EPISODES = 2
+_COUNTS = {
+    "episode_length": 1,
+    "feature_size": 1,
+    "goal_size": 1,
+    "action_size": 1,
+    "goal_kinds": 1,
+    "lift_test_steps": 0,
+}
+_NUMBERS = ("success_threshold", "observation_limit", "control_period")
+
+_NOT_TRACEABLE = (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError)
+_HINTS: dict[tuple[type[Exception], ...], str] = {
+    _NOT_TRACEABLE: "it uses NumPy, or Python's if, float or int, on an array that JAX traces;"
+    " use jax.numpy, jnp.where and jax.lax",
+    (jax.errors.UnexpectedTracerError,): "it uses an array that another call kept, on self for instance;"
+    " carry it in the physics state",
+}
+
+_Shapes = Any
+"""A pytree of `jax.ShapeDtypeStruct`."""
+
+
+def check_task(env: GoalEnv) -> None:
+    """Checks that a task fits the interface that the learner relies on; for a test of one's own task, too.
+
+    Each method is traced alone, so that a mistake is named where it is made, and then an episode of two environments
+    is begun and takes one step.
+
+        def test_my_task():
+            hgail_envs.check_task(MyTask())
+
+    Args:
+      env: the task.
+
+    Raises:
+      ValueError: an attribute is missing or has a value that it cannot have, or a method raises, or returns something
+        else than `GoalEnv` says. The message names it, what it gave and what is needed.
+
+    >>> from hgail_envs.point import Point
+    >>> check_task(Point())
+    >>> class Flat(Point):
+    ...     feature_size = 2
+    >>> check_task(Flat())
+    Traceback (most recent call last):
+    ValueError: Flat.features gives float32 [3]; it must give float32 [2], that is [feature_size]
+
+    """
+    if not isinstance(env, GoalEnv):
+        raise ValueError(f"{env!r} is not a GoalEnv; a task is an instance of a subclass of hgail_envs.GoalEnv")
+    _check_attributes(env)
+    _check_methods(env)
+    _check_episode(env)
+
+
+def _check_attributes(env: GoalEnv) -> None:
+    for name in (*_COUNTS, *_NUMBERS):
+        value, owner = getattr(env, name, None), f"{type(env).__name__}.{name}"
+        if value is None:
+            raise ValueError(f"{owner} is missing; set it in the class")
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if name in _COUNTS and not (number and isinstance(value, int | np.integer) and value >= _COUNTS[name]):
+            raise ValueError(f"{owner} is {value!r}; it must be an integer from {_COUNTS[name]}")
+        if name in _NUMBERS and not (number and math.isfinite(value) and value > 0):
+            raise ValueError(f"{owner} is {value!r}; it must be a positive number")
+
+
+def _check_methods(env: GoalEnv) -> None:
+    """Traces each method on what the ones before it gave."""
+    rng, flag = jax.eval_shape(lambda: jax.random.key(0)), jax.ShapeDtypeStruct((), bool)
+    step, action = jax.ShapeDtypeStruct((), jnp.int32), _floats(env.action_size)
+    physics = _trace(env, "reset_physics", rng)
+    plan = _trace(env, "plan_goals", rng, physics, flag)
+    _check_same(env, "step_physics", physics, _trace(env, "step_physics", physics, action))
+    needed: dict[str, tuple[tuple[Any, ...], str, tuple[int, ...], str]] = {
+        "features": ((physics,), "float32", (env.feature_size,), "[feature_size]"),
+        "achieved_goal": ((physics,), "float32", (env.goal_size,), "[goal_size]"),
+        "sample_goal": ((rng, physics), "float32", (env.goal_size,), "[goal_size]"),
+        "current_goal": ((plan, physics, step), "float32", (env.goal_size,), "[goal_size]"),
+        "reached": ((physics, _floats(env.goal_size)), "bool", (), "one number"),
+        "lift_test_action": ((action,), "float32", (env.action_size,), "[action_size]"),
+        "overflow": ((physics,), "bool", (), "one number"),
+    }
+    for name, (arguments, dtype, shape, meaning) in needed.items():
+        _check_array(env, name, _trace(env, name, *arguments), dtype, shape, meaning)
+    for batch in ((), _BATCH):  # hindsight calls these for whole trajectories
+        features, goal = _floats(*batch, env.feature_size), _floats(*batch, env.goal_size)
+        observation = _trace(env, "goal_observation", features, goal)
+        size = (*batch, env.observation_size)
+        _check_array(env, "goal_observation", observation, "float32", size, "[..., observation_size]")
+        _check_array(env, "success", _trace(env, "success", goal, goal), "bool", batch, "[...]")
+        _check_array(env, "goal_kind", _trace(env, "goal_kind", goal), "int32", batch, "[...]")
+        _check_array(env, "already_solved", _trace(env, "already_solved", features, goal), "bool", batch, "[...]")
+
+
+def _check_episode(env: GoalEnv) -> None:
+    """Takes a step in two environments, and looks at what an observation consists of."""
+    resets = jax.vmap(env.reset, in_axes=(0, None))
+    count = _EPISODES if env.max_worlds is None else min(_EPISODES, env.max_worlds)
+    rngs = jax.random.split(jax.random.key(0), count)
+    _trace_call(env, "reset", resets, jax.eval_shape(lambda: rngs), jax.ShapeDtypeStruct((), bool))
+    state = _run(env, "reset", lambda: jax.jit(resets)(rngs, True))
+    _check_state(env, "reset", state)
+    action = jnp.zeros((count, env.action_size))
+    following = _run(env, "step", lambda: jax.jit(jax.vmap(env.step))(state, action))
+    _check_state(env, "step", following)
+    _check_same(env, "step", jax.eval_shape(lambda: state), jax.eval_shape(lambda: following), like="reset")
+    outcome = _trace_call(env, "outcome", jax.vmap(env.outcome), *2 * (jax.eval_shape(lambda: following),))
+    needed = jax.tree.map(lambda _: _floats(count), EpisodeMetrics())
+    _check_same(env, "outcome", needed, outcome, like="GoalEnv.outcome")
+
+
+def _check_state(env: GoalEnv, name: str, state: State) -> None:
+    """Checks that a state is finite, and that its observation is rebuilt from its parts, as hindsight does."""
+    owner = f"{type(env).__name__}.{name}"
+    for part in ("observation", "achieved_goal", "desired_goal"):
+        if part not in state.info:
+            raise ValueError(f"{owner} gives a State without info[{part!r}]; hindsight needs it")
+        if not np.isfinite(np.asarray(state.info[part])).all():
+            raise ValueError(f"{owner} gives a State whose {part} is not finite: {np.asarray(state.info[part])[0]}")
+    rebuilt = np.asarray(env.goal_observation(state.info["observation"], state.info["desired_goal"]))
+    if rebuilt.shape != state.obs.shape or not np.allclose(rebuilt, np.asarray(state.obs), rtol=1e-5, atol=1e-6):
+        raise ValueError(
+            f"{owner} gives a State whose obs is not goal_observation(info['observation'], info['desired_goal']);"
+            " hindsight rebuilds it so for other goals"
+        )
+
+
+def _floats(*shape: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.float32)
+
+
+def _trace(env: GoalEnv, name: str, *arguments: _Shapes) -> _Shapes:
+    """Returns the shapes that a method gives for arguments of these shapes."""
+    return _trace_call(env, name, getattr(env, name), *arguments)
+
+
+def _trace_call(env: GoalEnv, name: str, function: Callable, *arguments: _Shapes) -> _Shapes:
+    # The lambda is new each time: what JAX remembers of an earlier trace would hide a mistake.
+    return _run(env, name, lambda: jax.eval_shape(lambda *given: function(*given), *arguments))
+
+
+def _run(env: GoalEnv, name: str, call: Callable[[], Any]) -> Any:
+    """Returns what `call` does; whatever it raises is a ValueError that names the method and the line."""
+    try:
+        return call()
+    except Exception as error:  # a task of the user's own raises what it likes
+        reason = next((hint for kinds, hint in _HINTS.items() if isinstance(error, kinds)), None)
+        if reason is None:
+            reason = f"{type(error).__name__}: {next(iter(str(error).strip().splitlines()), '')}"
+        raise ValueError(f"{type(env).__name__}.{name} fails{_line(env, error)}: {reason}") from error
+
+
+def _line(env: GoalEnv, error: Exception) -> str:
+    """Returns where in the task's own files an error arose, as text to go into a message."""
+    files = {inspect.getsourcefile(base) for base in type(env).__mro__ if base.__module__.split(".")[0] not in _FOREIGN}
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in files]
+    return f" ({own[-1].filename}:{own[-1].lineno})" if own else ""
+
+
+_FOREIGN = ("abc", "brax", "builtins", "hgail_envs")
+
+
+def _check_array(
+    env: GoalEnv, name: str, given: _Shapes, dtype: str, shape: tuple[int, ...], meaning: str = ""
+) -> None:
+    needed = jax.ShapeDtypeStruct(shape, jnp.dtype(dtype))
+    if not isinstance(given, jax.ShapeDtypeStruct) or (given.shape, given.dtype) != (needed.shape, needed.dtype):
+        raise ValueError(
+            f"{type(env).__name__}.{name} gives {_describe(given)}; it must give {_describe(needed)}, that is {meaning}"
+        )
+
+
+def _check_same(env: GoalEnv, name: str, needed: _Shapes, given: _Shapes, like: str = "reset_physics") -> None:
+    """Refuses what is not of the structure, shapes and dtypes of `needed`, which `like` gave."""
+    owner = f"{type(env).__name__}.{name}"
+    if len({jax.tree.structure(tree) for tree in (needed, given)}) > 1:
+        raise ValueError(f"{owner} gives {_describe(given)}; it must give what {like} does, {_describe(needed)}")
+    paths = jax.tree_util.tree_leaves_with_path(needed)
+    for (path, before), after in zip(paths, jax.tree.leaves(given), strict=True):
+        if (before.shape, before.dtype) != (after.shape, after.dtype):
+            where = jax.tree_util.keystr(path)
+            raise ValueError(
+                f"{owner} gives {_describe(after)}{where and ' for ' + where}; it must give what {like} does,"
+                f" {_describe(before)}"
+            )
+
+
+def _describe(given: _Shapes) -> str:
+    if isinstance(given, jax.ShapeDtypeStruct):
+        return f"{given.dtype} [{', '.join(map(str, given.shape))}]"
+    return " ".join(str(jax.tree.map(lambda leaf: _describe(leaf), given)).split())

@@ -1,0 +1,68 @@
+"""The physics engines, behind one interface: a state and a control in, the state after an action out.
+
+`jax` and `warp` are MJX's two implementations, `c` is C MuJoCo on the host's cores. Tasks and learner do not know which
+one runs; a further engine is a subclass of `Engine` and an entry of `ENGINES`.
+"""
+
+import importlib.util
+from collections.abc import Callable
+
+import jax
+import mujoco
+
+from hgail_envs.engines.base import Control, Engine, EngineState
+from hgail_envs.engines.c import CEngine
+from hgail_envs.engines.mjx import MjxEngine, WarpEngine
+
+ENGINES: dict[str, Callable[..., Engine]] = {"warp": WarpEngine, "c": CEngine, "jax": MjxEngine}
+"""Engines by the name that `impl` gives them."""
+
+
+def resolve_impl(impl: str) -> str:
+    """Returns the name of the engine that `impl` stands for here.
+
+    `"auto"` is MJX-Warp on an NVIDIA GPU where warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
+
+    Raises:
+      ValueError: `impl` is no engine's name and not `"auto"`, or the engine is not available.
+
+    """
+    if impl != "auto" and impl not in ENGINES:
+        raise ValueError(f"unknown impl {impl!r}; choose from auto, {', '.join(ENGINES)}")
+    platform = _platform()
+    has_warp = importlib.util.find_spec("warp") is not None and platform == "gpu"
+    if impl == "warp" and not has_warp:
+        raise ValueError("impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'")
+    if impl == "c" and platform != "cpu":
+        raise ValueError("impl 'c' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
+    if impl != "auto":
+        return impl
+    if has_warp:
+        return "warp"
+    return "c" if platform == "cpu" else "jax"
+
+
+def _platform() -> str:
+    """Returns what programs run on unless they are told otherwise: `"cpu"`, `"gpu"` or another."""
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
+    return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
+
+
+def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:
+    """Makes an engine.
+
+    Args:
+      impl: see `resolve_impl`.
+      model: the scene.
+      period: seconds that an action lasts.
+      substeps: physics steps that an action is carried out in.
+      worlds: environments that are stepped at once at most, where the engine has buffers for them.
+
+    Raises:
+      ValueError: see `resolve_impl`.
+
+    """
+    return ENGINES[resolve_impl(impl)](model, period, substeps, worlds)
+
+
+__all__ = ["ENGINES", "Control", "Engine", "EngineState", "make_engine", "resolve_impl"]

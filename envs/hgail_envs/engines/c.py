@@ -1,0 +1,241 @@
+"""C MuJoCo on the host's cores, called back from within a compiled program.
+
+An action of all environments of all seeds is one call of `mujoco.rollout`, whose pool has a thread for each core that
+this process may use. The host keeps nothing between calls: all state goes in and out, so that a call may be repeated or
+left out, a run resumes exactly, and the result does not depend on the number of threads.
+
+Calls back into Python do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one
+another for ever; `hgail_envs._platform` turns that off before JAX starts.
+"""
+
+import copy
+import functools
+import hashlib
+import math
+import os
+import threading
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from hgail_envs.engines.base import Control, Engine, StateT
+from hgail_envs.engines.host_call import host_call
+
+_CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+
+_CGROUP = Path("/sys/fs/cgroup")
+
+_START = 1.0  # seconds on the clock at the start of an action, more than one lasts
+
+
+class CEngine(Engine):
+    """C MuJoCo; see `Engine` for the arguments. It starts the constraint solver anew with every action.
+
+    A simulation that MuJoCo warns of (a position that is not finite, an ill-conditioned inertia, a full arena) gives
+    positions that are not a number, so that its episode is left out. A warning in the last physics step of an action
+    alone goes unseen, but for one that resets the simulation.
+    """
+
+    name = "c"
+
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
+        super().__init__(model, period, substeps, worlds)
+        self._host = HostRollout(self.model, substeps, usable_cores())
+        self._name = f"rollout.{_digest(self.model)}.{substeps}"
+
+    def step(self, state: StateT, control: Control) -> StateT:
+        """See `Engine`; the warm start is passed on unused."""
+        sizes = (self.model.nq, self.model.nv, self.model.nsensordata)
+        mocap_pos, mocap_quat = control.mocap_pos.reshape(-1), control.mocap_quat.reshape(-1)
+        fields = dict(sorted((control.model or {}).items()))
+        self._check_fields(self.model, fields)
+        commands = jnp.concatenate([control.ctrl, mocap_pos, mocap_quat])
+        # In single precision each, also where jax_enable_x64 has made some of them double.
+        given = [state.qpos, state.qvel, commands, *(values.reshape(-1) for values in fields.values())]
+        qpos, qvel, sensordata = host_call(
+            ".".join([self._name, *fields]),
+            functools.partial(self._host, names=tuple(fields)),
+            [jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes],
+            *(jnp.asarray(values, jnp.float32) for values in given),
+        )
+        return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
+
+    def with_substeps(self, substeps: int) -> Self:
+        """See `Engine`."""
+        return type(self)(self.model, self.period, substeps, worlds=0)
+
+
+class HostRollout:
+    """Steps a batch of environments with C MuJoCo, NumPy arrays in and out.
+
+    Args:
+      model: the scene, whose time step is taken.
+      substeps: physics steps in a call.
+      threads: of the pool.
+
+    """
+
+    def __init__(self, model: mujoco.MjModel, substeps: int, threads: int) -> None:
+        self._model, self._substeps, self._threads = model, substeps, threads
+        self._lock = threading.Lock()  # several devices of a process call from threads of their own
+        self._pool: rollout.Rollout | None = None
+        self._datas = [mujoco.MjData(model) for _ in range(threads)]
+        self._room = _Room(model, substeps, 0)
+        self._copies: dict[tuple[str, ...], _Copies] = {}
+        _HOSTS.add(self)
+
+    def __call__(
+        self, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray, *fields: np.ndarray, names: Sequence[str] = ()
+    ) -> tuple[np.ndarray, ...]:
+        """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
+
+        Args:
+          qpos: `[..., nq]`.
+          qvel: `[..., nv]`.
+          control: `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies.
+          *fields: `[..., size]`: values of some of the model's fields, in single precision.
+          names: of these fields.
+
+        """
+        model, batch = self._model, qpos.shape[:-1]
+        count, velocities = math.prod(batch), 1 + model.nq  # time comes first
+        with self._lock:
+            room = self._room = self._room if self._room.count == count else _Room(model, self._substeps, count)
+            room.start[:, 1:velocities] = qpos.reshape(count, -1)
+            room.start[:, velocities : velocities + model.nv] = qvel.reshape(count, -1)
+            room.control[:] = control.reshape(count, 1, -1)
+            models = room.models
+            if names:
+                copies = self._copies.setdefault(tuple(names), _Copies(model, names))
+                models = copies.with_fields(np.concatenate([values.reshape(count, -1) for values in fields], axis=1))
+            self._open().rollout(
+                models,
+                self._datas,
+                room.start,
+                room.control,
+                control_spec=_CONTROL,
+                skip_checks=True,  # they copy, and cost as much as a physics step of a few environments
+                nstep=self._substeps,
+                state=room.states,
+                sensordata=room.sensors,
+            )
+            end, sensordata = room.states[:, -1].astype(np.float32), room.sensors[:, -1].astype(np.float32)
+        # MuJoCo resets a simulation that breaks down, and its clock with it; after any warning it stops early.
+        broken = ~(end[:, 0] > _START + (self._substeps - 0.5) * model.opt.timestep)
+        if broken.any():
+            end[broken, 1:velocities] = np.nan
+        parts = end[:, 1:velocities], end[:, velocities : velocities + model.nv], sensordata
+        return tuple(part.reshape(*batch, -1) for part in parts)
+
+    def _open(self) -> rollout.Rollout:
+        if self._pool is None:
+            mujoco.set_mju_user_warning(_ignore)
+            self._pool = rollout.Rollout(nthread=self._threads)
+        return self._pool
+
+    def close(self) -> None:
+        """Ends the pool's threads; the next call starts others."""
+        with self._lock:
+            self._pool = None
+
+
+class _Room:
+    """What a call of `mujoco.rollout` on `count` environments reads and writes, kept from call to call."""
+
+    def __init__(self, model: mujoco.MjModel, substeps: int, count: int) -> None:
+        self.count = count
+        self.models = [model] * count
+        state_size = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        self.start = np.zeros((count, state_size))
+        self.start[:, 0] = _START
+        self.control = np.empty((count, substeps, mujoco.mj_stateSize(model, _CONTROL)))
+        self.states = np.empty((count, substeps, state_size))
+        self.sensors = np.empty((count, substeps, model.nsensordata))
+
+
+class _Copies:
+    """Copies of a model that differ in some fields, made once and kept from call to call.
+
+    Args:
+      model: what is copied.
+      names: of the fields.
+
+    """
+
+    def __init__(self, model: mujoco.MjModel, names: Sequence[str]) -> None:
+        self._model, self._names = model, names
+        self._models: list[mujoco.MjModel] = []
+        self._written = np.empty((0, sum(getattr(model, name).size for name in names)), np.float32)
+
+    def with_fields(self, values: np.ndarray) -> list[mujoco.MjModel]:
+        """Returns a model for each row of `values`, the fields one after another; what has not changed is not written.
+
+        An episode's fields stay as they are while it lasts.
+        """
+        missing = len(values) - len(self._models)
+        if missing > 0:
+            self._models += [copy.copy(self._model) for _ in range(missing)]
+            self._written = np.append(self._written, np.full((missing, values.shape[1]), np.nan, np.float32), axis=0)
+        changed = np.flatnonzero((self._written[: len(values)] != values).any(axis=1))
+        for index in changed:
+            first = 0
+            for name in self._names:
+                field = getattr(self._models[index], name)
+                field[...] = values[index, first : first + field.size].reshape(field.shape)
+                first += field.size
+        self._written[changed] = values[changed]
+        return self._models[: len(values)]
+
+
+_HOSTS: weakref.WeakSet[HostRollout] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    """Ends all threads before a fork: the child would wait for ever for those that it does not have."""
+    for host in list(_HOSTS):
+        host.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_close_all)
+
+
+def _digest(model: mujoco.MjModel) -> str:
+    """Returns what tells a scene from others, the same in every process."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.tobytes()).hexdigest()[:32]
+
+
+def usable_cores() -> int:
+    """Returns how many processors this process may use, by its affinity and by what a container limits it to."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, _container_limit(_CGROUP) or cores)
+
+
+def _container_limit(folder: Path) -> int | None:
+    """Returns the processors whose time a container may use, rounded up, by Linux's cgroups; None without a limit.
+
+    Args:
+      folder: where cgroups are mounted, of version 2 or 1.
+
+    """
+    for files in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
+        try:
+            quota, period = (int(word) for file in files for word in (folder / file).read_text().split())
+        except (OSError, ValueError):  # not there, or "max"
+            continue
+        if quota > 0:
+            return math.ceil(quota / period)
+    return None
+
+
+def _ignore(message: str) -> None:
+    """Takes MuJoCo's warnings, which would go to the terminal and a log file; broken episodes are counted instead."""

@@ -1,0 +1,141 @@
+"""MJX's two implementations of the physics: MJX-JAX, which runs wherever XLA does, and MJX-Warp on NVIDIA GPUs."""
+
+import copy
+import re
+from collections.abc import Mapping
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from hgail_envs.engines.base import Control, Engine, StateT
+from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
+
+
+@jax.jit  # traced once, whatever loops and batches it is then run in
+def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Takes a physics step, in full single precision: by default GPUs round what they multiply to ten bits."""
+    with jax.default_matmul_precision("highest"):
+        return mjx.step(model, data)
+
+
+class MjxEngine(Engine):
+    """MJX-JAX; see `Engine` for the arguments."""
+
+    name = "jax"
+
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
+        super().__init__(model, period, substeps, worlds)
+        # NumPy's arrays: to make others a constant of a program, it waits for the GPU, which may be loading kernels.
+        self.mjx_model = jax.device_get(mjx.put_model(self.model, impl=self.name))
+        self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
+
+    def _buffer_sizes(self, worlds: int) -> dict[str, int]:
+        del worlds  # MJX-JAX sizes its arrays by the model alone
+        return {}
+
+    def data(self, state: StateT, control: Control) -> mjx.Data:
+        """Returns what `mjx.step` is given, together with `mjx_model`, to carry out an action."""
+        return jax.tree.map(_as_constant, self._blank_data).replace(
+            qpos=state.qpos,
+            qvel=state.qvel,
+            qacc_warmstart=state.warmstart,
+            mocap_pos=control.mocap_pos,
+            mocap_quat=control.mocap_quat,
+            ctrl=control.ctrl,
+        )
+
+    def step(self, state: StateT, control: Control) -> StateT:
+        """See `Engine`; `substeps` is a constant of the program, or a GPU would wait for the host each time."""
+        model = self._vary(control.model)
+        data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _step(model, data), self.data(state, control))
+        return state.replace(
+            qpos=data.qpos,
+            qvel=data.qvel,
+            warmstart=data.qacc_warmstart,
+            sensordata=data.sensordata,
+            overflow=state.overflow | self._has_overflown(data),
+        )
+
+    def _vary(self, fields: Mapping[str, jax.Array] | None) -> mjx.Model:
+        """Returns the model with other fields; under `jax.vmap` these alone have a value for each environment."""
+        if fields is None:
+            return self.mjx_model
+        self._check_fields(self.mjx_model, fields)
+        own = {name: getattr(self.mjx_model, name) for name in fields}  # laid out as the implementation has them
+        return self.mjx_model.tree_replace(
+            {name: values.reshape(own[name].shape).astype(own[name].dtype) for name, values in fields.items()}
+        )
+
+    def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
+        del data
+        return False
+
+    def with_substeps(self, substeps: int) -> Self:
+        """See `Engine`; the model's arrays and the buffers are shared."""
+        engine = copy.copy(self)
+        engine.substeps = substeps
+        engine.model = copy.copy(self.model)
+        engine.model.opt.timestep = self.period / substeps
+        engine.mjx_model = self.mjx_model.tree_replace({"opt.timestep": np.float32(self.period / substeps)})
+        return engine
+
+
+class WarpEngine(MjxEngine):
+    """MJX-Warp; see `Engine` for the arguments. More than `worlds` environments at once overflow its buffers."""
+
+    name = "warp"
+
+    def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
+        generate_code_in_turn()
+        super().__init__(model, period, substeps, worlds)
+        self.max_worlds = worlds
+
+    def prepare(self) -> None:
+        """See `Engine`."""
+        build_kernels(self.model, buffer_sizes(self.model, worlds=1))
+
+    def _buffer_sizes(self, worlds: int) -> dict[str, int]:
+        return buffer_sizes(self.model, worlds)
+
+    def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
+        return data._impl.overflow != 0
+
+
+def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
+    """Returns the most contacts of all worlds together and the most constraint rows of one: `make_data`'s arguments.
+
+    A sphere meets anything in one point, a plane a box in at most four, two boxes meet in eight. A contact takes two
+    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit. There is a quarter
+    to spare: more rows than that have been asked for when a hand was pressed into the cube.
+    """
+    kinds = model.geom_type[np.stack([model.pair_geom1, model.pair_geom2])]
+    spheres = (kinds == mujoco.mjtGeom.mjGEOM_SPHERE).any(axis=0)
+    planes = (kinds == mujoco.mjtGeom.mjGEOM_PLANE).any(axis=0)
+    points = np.where(spheres, 1, np.where(planes, 4, 8))
+    rows = 6 * model.neq + 2 * int(model.jnt_limited.sum()) + int(np.sum(points * 2 * (model.pair_dim - 1)))
+    return {"naconmax": int(points.sum()) * worlds, "njmax": rows + rows // 4}
+
+
+def _as_constant(values: np.ndarray) -> jax.Array:
+    """Returns values as part of a program: where all are equal as a broadcast, since buffers are many megabytes."""
+    if values.size and (values == values.flat[0]).all():
+        return jnp.full(values.shape, values.flat[0], values.dtype)
+    return jnp.asarray(values)
+
+
+def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
+    """Returns what a step starts from before anything is set, as NumPy arrays; `sizes` is from `buffer_sizes`.
+
+    MJX-Warp leaves what it would note of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make
+    two processes compile the same program, so that the second finds it in the cache.
+    """
+
+    def initialised(path: Any, values: Any) -> np.ndarray:
+        name = jax.tree_util.keystr(path[-1:], simple=True)
+        return np.zeros_like(values) if re.search("island|idof|iefc|jtdaj", name) else np.asarray(values)
+
+    return jax.tree_util.tree_map_with_path(initialised, mjx.make_data(model, impl=impl, **sizes))

@@ -1,0 +1,140 @@
+"""Scripted controllers of the Fetch tasks: they demonstrate a task, and show that its scene can be solved.
+
+See `hgail_envs.base.Controller`. Those of grasp read the observation of `hgail_envs.fetch.grasp.Grasp`.
+"""
+
+import jax
+import jax.numpy as jnp
+
+_GAIN = 20.0  # actions per metre: full speed down to 5 cm
+_DESCENT_GAIN = 4.0  # the hand comes in from above where z lags behind
+_NEAR = 0.015  # metres between gripper and cube, within which the hand closes
+_STRIDE = 0.033  # metres that the gripper moves with a unit action
+_OPEN, _CLOSE = 1.0, -1.0
+_GRAVITY = 9.81  # m/s²
+_PERIOD = 0.04  # seconds between two actions
+_FULL_SPEED = _STRIDE / _PERIOD  # m/s
+_SAFE_SPEED = 0.6  # actions; a cube that is pushed faster tips over
+_PUSHING_HEIGHT, _PASSING_HEIGHT = 0.42, 0.5  # metres of the gripper; a cube's top is at 0.45, the pads end 2 cm lower
+_CLEAR = 0.475  # metres from which on the hand passes over an object
+_RUN_UP = 0.06  # metres behind the object's centre at which a push begins
+_BESIDE, _LINED_UP = 0.035, 0.015  # metres: the hand is behind where it is as far back and as little aside
+_THERE = 0.01  # metres from the target at which a push is over
+_PUCK_FRICTION = 0.1
+_ENOUGH = 0.9  # of the speed that brings a free puck to the target, below which the hand takes it again
+_CENTRED = 0.02  # metres between hand and puck in the plane, within which the hand presses
+_PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
+
+
+def reach(observation: jax.Array) -> jax.Array:
+    """Moves the gripper straight to its goal (`hgail_envs.fetch.reach.Reach`), the hand's number at 0."""
+    action = jnp.clip(_GAIN * (observation[..., 6:9] - observation[..., :3]), -1.0, 1.0)
+    return _with_hand(action, jnp.zeros(action.shape[:-1]))
+
+
+def grasp(observation: jax.Array) -> jax.Array:
+    """Comes to the cube from above with an open hand, and closes it there; grasps every cube of the scene."""
+    ahead = _ahead(observation)
+    gain = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN])
+    return _with_hand(jnp.clip(gain * ahead, -1.0, 1.0), _close_when_near(ahead))
+
+
+def straight(observation: jax.Array) -> jax.Array:
+    """Goes to the cube in a straight line at full speed, open until near: knocks some of the cubes away."""
+    ahead = _ahead(observation)
+    return _with_hand(_line(ahead), _close_when_near(ahead))
+
+
+def closed(observation: jax.Array) -> jax.Array:
+    """Goes to the cube in a straight line with a closed hand, which can grasp nothing."""
+    ahead = _ahead(observation)
+    return _with_hand(_line(ahead), jnp.full(ahead.shape[:-1], _CLOSE))
+
+
+def pick_and_place(observation: jax.Array) -> jax.Array:
+    """Grasps the cube as `grasp` does, and then moves the hand so that the cube comes to the target."""
+    apart, remaining = observation[..., 6:9], observation[..., 17:20] - observation[..., 9:12]
+    held = observation[..., 16] > 0.5
+    close = held | (jnp.linalg.norm(apart, axis=-1) <= _NEAR)
+    approach = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN]) * apart
+    move = jnp.where(held[..., None], _GAIN * remaining, approach)
+    return _with_hand(jnp.clip(move, -1.0, 1.0), jnp.where(close, _CLOSE, _OPEN))
+
+
+def push(observation: jax.Array) -> jax.Array:
+    """Goes over the cube to the side away from the target, comes down there, and pushes it in a straight line."""
+    height, apart = observation[..., 2:3], observation[..., 6:8]
+    distance, direction = _way(observation)
+    ahead = -jnp.sum(apart * direction, axis=-1, keepdims=True)  # of the cube's centre, the hand
+    aside = -apart - ahead * direction
+    over = distance <= _THERE
+    behind = (ahead < -_BESIDE) & (jnp.linalg.norm(aside, axis=-1, keepdims=True) < _LINED_UP) & ~over
+    speed = jnp.minimum(jnp.sqrt(2.0 * _GRAVITY * distance) / _FULL_SPEED, _SAFE_SPEED)
+    pushes = speed * direction - _GAIN * aside
+    goes_round = jnp.where(height > _CLEAR, _GAIN * (apart - _RUN_UP * direction), 0.0)
+    low = height < _PUSHING_HEIGHT + 0.01
+    across = jnp.where(behind, jnp.where(low, pushes, goes_round), jnp.where(over, 0.0, goes_round))
+    wanted = jnp.where(behind, _PUSHING_HEIGHT, _PASSING_HEIGHT)
+    return _closed(across, _GAIN * (wanted - height))
+
+
+def slide(observation: jax.Array) -> jax.Array:
+    """Presses on the puck from above, drags it, and lets go once it is fast enough to slide to the target.
+
+    What is dragged leaves the hand at 0.6 m/s at most, and slides 0.2 m then: the farther half of the targets are out
+    of its reach.
+    """
+    height, apart = observation[..., 2:3], observation[..., 6:8]
+    distance, _ = _way(observation)
+    wanted = _launch(observation[..., 15:17] - observation[..., 9:11])
+    drags = wanted / jnp.maximum(jnp.max(jnp.abs(wanted), axis=-1, keepdims=True), _FULL_SPEED)
+    above = jnp.linalg.norm(apart, axis=-1, keepdims=True) <= _CENTRED
+    dragging = above & (height < _PRESSING)
+    moving = jnp.where(dragging, observation[..., 3:5], observation[..., 12:14] / _ENOUGH) / _PERIOD
+    launched = jnp.sum(moving * wanted, axis=-1, keepdims=True) >= jnp.sum(wanted**2, axis=-1, keepdims=True)
+    launched = launched | (distance <= _THERE)
+    comes = jnp.where(above | (height > _CLEAR), _GAIN * apart, 0.0)
+    across = jnp.where(dragging | (above & launched), drags, comes)
+    return _closed(across, _GAIN * (jnp.where(above & ~launched, _PRESSED, _PASSING_HEIGHT) - height))
+
+
+def _launch(remaining: jax.Array) -> jax.Array:
+    """Returns the velocity, `[..., 2]` in m/s, from which a puck slides by `remaining`, `[..., 2]` metres.
+
+    MuJoCo's friction cone is a pyramid whose edges lie along x and y. So the puck is slowed along x + y and along x - y
+    by the same deceleration each, whatever it does along the other.
+    """
+    x, y = remaining[..., 0], remaining[..., 1]
+    diagonals = jnp.stack([x + y, x - y], axis=-1)
+    speeds = jnp.sign(diagonals) * jnp.sqrt(2.0 * _PUCK_FRICTION * _GRAVITY * jnp.abs(diagonals))
+    return jnp.stack([speeds[..., 0] + speeds[..., 1], speeds[..., 0] - speeds[..., 1]], axis=-1) / 2.0
+
+
+def _way(observation: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns how far the object is from the target in the plane, `[..., 1]`, and in which direction, `[..., 2]`."""
+    remaining = observation[..., 15:17] - observation[..., 9:11]
+    distance = jnp.linalg.norm(remaining, axis=-1, keepdims=True)
+    return distance, remaining / jnp.maximum(distance, 1e-6)
+
+
+def _closed(across: jax.Array, up: jax.Array) -> jax.Array:
+    """Returns actions from displacements in the plane, `[..., 2]`, and along z, `[..., 1]`, for blocked fingers."""
+    move = jnp.clip(jnp.concatenate([across, up], axis=-1), -1.0, 1.0)
+    return _with_hand(move, jnp.zeros(move.shape[:-1]))
+
+
+def _ahead(observation: jax.Array) -> jax.Array:
+    return observation[..., 8:11] - observation[..., :3]
+
+
+def _line(ahead: jax.Array) -> jax.Array:
+    farthest = jnp.max(jnp.abs(ahead), axis=-1, keepdims=True)
+    return jnp.clip(ahead / jnp.maximum(farthest, _STRIDE), -1.0, 1.0)
+
+
+def _close_when_near(ahead: jax.Array) -> jax.Array:
+    return jnp.where(jnp.linalg.norm(ahead, axis=-1) <= _NEAR, _CLOSE, _OPEN)
+
+
+def _with_hand(displacement: jax.Array, hand: jax.Array) -> jax.Array:
+    return jnp.concatenate([displacement, hand[..., None]], axis=-1)

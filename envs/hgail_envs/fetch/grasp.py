@@ -1,0 +1,218 @@
+"""Grasping a cube from the table, under three readings of what a goal is."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+
+CUBE_WIDTH = 0.05
+"""Metres along each edge."""
+WIDEST_GAP = 0.1
+"""Metres between the fingers of an open hand."""
+
+CUBE_RANGE = 0.15
+"""Metres around the gripper's start, along x and y, in which the cube starts."""
+LEAST_RISE = 0.05
+"""Metres that a cube rises in the probe if it is held."""
+
+_GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
+_CUBE_HEIGHT = 0.425  # metres, on the table
+
+
+def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
+    """Returns whether a hand holds the cube.
+
+    Args:
+      touching: boolean, or an array of them: both pads touch the cube.
+      gap: metres between the fingers, a number or an array as large.
+      width: metres, of the cube.
+
+    """
+    return touching & (abs(gap - width) <= _GAP_TOLERANCE)
+
+
+class Grasp(FetchEnv):
+    """FetchPickAndPlace's cube, to be grasped; a goal is a position and whether the cube is held there.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6 | gap between the fingers | m |
+    | 7 | holding: both pads touch the cube, and the gap is its width within 8 mm | 0 or 1 |
+    | 8:11 | target position | m |
+    | 11 | whether to hold the cube there | 0 or 1 |
+
+    The first eleven less 6 and 7 are the paper's observation. Its goal is a position alone, and a position says
+    nothing of the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a
+    later one, so that what is imitated for a goal with holding 1 are real grasps.
+
+    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
+    the gripper in x and y and at least 0.10 m away. It is measured on the goal (cube, 1). Half the goals to learn from
+    (`training_goals`) are (a random position, 0).
+
+    Success is strict. After the last step both pads touch the cube and the gap is its width within 8 mm, and in twelve
+    further steps straight up, with the gripper command held, the cube rises by more than 5 cm. `achieved` of the
+    metrics is the first half alone. Distances are between gripper and cube, where it then is.
+
+    See `FetchEnv` for the arguments.
+    """
+
+    feature_size = 8
+    goal_size = 4
+    goal_kinds = 2
+    lift_test_steps = 12
+
+    scene = "fetch/grasp"
+    target_body = "cube"
+    reference = "FetchPickAndPlace-v4"
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": controllers.grasp,
+        "straight": controllers.straight,
+        "closed": controllers.closed,
+    }
+
+    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+        super().__init__(impl, substeps, worlds)
+        self._cube_qpos = int(self.model.joint("cube").qposadr[0])
+        self._cube_qvel = int(self.model.joint("cube").dofadr[0])
+
+    def holding(self, physics: FetchPhysics) -> jax.Array:
+        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        width = CUBE_WIDTH * self.object_factor(physics)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
+
+    def cube_position(self, physics: FetchPhysics) -> jax.Array:
+        """Returns the cube's centre, `[3]`, metres, world frame."""
+        return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
+
+    def reset_physics(self, rng: jax.Array) -> FetchPhysics:
+        cube = jnp.append(self.random_place(rng, CUBE_RANGE), _CUBE_HEIGHT)
+        physics = super().reset_physics(rng)
+        return physics.replace(qpos=physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube))
+
+    def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
+        return self._move(physics, action[:3], action[3])
+
+    def features(self, physics: FetchPhysics) -> jax.Array:
+        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
+        return jnp.concatenate([physics.gripper_position, physics.gripper_velocity, hand])
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return jnp.append(physics.gripper_position, self.holding(physics).astype(jnp.float32))
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        return jnp.append(self.cube_position(physics), 1.0)
+
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
+        kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
+        elsewhere = jnp.append(self.random_position(position_rng), 0.0)
+        away = training_goals & jax.random.bernoulli(kind_rng)
+        return jnp.where(away, elsewhere, self.sample_goal(goal_rng, physics))
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return (goal[..., 3] > 0.5).astype(jnp.int32)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        return super().success(achieved[..., :3], desired[..., :3]) & (achieved[..., 3] == desired[..., 3])
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Puts the cube down at `position`, at rest and upright, and makes it the goal; see `GoalEnv`."""
+        physics = state.pipeline_state
+        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
+        moved = physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._cube_qpos,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
+            sensordata=jnp.zeros_like(physics.sensordata),  # nothing touches it any more
+        )
+        plan = self.plan_goals(jax.random.key(0), moved, training_goals=False)
+        return self._advance(state, moved, plan, state.info["step"])
+
+    def lift_test_action(self, action: jax.Array) -> jax.Array:
+        return jnp.array([0.0, 0.0, 1.0, 0.0]).at[3].set(action[3])
+
+    def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
+        last, lifted = end.pipeline_state, lifted.pipeline_state
+        touched = self.holding(last)
+        rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
+        return self.measure(last.gripper_position, self.cube_position(last)).replace(
+            success=(touched & (rise > LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
+        )
+
+
+class GraspPosition(Grasp):
+    """The paper's literal reading: a goal is a position, for hindsight the gripper's, in an episode the cube's.
+
+    Observation: indices 0 to 10 of `Grasp`. Given the motion, the gripper command is independent of a relabelled goal,
+    so neither the discriminator nor maximum likelihood can teach the hand; published as a negative result.
+    """
+
+    goal_size = 3
+    goal_kinds = 1
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return physics.gripper_position
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        return self.cube_position(physics)
+
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
+        return self.sample_goal(rng, physics)
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return FetchEnv.goal_kind(self, goal)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        return FetchEnv.success(self, achieved, desired)
+
+
+class GraspAperture(Grasp):
+    """A goal is a gripper position and a gap between the fingers; at test the goals follow a fixed plan.
+
+    Observation: indices 0 to 10 of `Grasp` and, at 11, the desired gap in metres. Goals to learn from are random. The
+    plan is: 10 cm above the cube with an open hand, at the cube with an open hand, at the cube with a closed one. So
+    the control of the arm and the hand is learnt, while the order of a grasp is given.
+    """
+
+    goal_kinds = 1
+    controllers: ClassVar[Mapping[str, Controller]] = {}
+
+    _ABOVE = 0.1  # metres
+    _DESCEND, _CLOSE = 18, 36  # steps at which the plan goes on
+
+    def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
+        return jnp.append(physics.gripper_position, self.gap(physics))
+
+    def sample_goal(self, rng: jax.Array, physics: FetchPhysics) -> jax.Array:
+        return self._test_plan(physics)[-1]
+
+    def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
+        """Returns the goals of the plan's stages, `[3, goal_size]`; to learn from, three times the same random one."""
+        position_rng, gap_rng = jax.random.split(rng)
+        anywhere = jnp.append(self.random_position(position_rng), jax.random.uniform(gap_rng, maxval=WIDEST_GAP))
+        return jnp.where(training_goals, anywhere, self._test_plan(physics))
+
+    def current_goal(self, plan: jax.Array, physics: FetchPhysics, step: jax.Array | int) -> jax.Array:
+        return plan[jnp.sum(step >= jnp.array([self._DESCEND, self._CLOSE]))]
+
+    def _test_plan(self, physics: FetchPhysics) -> jax.Array:
+        x, y, _ = self.cube_position(physics)
+        return jnp.array(
+            [
+                [x, y, _CUBE_HEIGHT + self._ABOVE, WIDEST_GAP],
+                [x, y, _CUBE_HEIGHT, WIDEST_GAP],
+                [x, y, _CUBE_HEIGHT, 0.0],
+            ]
+        )
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        return FetchEnv.goal_kind(self, goal)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        at = FetchEnv.success(self, achieved[..., :3], desired[..., :3])
+        return at & (jnp.abs(achieved[..., 3] - desired[..., 3]) <= _GAP_TOLERANCE)

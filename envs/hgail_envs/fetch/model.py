@@ -1,0 +1,90 @@
+"""What becomes of a Fetch scene's model when friction, object or fingers are others."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from hgail_envs.variation import ModelFactors
+
+_FINGERS = ("right_finger", "left_finger")
+
+
+class SceneModel:
+    """A scene's fields, and where its object is among them.
+
+    Args:
+      model: the scene; it has at most one free joint, whose body is the object.
+
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+        self.has_object = bool(free.size)
+        self.of_arm_qpos, self.of_arm_qvel = np.ones(model.nq, bool), np.ones(model.nv, bool)
+        if self.has_object:
+            first_qpos, first_qvel = int(model.jnt_qposadr[free[0]]), int(model.jnt_dofadr[free[0]])
+            self._body = int(model.jnt_bodyid[free[0]])
+            self._geom = int(model.body_geomadr[self._body])
+            self._dofs = np.arange(first_qvel, first_qvel + 6)
+            self.object_qpos, self.object_qvel = np.arange(first_qpos, first_qpos + 3), self._dofs[:3]
+            self.of_arm_qpos[first_qpos : first_qpos + 7] = self.of_arm_qvel[self._dofs] = False
+            is_cylinder = model.geom_type[self._geom] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else a box
+            self.object_half_height = float(model.geom_size[self._geom, 1 if is_cylinder else 2])
+
+    def fields(self, factors: ModelFactors) -> dict[str, jax.Array]:
+        """Returns the fields that differ, whole arrays by their names in `mujoco.MjModel`.
+
+        What MuJoCo derives from masses when it compiles a scene, and uses in a step, is what it would derive from the
+        new ones, but for the small part that the fingers have in the inverse weights of the arm.
+        """
+        fields = {"pair_friction": jnp.asarray(self._model.pair_friction) * factors.friction}
+        if self.has_object:
+            fields |= self._object_fields(factors.object_mass, factors.object_size)
+        if self._model.nu:
+            fields |= self._finger_fields(factors.finger_force, factors.finger_speed, fields)
+        return fields
+
+    def _object_fields(self, mass: jax.Array | float, size: jax.Array | float) -> dict[str, jax.Array]:
+        """Returns what differs for an object `mass` times as heavy and `size` times as large."""
+        body, geom, turning = self._body, self._geom, mass * size**2
+        of_dof = jnp.array([mass] * 3 + [turning] * 3)
+        heavier = self._model.body_mass[body] * (mass - 1.0)
+        scaled = {
+            "body_mass": (body, mass),
+            "body_inertia": (body, turning),
+            "body_invweight0": (body, jnp.array([1.0 / mass, 1.0 / turning])),
+            "dof_invweight0": (self._dofs, 1.0 / of_dof),
+            "geom_size": (geom, size),
+            "geom_rbound": (geom, size),
+            "geom_aabb": (geom, size),
+        }
+        fields = {name: self._field(name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
+        subtrees = np.array([0, body])
+        return fields | {"body_subtreemass": self._field("body_subtreemass").at[subtrees].add(heavier)}
+
+    def _finger_fields(
+        self, force: jax.Array | float, speed: jax.Array | float, others: dict[str, jax.Array]
+    ) -> dict[str, jax.Array]:
+        """Returns what differs for fingers with other servos: spring, damper and mass of each keep their proportions.
+
+        A mass on a spring moves `speed` times as fast if the mass is divided by the square of it and the damping by it;
+        what scales all three scales the force alone.
+        """
+        model = self._model
+        dofs = np.array([model.joint(name).dofadr[0] for name in _FINGERS])
+        servos = np.array([model.actuator(name).id for name in _FINGERS])
+        heavier = force / speed**2
+        mass = model.dof_M0[dofs]
+        more = (mass * (heavier - 1.0)).astype(jnp.float32)  # all of it armature: the finger's weight stays
+        return {
+            "dof_armature": self._field("dof_armature").at[dofs].add(more),
+            "dof_damping": self._field("dof_damping").at[dofs].multiply(force / speed),
+            "dof_invweight0": others.get("dof_invweight0", self._field("dof_invweight0")).at[dofs].divide(heavier),
+            "actuator_gainprm": self._field("actuator_gainprm").at[servos].multiply(force),
+            "actuator_biasprm": self._field("actuator_biasprm").at[servos].multiply(force),
+        }
+
+    def _field(self, name: str) -> jax.Array:
+        return jnp.asarray(getattr(self._model, name), jnp.float32)

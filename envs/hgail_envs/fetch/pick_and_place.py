@@ -1,0 +1,94 @@
+"""FetchPickAndPlace: bring a cube to a place on the table or in the air."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from hgail_envs.base import Controller
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
+from hgail_envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
+
+HIGHEST = 0.45
+"""Metres above the table's goals, up to which goals in the air are."""
+
+_RELAYS, _ELSEWHERE = 0.5, 0.125  # shares of the episodes to learn from
+_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay goes on
+
+
+class PickAndPlacePlan(struct.PyTreeNode):
+    """The goals of an episode of `PickAndPlace`."""
+
+    goal: jax.Array
+    """`[goal_size]`."""
+    relay: jax.Array
+    """`[]` boolean: whether the gripper is sent to the cube first."""
+
+
+class PickAndPlace(ObjectEnv):
+    """FetchPickAndPlace: grasp a cube and bring it to a place, in half the episodes up to 45 cm above the table.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6:9 | cube position less gripper position | m |
+    | 9:12 | cube position | m |
+    | 12:15 | cube velocity × 0.04 s | m |
+    | 15 | gap between the fingers | m |
+    | 16 | holding: both pads touch the cube, and the gap is its width within 8 mm | 0 or 1 |
+    | 17:20 | target position | m |
+    | 20 | whose position that is to be: the gripper's 0, the cube's 1 | 0 or 1 |
+
+    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of the
+    gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the
+    table and in half uniform from there up. It is a success if after the last step the cube's centre is within 5 cm of
+    the target. See `ObjectEnv` for what a goal is.
+
+    Half the episodes to learn from are relays: while the gripper is more than 4 cm from the cube its goal is the cube's
+    place, and then the cube's goal is the target. In an eighth the gripper's goal is a random place. The others are as
+    those that are measured.
+
+    See `ObjectEnv` for the arguments.
+    """
+
+    feature_size = 17
+    object_name = "cube"
+    object_range = 0.15
+    target_range = 0.15
+
+    scene = "fetch/grasp"
+    reference = "FetchPickAndPlace-v4"
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
+
+    def holding(self, physics: ObjectPhysics) -> jax.Array:
+        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        width = CUBE_WIDTH * self.object_factor(physics)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
+
+    def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
+        return self._move(physics, action[:3], action[3])
+
+    def compact_features(self, physics: ObjectPhysics) -> jax.Array:
+        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
+        return jnp.concatenate([super().compact_features(physics), hand])
+
+    def sample_goal(self, rng: jax.Array, physics: ObjectPhysics) -> jax.Array:
+        place_rng, air_rng, height_rng = jax.random.split(rng, 3)
+        height = jax.random.uniform(height_rng, maxval=HIGHEST)
+        return super().sample_goal(place_rng, physics).at[2].add(jnp.where(jax.random.bernoulli(air_rng), height, 0.0))
+
+    def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PickAndPlacePlan:
+        kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
+        kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)
+        elsewhere, goal = gripper_goal(self.random_position(position_rng)), self.sample_goal(goal_rng, physics)
+        sent_elsewhere = (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
+        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < _RELAYS)
+
+    def current_goal(self, plan: Any, physics: ObjectPhysics, step: jax.Array | int) -> jax.Array:
+        cube = self.object_position(physics)
+        away = jnp.linalg.norm(physics.gripper_position - cube) > _AT_CUBE
+        return jnp.where(plan.relay & away, gripper_goal(cube), plan.goal)

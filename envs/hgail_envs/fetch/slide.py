@@ -1,0 +1,73 @@
+"""FetchSlide: hit a puck so that it slides to a place out of reach."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from hgail_envs.base import Controller
+from hgail_envs.engines import resolve_impl
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
+from hgail_envs.fetch.objects import OBSERVATIONS, ObjectPhysics, gripper_goal
+from hgail_envs.fetch.push import Push
+
+_AT_REST = 0.05  # metres per second
+_AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)  # metres from the gripper's start, along x and y: see `goal_kind`
+
+
+class Slide(Push):
+    """FetchSlide: hit a puck so that it slides over a long table to a place out of the hand's reach.
+
+    The observation is that of `Push`, with the puck in the cube's place, and so are the goals to learn from. But while
+    the puck moves, faster than 5 cm/s, what is achieved is the gripper's position: a place that the puck only passes is
+    none that the policy has learnt to bring it to. And most pucks stay near and go straight, while most targets are far
+    or aside: the places on the table are cut into five bands along x and three along y, and each field is a kind of
+    goals of its own, so that hindsight draws from it as often as targets lie in it.
+
+    An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
+    uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
+    0.40 m before the gripper's start, on the table. It is a success if after the last step the puck's centre is within
+    5 cm of the target.
+
+    See `ObjectEnv` for the arguments. MJX-JAX cannot collide a puck with a table that has edges.
+
+    Raises:
+      ValueError: the engine is MJX-JAX.
+
+    """
+
+    base_x = 0.05
+    start_height = -0.02
+    object_name = "puck"
+    object_range = 0.1
+    target_range = 0.3
+    target_offset = 0.4
+    goal_kinds = 2 + (len(_AHEAD) + 1) * (len(_ASIDE) + 1)
+
+    scene = "fetch/slide"
+    reference = "FetchSlide-v4"
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
+
+    def __init__(
+        self,
+        impl: str = "auto",
+        substeps: int = REFERENCE_SUBSTEPS,
+        worlds: int = 4096,
+        observation: str = OBSERVATIONS[0],
+    ) -> None:
+        if resolve_impl(impl) == "jax":
+            raise ValueError("slide cannot run on impl 'jax', which collides no cylinder with a box; use 'c' or 'warp'")
+        super().__init__(impl, substeps, worlds, observation)
+
+    def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
+        moves = jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST
+        return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """See `GoalEnv`: the gripper's 0, the puck's in a field of the table 1 to 15, and elsewhere 16."""
+        of_any_object, offset = super().goal_kind(goal), goal[..., :2] - self.initial_gripper_position[:2]
+        band, column = (jnp.searchsorted(jnp.array(at), offset[..., axis]) for axis, at in enumerate((_AHEAD, _ASIDE)))
+        field = 1 + band * (len(_ASIDE) + 1) + column
+        return jnp.select([of_any_object == 0, of_any_object == 1], [0, field], self.goal_kinds - 1)

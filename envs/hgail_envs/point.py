@@ -1,0 +1,48 @@
+"""A task of one's own in a few lines: a point in space that must reach another."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from hgail_envs.base import Controller, GoalEnv
+from hgail_envs.variation import SensorErrors
+
+
+def straight(observation: jax.Array) -> jax.Array:
+    """Moves a point straight to its goal, at full speed down to 5 cm."""
+    return jnp.clip(20.0 * (observation[..., 3:6] - observation[..., :3]), -1.0, 1.0)
+
+
+class Point(GoalEnv):
+    """A point that an action moves by up to 3 cm along each axis, and a goal up to 15 cm away along each.
+
+    Observation: position (0:3) and goal (3:6), metres. The physics state is the position. It stands for the smallest
+    complete task: copy it, change the five methods, and train it with `--task my_module:MyTask`.
+    """
+
+    episode_length = 50
+    feature_size = 3
+    goal_size = 3
+    action_size = 3
+    success_threshold = 0.05
+    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": straight}
+
+    def reset_physics(self, rng: jax.Array) -> jax.Array:
+        return jnp.zeros(3)
+
+    def step_physics(self, physics: jax.Array, action: jax.Array) -> jax.Array:
+        return physics + 0.03 * action
+
+    def features(self, physics: jax.Array) -> jax.Array:
+        return physics
+
+    def achieved_goal(self, physics: jax.Array) -> jax.Array:
+        return physics
+
+    def sample_goal(self, rng: jax.Array, physics: jax.Array) -> jax.Array:
+        return jax.random.uniform(rng, (3,), minval=-0.15, maxval=0.15)
+
+    def add_sensor_noise(self, physics: jax.Array, errors: SensorErrors) -> jax.Array:
+        return physics + errors.robot

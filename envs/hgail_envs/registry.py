@@ -1,0 +1,65 @@
+"""Makes a task from its name."""
+
+import importlib
+import inspect
+from typing import Any
+
+from hgail_envs.base import GoalEnv
+
+TASKS = {
+    "point": "hgail_envs.point:Point",
+    "reach": "hgail_envs.fetch.reach:Reach",
+    "grasp": "hgail_envs.fetch.grasp:Grasp",
+    "push": "hgail_envs.fetch.push:Push",
+    "pick-and-place": "hgail_envs.fetch.pick_and_place:PickAndPlace",
+    "slide": "hgail_envs.fetch.slide:Slide",
+    "grasp-position": "hgail_envs.fetch.grasp:GraspPosition",
+    "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
+}
+"""Name of each task that comes with the package, and where its class is."""
+
+
+def make(task: str, **options: Any) -> GoalEnv:
+    """Makes a task.
+
+    Args:
+      task: a name in `TASKS`, or `"module:Class"` for a task of one's own.
+      **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
+
+    Raises:
+      ValueError: no such task, or the task has no such option or not with such a value.
+
+    >>> make("point").observation_size
+    6
+    >>> make("poke")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ValueError: unknown task 'poke'; choose from point, reach, grasp, ...
+
+    """
+    task_class, allowed = find_class(task), accepted_options(task)
+    for option in options:
+        if option not in allowed:
+            raise ValueError(f"task {task!r} has no option {option!r}; it takes {', '.join(allowed) or 'none'}")
+    return task_class(**options)
+
+
+def accepted_options(task: str) -> tuple[str, ...]:
+    """Returns the names of the options that a task's class takes, e.g. `impl`, `substeps` and `worlds`; see `make`."""
+    return tuple(inspect.signature(find_class(task)).parameters)
+
+
+def find_class(task: str) -> type[GoalEnv]:
+    """Returns the class of a task; see `make`."""
+    if not isinstance(task, str):
+        raise ValueError(f"task is {task!r}; it must be a name, one of {', '.join(TASKS)}, or 'module:Class'")
+    module, separator, name = TASKS.get(task, task).partition(":")
+    names = f"choose from {', '.join(TASKS)}, or name a GoalEnv of your own as 'module:Class'"
+    if not (module and separator and name):
+        raise ValueError(f"unknown task {task!r}; {names}")
+    try:
+        task_class = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"cannot load task {task!r}: {error}; {names}") from error
+    if not (inspect.isclass(task_class) and issubclass(task_class, GoalEnv)):
+        raise ValueError(f"task {task!r} is not a GoalEnv; {names}")
+    return task_class

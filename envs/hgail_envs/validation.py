@@ -1,0 +1,113 @@
+"""Checks of values that come from outside: each raises a ValueError that names the value and what is allowed."""
+
+import json
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+MOST = 1_000_000
+"""The largest count that is taken for one: more of anything fits no machine."""
+
+MOST_SEED = 2**31 - 1
+"""The largest seed."""
+
+_SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+
+
+def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
+    """Refuses what is not an integer from `least` to `most`.
+
+    >>> check_count("rounds", 2.5, least=0)
+    Traceback (most recent call last):
+    ValueError: rounds is 2.5; it must be an integer
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise ValueError(f"{name} is {value!r}; it must be an integer")
+    if value < least:
+        raise ValueError(f"{name} is {value}; it must be at least {least}")
+    if value > most:
+        raise ValueError(f"{name} is {value}; it must be at most {most}")
+
+
+def check_share(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are not from 0 to 1; lets tracers pass.
+
+    >>> check_share("p_ht", float("nan"))
+    Traceback (most recent call last):
+    ValueError: p_ht is nan; it must be from 0 to 1
+    """
+    if not _all(value, lambda array: (array >= 0.0) & (array <= 1.0)):
+        raise ValueError(f"{name} is {value!r}; it must be from 0 to 1")
+
+
+def check_positive(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are not positive and finite in single precision; lets tracers pass."""
+    if not _all(value, lambda array: (array >= _SMALLEST) & (array <= _LARGEST)):
+        raise ValueError(f"{name} is {value!r}; it must be positive and finite")
+
+
+def check_not_negative(name: str, value: Any) -> None:
+    """Refuses numbers, or arrays of them, that are negative or not finite; lets tracers pass."""
+    if not _all(value, lambda array: (array >= 0.0) & (array <= _LARGEST)):
+        raise ValueError(f"{name} is {value!r}; it must be at least 0 and finite")
+
+
+def check_choice(name: str, value: Any, choices: dict[str, int]) -> None:
+    """Refuses numbers, or arrays of them, that are no value of `choices`; lets tracers pass."""
+    if not _all(value, lambda array: np.isin(array, list(choices.values()))):
+        known = ", ".join(f"{number} ({choice})" for choice, number in choices.items())
+        raise ValueError(f"{name} is {value!r}; it must be one of {known}")
+
+
+def check_name(name: str, value: Any, choices: Iterable[str]) -> None:
+    """Refuses what is not one of `choices`.
+
+    >>> check_name("reward", "r5", ["r1", "r2"])
+    Traceback (most recent call last):
+    ValueError: reward is 'r5'; choose from r1, r2
+    """
+    known = list(choices)
+    if value not in known:
+        raise ValueError(f"{name} is {value!r}; choose from {', '.join(known)}")
+
+
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """Returns a count with its noun; the plural is the noun with an s unless another is given.
+
+    >>> counted(1, "seed"), counted(8, "seed"), counted(1, "policy", "policies"), counted(0, "policy", "policies")
+    ('1 seed', '8 seeds', '1 policy', '0 policies')
+    """
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def parse_option(what: str, option: str) -> tuple[str, bool | int | float | str]:
+    """Splits an option that is written as name=value, its value a number, true, false or a word.
+
+    >>> parse_option("task", "gain=0.5"), parse_option("task", "observation=official")
+    (('gain', 0.5), ('observation', 'official'))
+    >>> parse_option("robot", "gain")
+    Traceback (most recent call last):
+    ValueError: robot option 'gain' is not name=value with a number, true, false or a word
+    """
+    name, _, text = option.partition("=")
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError:
+        value = text if text.isidentifier() else None
+    if not isinstance(value, bool | int | float | str):
+        raise ValueError(f"{what} option {option!r} is not name=value with a number, true, false or a word")
+    return name, value
+
+
+def _all(value: Any, test: Callable[[np.ndarray], Any]) -> bool:
+    if isinstance(value, jax.core.Tracer):
+        return True
+    try:
+        array = np.asarray(value)
+    except ValueError:  # a ragged list
+        return False
+    if array.dtype.kind not in "biuf":
+        return False
+    return bool(np.all(test(array.astype(np.float64))))

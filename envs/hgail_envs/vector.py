@@ -1,0 +1,149 @@
+"""Lets whoever trains on Gymnasium's vector environments step a task of this package."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from hgail_envs.base import GoalEnv, State
+
+_MOST_SEED = 2**31
+
+
+class GoalVectorEnv(VectorEnv):
+    """Many episodes of a `GoalEnv` at once, as a `gymnasium.vector.VectorEnv`.
+
+    An observation is a dictionary as in Gymnasium-Robotics: `observation` (`[num_envs, feature_size]`),
+    `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 where the achieved
+    goal is a success. `info["is_success"]` holds booleans `[num_envs]`.
+
+    No episode terminates; all are truncated after `episode_length` steps. Environments are reset by the step that
+    follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns the first
+    observation of the next episode with reward 0.
+
+    Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
+    episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
+    a seed goes on with the next episode.
+
+    Args:
+      env: the task.
+      num_envs: environments.
+
+    Raises:
+      TypeError: `env` is no `GoalEnv`, or `num_envs` no integer.
+      ValueError: `num_envs` is less than 1, or more than the task's physics can step at once.
+
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
+
+    def __init__(self, env: GoalEnv, num_envs: int) -> None:
+        if not isinstance(env, GoalEnv):
+            raise TypeError(f"env is {env!r}; it must be a GoalEnv")
+        if not _is_integer(num_envs):
+            raise TypeError(f"num_envs is {num_envs!r}; it must be an integer")
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
+        if env.max_worlds is not None and num_envs > env.max_worlds:
+            raise ValueError(f"num_envs is {num_envs}; the task was made for {env.max_worlds}: make it with worlds")
+        self.env, self.num_envs = env, num_envs
+
+        def box(size: int) -> gymnasium.spaces.Box:
+            return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+        self.single_observation_space = gymnasium.spaces.Dict(
+            observation=box(env.feature_size), achieved_goal=box(env.goal_size), desired_goal=box(env.goal_size)
+        )
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._reset, self._step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+        self._split = jax.jit(lambda keys: jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0))
+        self._success = jax.jit(env.success)
+        self._keys: jax.Array | None = None
+        self._state: State | None = None
+        self._steps = 0
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Starts an episode in all environments.
+
+        Args:
+          seed: of the first environment, the others count on; or a seed for each.
+          options: none are known; all environments are reset together, so that there is no `reset_mask`.
+
+        Raises:
+          TypeError: a seed is no integer.
+          ValueError: not as many seeds as environments, or a seed out of range; or there are options.
+
+        """
+        if options:
+            raise ValueError(f"options are {', '.join(map(repr, options))}; there are none")
+        if seed is None and self._keys is not None:
+            return self._start(self._keys)
+        if seed is None or _is_integer(seed):
+            chosen: Any = seed  # an integer of any kind
+            if seed is not None and int(chosen) >= 0:  # what is less is refused below
+                super().reset(seed=int(chosen))
+            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(chosen)
+            seed = [first + index for index in range(self.num_envs)]
+        seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
+        if not all(map(_is_integer, seed)):
+            raise TypeError(f"seed is {seed}; it must be an integer, or one for each environment")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments")
+        if not all(0 <= one < 2**32 for one in seed):
+            raise ValueError(f"seeds are {seed}; they must be from 0 to {2**32 - 1}")
+        return self._start(jax.vmap(jax.random.key)(np.asarray(seed, np.uint32)))
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Takes an action `[num_envs, action_size]`, clipped to [-1, 1], in all environments; see the class.
+
+        Raises:
+          gymnasium.error.ResetNeeded: there was no `reset` before.
+          ValueError: the actions have another shape, or not all of them are finite numbers.
+
+        """
+        if self._state is None or self._keys is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        if np.shape(actions) != self.action_space.shape:
+            raise ValueError(f"actions have shape {np.shape(actions)}; it must be {self.action_space.shape}")
+        actions = np.asarray(actions)
+        if actions.dtype.kind not in "biuf" or not np.isfinite(actions).all():
+            raise ValueError("not all actions are finite numbers")
+        no = np.zeros(self.num_envs, bool)
+        if self._steps == self.env.episode_length:
+            observation, info = self._start(self._keys)
+            return observation, np.zeros(self.num_envs), no, no.copy(), info
+        self._state = self._step(self._state, np.asarray(actions, np.float32))
+        self._steps += 1
+        over = np.full(self.num_envs, self._steps == self.env.episode_length)
+        reward = np.asarray(self._state.reward, np.float64)
+        return self._observation(), reward, no, over, {"is_success": reward == 0.0}
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
+        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for those who relabel."""
+        del info
+        return np.asarray(self._success(achieved, desired), np.float64) - 1.0
+
+    def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        self._keys, episode_keys = self._split(keys)
+        self._steps, self._state = 0, self._reset(episode_keys)
+        return self._observation(), {"is_success": np.asarray(self._state.reward) == 0.0}
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        assert self._state is not None
+        names = self.single_observation_space.spaces  # type: ignore[attr-defined]
+        return {name: np.array(self._state.info[name], np.float32) for name in names}
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

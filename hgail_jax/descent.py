@@ -1,0 +1,42 @@
+"""Gradient descent over minibatches, as one scan."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+
+def descend(
+    optimizer: optax.GradientTransformation,
+    loss: Callable[[Any, Any], tuple[jax.Array, Any]],
+    params: Any,
+    optimizer_state: optax.OptState,
+    learning_rate: jax.Array | float,
+    minibatches: Any,
+) -> tuple[Any, optax.OptState, Any]:
+    """Takes one gradient step for each minibatch.
+
+    Args:
+      optimizer: without its learning rate.
+      loss: parameters and a minibatch to the loss, `[]`, and metrics.
+      params: of the network.
+      optimizer_state: of `optimizer`.
+      learning_rate: step size; an argument, so that a sweep can batch it.
+      minibatches: leaves `[steps, ...]`.
+
+    Returns:
+      The new parameters, the optimiser's new state and the metrics' means over the steps.
+
+    """
+
+    def step(carry: tuple[Any, optax.OptState], minibatch: Any) -> tuple[tuple[Any, optax.OptState], Any]:
+        params, optimizer_state = carry
+        gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
+        update, optimizer_state = optimizer.update(gradient, optimizer_state)
+        params = optax.apply_updates(params, jax.tree.map(lambda leaf: -learning_rate * leaf, update))
+        return (params, optimizer_state), metrics
+
+    (params, optimizer_state), metrics = jax.lax.scan(step, (params, optimizer_state), minibatches)
+    return params, optimizer_state, jax.tree.map(jnp.mean, metrics)

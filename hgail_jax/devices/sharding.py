@@ -1,0 +1,178 @@
+"""Spreads seeds, and the environments of a roll-out, over devices.
+
+A mesh has two axes. Along `SEEDS` each device trains seeds of its own and talks to no other. Along `ENVS` the devices
+share their seeds: each steps a part of the environments, then all gather the whole trajectories and make the same
+update of them. Gathering is cheap, as a trajectory is small beside the physics that made it, and so is the update;
+what is computed does not depend on the devices but for the order in which matrix products sum.
+
+Physics engines that XLA calls as a black box cannot be split by its partitioner. A program per device, by
+`jax.shard_map`, leaves nothing to split.
+"""
+
+import functools
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from hgail_envs.validation import counted
+
+SEEDS, ENVS = "seeds", "envs"
+"""The axes of a mesh."""
+
+ALONG_SEEDS, REPLICATED = PartitionSpec(SEEDS), PartitionSpec()
+"""How arrays are laid out: their first axis, seeds, split over the devices; or whole on each device."""
+
+_REPLICA_TOLERANCE = 1e-3  # by which devices may come apart through the order in which they sum
+
+
+class ReplicaError(RuntimeError):
+    """Devices that should hold the same numbers do not."""
+
+
+def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
+    """Returns a mesh over `devices`: along seeds as far as they divide, along environments for the rest.
+
+    Raises:
+      ValueError: the environments of a seed do not divide over the devices that are left to them.
+
+    >>> dict(make_mesh(8, 64, jax.devices()[:1]).shape)
+    {'seeds': 1, 'envs': 1}
+
+    """
+    along_seeds = math.gcd(seeds, len(devices))
+    along_envs = len(devices) // along_seeds
+    if num_envs % along_envs:
+        raise ValueError(
+            f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} cannot be divided over"
+            f" {len(devices)} devices; with {along_seeds} along the seeds, num_envs must be a multiple of {along_envs}"
+        )
+    return Mesh(np.array(devices).reshape(along_seeds, along_envs), (SEEDS, ENVS))
+
+
+def most_devices(seeds: int, num_envs: int, available: int) -> int:
+    """Returns the largest number of devices, of those available, that seeds and environments divide over.
+
+    >>> most_devices(8, 64, 4), most_devices(1, 6, 4), most_devices(1, 5, 4)
+    (4, 3, 1)
+    """
+    fitting = (count for count in range(available, 0, -1) if num_envs % (count // math.gcd(seeds, count)) == 0)
+    return next(fitting)
+
+
+def local_shard(array: jax.Array, axis: str | None) -> jax.Array:
+    """Returns a device's own part of an array that each of them has whole, along its first axis.
+
+    `axis` names the mesh axis, within a `jax.shard_map`; with None the whole is returned.
+    """
+    if axis is None:
+        return array
+    size = len(array) // jax.lax.axis_size(axis)
+    return jax.lax.dynamic_slice_in_dim(array, jax.lax.axis_index(axis) * size, size)
+
+
+def gather(tree: Any, axis: str | None, along: int) -> Any:
+    """Returns the whole of arrays of which each device has its part along their axis `along`; see `local_shard`."""
+    if axis is None:
+        return tree
+    return jax.tree.map(lambda leaf: jax.lax.all_gather(leaf, axis, axis=along, tiled=True), tree)
+
+
+def shard(tree: Any, mesh: Mesh) -> Any:
+    """Places arrays and PRNG keys, which every process has whole, with their first axis along `SEEDS`."""
+    if mesh.size == 1:
+        return tree
+    sharding = NamedSharding(mesh, ALONG_SEEDS)
+
+    def place(array: jax.Array) -> jax.Array:
+        values = np.asarray(array)
+        return jax.make_array_from_callback(values.shape, sharding, lambda index: values[index])
+
+    return _on_numbers(lambda numbers: jax.tree.map(place, numbers), tree)
+
+
+def replicate(tree: Any) -> Any:
+    """Returns arrays and PRNG keys so that every process can read the whole of them; all processes must call it."""
+    if all(leaf.is_fully_addressable for leaf in jax.tree.leaves(tree)):
+        return tree
+    whole = NamedSharding(jax.tree.leaves(tree)[0].sharding.mesh, REPLICATED)
+    return jax.jit(lambda tree: tree, out_shardings=whole)(tree)
+
+
+def check_replicas(tree: Any) -> None:
+    """Checks that the devices that hold one part of an array hold the same numbers.
+
+    Devices that share seeds make the same update of the same trajectories; nothing else keeps them alike, as a program
+    per device is compiled without a check of what varies between devices.
+
+    Args:
+      tree: arrays and PRNG keys, as a step of several devices returned them.
+
+    Raises:
+      ReplicaError: they differ by more than rounding; the message names the array.
+
+    """
+    for path, leaf in jax.tree_util.tree_flatten_with_path(_without_keys(tree))[0]:
+        first: dict[str, np.ndarray] = {}
+        for part in leaf.addressable_shards if len(leaf.sharding.device_set) > 1 else ():
+            values = np.asarray(part.data)
+            known = first.setdefault(str(part.index), values)
+            if not np.allclose(values, known, rtol=_REPLICA_TOLERANCE, atol=_REPLICA_TOLERANCE, equal_nan=True):
+                name = jax.tree_util.keystr(path, simple=True, separator=".")
+                raise ReplicaError(f"the devices disagree: {name} differs by {np.abs(values - known).max():.3g}")
+
+
+def _without_keys(tree: Any) -> Any:
+    """Returns a tree with PRNG keys replaced by their numbers."""
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+
+
+def _is_key(leaf: Any) -> bool:
+    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def from_first_process(tree: Any) -> Any:
+    """Returns the first process's arrays and PRNG keys to every process; all of them must call it."""
+    if jax.process_count() == 1:
+        return tree
+    return _on_numbers(multihost_utils.broadcast_one_to_all, tree)
+
+
+def json_from_first_process(content: Any) -> Any:
+    """Returns what the first process has, anything that JSON can hold, to every process; all of them must call it."""
+    if jax.process_count() == 1:
+        return content
+    text = np.frombuffer(json.dumps(content).encode(), np.uint8)
+    size = int(from_first_process(np.array(len(text))))
+    return json.loads(bytes(from_first_process(text if is_first_process() else np.zeros(size, np.uint8))))
+
+
+def _on_numbers(function: Callable[[Any], Any], tree: Any) -> Any:
+    """Applies a function of trees of arrays to a tree that holds PRNG keys as well."""
+    keys = jax.tree.map(_is_key, tree)
+    return jax.tree.map(
+        lambda leaf, is_key: jax.random.wrap_key_data(leaf) if is_key else leaf, function(_without_keys(tree)), keys
+    )
+
+
+def is_first_process() -> bool:
+    """Returns whether this process, of those that `jax.distributed` joined, is the one that writes files."""
+    return jax.process_index() == 0
+
+
+def any_process(flag: bool) -> bool:
+    """Returns whether `flag` is set in any process; all of them must call it."""
+    if jax.process_count() == 1:
+        return flag
+    return bool(np.any(multihost_utils.process_allgather(np.array(flag))))
+
+
+def per_device(function: Any, mesh: Mesh, in_specs: Any, out_specs: Any) -> Any:
+    """Returns `function` run by each device of `mesh` on its own parts, to be jitted; see `jax.shard_map`."""
+    shard = functools.partial(jax.shard_map, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
+    return shard(function)

@@ -1,1 +1,0 @@
-"""Seeds, devices and processes: what trains side by side, and on what."""

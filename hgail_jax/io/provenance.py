@@ -1,0 +1,99 @@
+"""What made a result: command, commit, device, processor cores and versions."""
+
+import functools
+import importlib.metadata
+import platform
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+
+import hgail_jax
+from hgail_envs.engines.c import usable_cores
+from hgail_jax.devices.gpus import driver_version
+
+_PACKAGES = (
+    "hgail-jax",
+    "jax",
+    "jaxlib",
+    "mujoco",
+    "mujoco-mjx",
+    "brax",
+    "flax",
+    "optax",
+    "orbax-checkpoint",
+    "numpy",
+    "warp-lang",
+)
+
+
+def own_command() -> str:
+    """Returns the command that started this process, as one would type it, without the paths of this machine."""
+    return command_of(sys.orig_argv)
+
+
+def command_of(words: list[str]) -> str:
+    """Returns a process's words as one would type them.
+
+    >>> command_of(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
+    'python -m experiments.paper --all'
+    >>> command_of(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
+    'hgail train --seeds 2'
+    """
+    _, *rest = words
+    if rest and Path(rest[0]).name == "hgail":
+        return shlex.join(["hgail", *rest[1:]])
+    if rest and Path(rest[0]).is_absolute():
+        script = Path(rest[0])
+        rest[0] = str(script.relative_to(Path.cwd()) if script.is_relative_to(Path.cwd()) else script.name)
+    return shlex.join(["python", *rest])
+
+
+@functools.cache
+def _commit() -> str | None:
+    """Returns the commit of this checkout, "-dirty" behind it where files differ; None where there is none."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def provenance(*packages: str) -> dict:
+    """Returns what made a result: command, commit, device, processor cores that it could use, and versions.
+
+    Among these is the GPU's driver, None where the device is no GPU.
+
+    Args:
+      *packages: further ones whose versions are told, where they are installed.
+
+    """
+    device = jax.devices()[0]
+    name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind
+    driver = driver_version() if device.platform == "gpu" else None
+    return {
+        "command": own_command(),
+        "commit": _commit(),
+        "device": {"platform": device.platform, "kind": name, "count": jax.device_count()},
+        "cpu_cores": usable_cores(),
+        "versions": {"python": platform.python_version()} | installed(*_PACKAGES, *packages) | {"driver": driver},
+        "matmul_precision": getattr(jax.config, "jax_default_matmul_precision") or "default",  # noqa: B009  (untyped),
+    }
+
+
+def installed(*packages: str) -> dict[str, str | None]:
+    """Returns the version of each distribution, None where it is not installed; this one may be a bare checkout.
+
+    >>> installed("no-such-package")
+    {'no-such-package': None}
+    """
+    return {package: _version(package) for package in packages}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return hgail_jax.__version__ if package == "hgail-jax" else None

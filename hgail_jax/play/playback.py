@@ -1,0 +1,155 @@
+"""Shows a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
+
+import os
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from hgail_envs import GoalEnv, State
+from hgail_envs.scenes import load_scene
+from hgail_envs.vision.rgbd import RenderingError, open_renderer
+from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.play.film import open_film
+from hgail_jax.terminal.status import StatusLine
+
+_SIZE = (480, 640)  # height, width
+_HOLD = 10  # frames that the last pose of an episode stands still
+_FADE = 8  # frames from an episode's end to the start of the next
+_CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
+
+
+class Playback:
+    """The scene with its pictures, posed frame by frame.
+
+    Args:
+      env: the task.
+      policy: what acts.
+      seed: of the episodes.
+
+    Raises:
+      ValueError: the task has no scene.
+
+    """
+
+    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int) -> None:
+        if env.scene is None:
+            raise ValueError("the task has no scene to show")
+        self.model = load_scene(env.scene, visual=True)
+        if env.target_body is not None:  # shows the target itself
+            self.model.site("target").rgba[3] = 0.0
+        self.data = mujoco.MjData(self.model)
+        self.outcomes: list[bool] = []
+        """Whether each episode so far was a success."""
+        self._env, self._policy, self._seed = env, policy, seed
+
+    def play(self, episodes: int) -> Iterator[bool]:
+        """Poses `data` for each frame of some episodes, probe included, with the target's site at the goal.
+
+        Yields whether the frame is the first of an episode.
+        """
+        reset, step, outcome = jax.jit(self._env.reset), jax.jit(self._env.step), jax.jit(self._env.outcome)
+        for key in jax.random.split(jax.random.key(self._seed), episodes):
+            state = end = reset(key)
+            action: np.ndarray | jax.Array = np.zeros(self._env.action_size, np.float32)
+            for frame in range(self._env.episode_length + self._env.lift_test_steps):
+                self._pose(state)
+                yield frame == 0
+                acts = frame < self._env.episode_length
+                action = (
+                    self._policy(np.asarray(state.obs)) if acts else self._env.lift_test_action(jnp.asarray(action))
+                )
+                state = step(state, action)
+                end = state if acts else end
+            self.outcomes.append(bool(outcome(end, state).success))
+            self._pose(state)
+            for _ in range(_HOLD):
+                yield False
+
+    def _pose(self, state: State) -> None:
+        self.model.site("target").pos = np.asarray(state.info["desired_goal"])[:3]
+        self.data.qpos[:] = np.asarray(state.pipeline_state.qpos)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+
+def frames(playback: Playback, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
+    """Renders every so-many-th frame of a playback as a picture, `[height, width, 3]`, uint8.
+
+    One episode fades into the next, so that nothing jumps.
+
+    Raises:
+      RenderingError: MuJoCo cannot render here.
+
+    """
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(playback.model, camera)
+    camera.distance = _CAMERA_DISTANCE * playback.model.stat.extent
+    with open_renderer(playback.model, height, width) as renderer:
+        picture: np.ndarray | None = None
+        for index, first in enumerate(playback.play(episodes)):
+            if index % every and not first:
+                continue
+            renderer.update_scene(playback.data, camera)
+            before, picture = picture, renderer.render()
+            if first and before is not None:
+                for share in np.linspace(0.0, 1.0, _FADE // every + 2)[1:-1]:
+                    yield ((1.0 - share) * before + share * picture).astype(np.uint8)
+            yield picture
+
+
+def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
+    """Writes a film of a few episodes in real time, in one of `io.film.FORMATS`; returns which were successes.
+
+    The target is a red ball, or the body that the task names.
+
+    Raises:
+      RenderingError: MuJoCo cannot render here.
+
+    """
+    playback = Playback(env, policy, seed)
+    pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD) + (episodes - 1) * _FADE
+    with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
+        for number, frame in enumerate(frames(playback, episodes, *_SIZE), start=1):
+            append(frame)
+            line.show(f"filming, picture {number} of {pictures}", log=False)
+        line.show(f"writing {path.name}", log=False)
+    return playback.outcomes
+
+
+def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
+    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed.
+
+    Raises:
+      RenderingError: there is no display that answers.
+
+    """
+    _check_display()
+    import mujoco.viewer  # needs a display
+
+    playback = Playback(env, policy, seed)
+    with mujoco.viewer.launch_passive(playback.model, playback.data) as viewer:
+        for _ in playback.play(episodes):
+            started = time.perf_counter()
+            if not viewer.is_running():
+                break
+            viewer.sync()
+            time.sleep(max(0.0, env.control_period - (time.perf_counter() - started)))
+    return playback.outcomes
+
+
+def _check_display() -> None:
+    """Refuses a display that does not answer, for which MuJoCo's viewer would end the process."""
+    import glfw  # comes with MuJoCo
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if sys.platform == "linux" and not glfw.init():
+            display = os.environ.get("DISPLAY", "")
+            raise RenderingError(f"no window opens on DISPLAY={display}; --out writes a film, --web serves a page")

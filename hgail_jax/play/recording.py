@@ -1,0 +1,105 @@
+"""Records what a scripted controller does as demonstrations."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import hgail_envs
+from hgail_envs.validation import check_count, check_name, counted
+from hgail_jax.defaults import platform_name, task_preset
+from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from hgail_jax.io.provenance import installed
+from hgail_jax.rollout import Trajectory, rollout
+
+
+def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:
+    """Runs a task's controller of some name, on the goals that the task is measured by, with its probe.
+
+    Raises:
+      ValueError: the task has no such controller.
+
+    """
+    if not env.controllers:
+        raise ValueError("the task has no controllers, or none that reads its observation")
+    check_name("controller", name, env.controllers)
+    controller = env.controllers[name]
+
+    def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+        del rng
+        return controller(observation), jnp.zeros(observation.shape[:-1])
+
+    return jax.jit(lambda rng: rollout(env, policy, rng, episodes, lift_test=True))(jax.random.key(seed))
+
+
+def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
+    """Makes a task with the physics that it is trained in, to record so many demonstrations.
+
+    Raises:
+      ValueError: there is no such task, or no controller demonstrates it.
+
+    """
+    if not hgail_envs.find_class(task).controllers:
+        raise ValueError(f"no controller demonstrates {task!r}")
+    options = dict(task_preset(hgail_envs.find_class(task), platform_name()).task_options)
+    if "worlds" in hgail_envs.accepted_options(task):
+        options["worlds"] = _attempts(episodes)
+    return hgail_envs.make(task, **options)
+
+
+def _attempts(episodes: int) -> int:
+    """Returns how many episodes are run for so many successes."""
+    return episodes + episodes // 4 + 4
+
+
+def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demonstrations:
+    """Returns the first `episodes` successes of the controller that demonstrates a task.
+
+    Raises:
+      ValueError: the controller succeeds too rarely.
+
+    """
+    check_count("demonstrations", episodes)
+    name = next(iter(env.controllers))
+    trajectory = run_controller(env, name, _attempts(episodes), seed)
+    succeeded = np.flatnonzero(np.asarray(trajectory.outcome.success))[:episodes]
+    if len(succeeded) < episodes:
+        raise ValueError(
+            f"{name} succeeds too rarely on {task}: {counted(len(succeeded), 'time')}, for"
+            f" {counted(episodes, 'demonstration')}"
+        )
+
+    def in_order(values: jax.Array, steps: int) -> np.ndarray:
+        """Time comes first in a trajectory; the last state has no action."""
+        return np.moveaxis(np.asarray(values, np.float32), 0, 1)[succeeded, :steps]
+
+    steps = env.episode_length
+    return Demonstrations(
+        task=task,
+        features=in_order(trajectory.features, steps),
+        goal=in_order(trajectory.desired, steps),
+        action=in_order(trajectory.action, steps),
+        success=np.asarray(trajectory.outcome.success, np.float32)[succeeded],
+        returns=np.asarray(trajectory.reward.sum(axis=0), np.float32)[succeeded],
+        distance_l1=np.asarray(trajectory.outcome.distance_l1, np.float32)[succeeded],
+        made_by={
+            "controller": name,
+            "seed": seed,
+            "physics": {option: getattr(env, option, None) for option in ("impl", "substeps")},
+            "versions": installed("hgail-jax", "jax", "mujoco-mjx"),
+        },
+    )
+
+
+def load_or_record(path: Path, env: hgail_envs.GoalEnv, task: str, episodes: int) -> Demonstrations:
+    """Returns `episodes` demonstrations out of a file; where there is no such file, they are recorded into it.
+
+    Raises:
+      ValueError: see `load_demonstrations`, `record` and `Demonstrations.first`.
+
+    """
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_demonstrations(path, record(env, task, episodes))
+    return load_demonstrations(path, task).first(episodes)

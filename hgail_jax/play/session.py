@@ -1,0 +1,183 @@
+"""Plays a policy for as long as somebody watches, who may move the target at any time."""
+
+import dataclasses
+import enum
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from hgail_envs import GoalEnv
+from hgail_envs.scenes import load_scene
+from hgail_jax.io.policy import MeanPolicy
+
+_REST = 1.0  # seconds that an episode's end is left to be looked at
+_SAMPLED_GOALS = 1024  # from which the bounds of the target are taken
+
+
+class Phase(enum.Enum):
+    """What a session is doing."""
+
+    ACTING = "acting"
+    """The policy acts, with its episode's time running."""
+    PROBING = "probing"
+    """The policy's time is over, and the task tests what it ended with."""
+    STAYING = "staying"
+    """The episode was a success, and the policy goes on at the same target, because it was moved there by hand."""
+    RESTING = "resting"
+    """The episode is over; the scene stands still."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Status:
+    """How a session stands."""
+
+    phase: Phase
+    distance: float
+    """Metres between where the task's achieved goal, or its hand, is and where it should be."""
+    reached: bool
+    """Whether the last step satisfies the goal."""
+    success: bool
+    """Whether the episode is a success by the task's strictest test, as of now; final at its end."""
+    episodes: int
+    """Episodes that came to an end."""
+    successes: int
+    """Those of them that were a success."""
+
+
+class Session:
+    """A policy at work on a task that has a scene, action by action.
+
+    Until the target is moved, episodes follow one another as the task starts them. Once it is moved, the target stays
+    where it was put, and the time of the episode starts anew: after a success the policy goes on there, and after
+    a failure, or in a task that ends with a probe, the next episode starts with the target in that place.
+
+    For use in one thread.
+
+    Args:
+      env: the task.
+      policy: what acts.
+      seed: of the starts.
+
+    Raises:
+      ValueError: the task has no scene.
+
+    """
+
+    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int = 0) -> None:
+        if env.scene is None:
+            raise ValueError("the task has no scene to show")
+        self.env = env
+        self.model = load_scene(env.scene, visual=True)
+        self.data = mujoco.MjData(self.model)
+        self._policy = policy
+        self._phase, self._clock = Phase.ACTING, 0
+        self._action: np.ndarray = np.zeros(env.action_size)
+        self._held: np.ndarray | None = None
+        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
+        self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
+        self.bounds = self._bounds()
+        """`[2, 3]`: the lowest and the highest position of the target, metres, world frame."""
+        self.restart(seed)
+
+    def restart(self, seed: int | None = None) -> None:
+        """Lets go of the target and starts the next episode, or the first of another seed."""
+        if seed is not None:
+            self._starts = self._keys(seed)
+            self._episodes = self._successes = 0
+        self._held = None
+        self._begin()
+
+    def move_target(self, position: np.ndarray) -> None:
+        """Takes the target to a position, `[3]`, metres, world frame, or as near to it as the bounds allow."""
+        self._held = np.clip(position, *self.bounds)
+        if self.env.lift_test_steps and self._phase in (Phase.PROBING, Phase.RESTING):
+            self._begin()  # a probe leaves the arm where no episode takes it
+        else:
+            self._place_target()
+            self._phase, self._clock = Phase.ACTING, 0
+
+    def step(self) -> None:
+        """Goes on by one action, `env.control_period` seconds; starts the next episode where one is over."""
+        self._before = self._state
+        match self._phase:
+            case Phase.RESTING:
+                self._clock += 1
+                if self._clock * self.env.control_period >= _REST:
+                    self._begin()
+            case Phase.ACTING | Phase.STAYING:
+                self._advance(self._policy(np.asarray(self._state.obs)))
+                self._end = self._state
+                if self._phase is Phase.ACTING and self._clock == self.env.episode_length:
+                    self._phase, self._clock = Phase.PROBING, 0
+            case Phase.PROBING:
+                self._advance(np.asarray(self.env.lift_test_action(jnp.asarray(self._action))))
+        if self._phase is Phase.PROBING and self._clock == self.env.lift_test_steps:
+            self._conclude()
+
+    @property
+    def status(self) -> Status:
+        """How the session stands."""
+        outcome = self._outcome(self._end, self._state)
+        return Status(
+            phase=self._phase,
+            distance=float(outcome.distance_l2),
+            reached=bool(self._end.reward >= 0.0),
+            success=bool(outcome.success),
+            episodes=self._episodes,
+            successes=self._successes,
+        )
+
+    @property
+    def target(self) -> np.ndarray:
+        """`[3]`: where the target is, metres, world frame."""
+        return np.asarray(self._state.info["desired_goal"])[:3]
+
+    def pose(self, fraction: float = 1.0) -> None:
+        """Poses `data` between the states before (0) and after (1) the last action, with the target's site in place."""
+        before, after = (np.asarray(state.pipeline_state.qpos, float) for state in (self._before, self._state))
+        difference = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, difference, 1.0, before, after)
+        mujoco.mj_integratePos(self.model, before, difference, fraction)
+        self.data.qpos[:] = before
+        self.model.site("target").pos = self.target
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def _bounds(self) -> np.ndarray:
+        """Returns the box of the targets that the task draws; an axis along which they do not differ has no width."""
+        keys = jax.random.split(jax.random.key(0), _SAMPLED_GOALS)
+        goals = np.asarray(jax.jit(jax.vmap(self.env.reset))(keys).info["desired_goal"])[:, :3]
+        return np.stack([goals.min(axis=0), goals.max(axis=0)])
+
+    def _keys(self, seed: int) -> Iterator[jax.Array]:
+        key = jax.random.key(seed)
+        while True:
+            key, episode = jax.random.split(key)
+            yield episode
+
+    def _begin(self) -> None:
+        self._state = self._reset(next(self._starts))
+        self._phase, self._clock = Phase.ACTING, 0
+        self._action = np.zeros(self.env.action_size)
+        self._place_target()
+
+    def _place_target(self) -> None:
+        if self._held is not None:
+            self._state = self._move(self._state, self._held)
+        self._before = self._end = self._state
+
+    def _advance(self, action: np.ndarray) -> None:
+        self._action = action
+        self._state = self._step(self._state, action)
+        self._clock += 1
+        if not np.abs(np.asarray(self._state.obs)).max() <= self.env.observation_limit:  # the simulation broke down
+            self._begin()
+
+    def _conclude(self) -> None:
+        """Counts the episode, and stays or rests."""
+        success = self.status.success
+        self._episodes, self._successes = self._episodes + 1, self._successes + success
+        stays = success and self._held is not None and not self.env.lift_test_steps
+        self._phase, self._clock = (Phase.STAYING if stays else Phase.RESTING), 0

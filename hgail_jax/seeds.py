@@ -1,0 +1,239 @@
+"""Trains several seeds, and several settings of the hyperparameters, side by side in one compiled program."""
+
+import functools
+import gc
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+
+from hgail_envs import EpisodeMetrics, GoalEnv
+from hgail_envs.validation import MOST_SEED, check_count, counted
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.devices.sharding import ALONG_SEEDS, ENVS, REPLICATED, per_device
+from hgail_jax.evaluate import evaluate_rollouts, whole_rollouts
+from hgail_jax.samples import Samples
+from hgail_jax.state import TrainState, split_key
+from hgail_jax.train import RoundMetrics, init_state, make_policy, train_step
+
+SeedsStep = Callable[[TrainState, np.ndarray], tuple[TrainState, RoundMetrics]]
+"""A compiled function of states and a row of phases to new states and metrics, all with an axis over seeds."""
+SeedsEvaluation = Callable[[TrainState], EpisodeMetrics]
+"""A compiled function of states to how their episodes ended, all with an axis over seeds."""
+
+
+def check_seeds(first: int, count: int) -> None:
+    """Raises a ValueError if there are no seeds, or some are negative or wider than 31 bits."""
+    check_count("seeds", count)
+    check_count("first_seed", first, least=0, most=MOST_SEED - count)
+
+
+def seed_keys(first: int, count: int) -> jax.Array:
+    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others.
+
+    Raises:
+      ValueError: see `check_seeds`.
+
+    """
+    check_seeds(first, count)
+    return jax.vmap(jax.random.key)(jnp.arange(first, first + count))
+
+
+def init_seeds(
+    env: GoalEnv,
+    config: Config,
+    hyperparameters: Hyperparameters,
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over `keys`, `[seeds]`; see `init_state`."""
+    return init_sweep(env, config, [hyperparameters], keys, demonstrations)
+
+
+def init_sweep(
+    env: GoalEnv,
+    config: Config,
+    settings: Sequence[Hyperparameters],
+    keys: jax.Array,
+    demonstrations: Samples | None = None,
+) -> TrainState:
+    """Returns a state whose every leaf has a leading axis over settings times seeds, the seeds within a setting.
+
+    Whatever trains several seeds trains this: a grid of settings is one program. `split_sweep` takes its results apart.
+
+    Args:
+      env: the task.
+      config: sizes and counts, which all settings share.
+      settings: the hyperparameters of each.
+      keys: `[seeds]`; every setting has the same seeds.
+      demonstrations: see `init_state`.
+
+    Raises:
+      ValueError: see `init_state`; or there is no setting.
+
+    """
+    check_count("the number of settings", len(settings))
+    for setting in settings:  # once they are being traced, nobody can see them
+        setting.validate()
+    swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
+    swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
+    init = functools.partial(init_state, env, config, demonstrations=demonstrations)
+    return jax.jit(jax.vmap(init))(swept, jnp.tile(keys, len(settings)))
+
+
+def _widen(setting: Hyperparameters) -> Hyperparameters:
+    """Returns the setting with arrays for leaves."""
+    return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(setting).items()})
+
+
+def split_sweep(results: Any, settings: int) -> Any:
+    """Returns `results`, any pytree with leaves `[settings * seeds, ...]`, with leaves `[settings, seeds, ...]`."""
+    return jax.tree.map(lambda leaf: leaf.reshape(settings, -1, *leaf.shape[1:]), results)
+
+
+def compile_train_step(
+    env: GoalEnv, config: Config, states: TrainState, phases: np.ndarray, mesh: Mesh | None = None
+) -> SeedsStep:
+    """Compiles `train_step` for all seeds at once. The step consumes the states that it is given.
+
+    With a mesh of several devices each runs its part, see `hgail_jax.devices.sharding`. The step then takes states
+    that `shard` placed, and every process can read its metrics.
+
+    It compiles at a low optimisation level, and on a GPU without autotuning: the program is thousands of small kernels.
+    That took a third off the compilation on an H200, two thirds on a CPU, and nothing off the speed.
+
+    Args:
+      env: the task.
+      config: sizes and counts.
+      states: from `init_seeds`; only its shapes are read.
+      phases: any row of `phase_table`; only its shape is read.
+      mesh: from `make_mesh`; None is one device.
+
+    Returns:
+      A function of states and a row of phases to new states and metrics, each with an axis over seeds.
+
+    Raises:
+      ValueError: a device would step more environments than the task's physics can.
+
+    """
+    _check_worlds(env, config, states, mesh)
+    return compile_program(_jit_train_step(env, config, mesh), states, phases)
+
+
+def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh | None) -> None:
+    on_a_device = len(states.rng) * config.num_envs // (1 if mesh is None else mesh.size)
+    if env.max_worlds is not None and on_a_device > env.max_worlds:
+        raise ValueError(
+            f"{counted(len(states.rng), 'seed')} of {counted(config.num_envs, 'environment')} make {on_a_device} on a"
+            f" device; the task was made for {env.max_worlds}: make it with worlds={on_a_device}"
+        )
+
+
+def compile_program(jitted: Any, *arguments: Any) -> Any:
+    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes."""
+    return _compile(_lower(jitted, *arguments))
+
+
+def _lower(jitted: Any, *arguments: Any) -> Any:
+    """Returns a jitted function, traced for arguments of these shapes and lowered."""
+    collecting = gc.isenabled()
+    gc.disable()  # tracing makes millions of objects that stay: looking for garbage takes a fifth of its time
+    try:
+        return jitted.lower(*arguments)
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _compile(lowered: Any) -> Any:
+    """Compiles with XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
+    quickly = {"xla_backend_optimization_level": 1}
+    options = {"cpu": quickly, "gpu": quickly | {"xla_gpu_autotune_level": 0}}.get(jax.default_backend(), {})
+    flags = os.environ.get("XLA_FLAGS", "")
+    return lowered.compile(compiler_options={name: value for name, value in options.items() if name not in flags})
+
+
+def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
+    def step(axis: str | None, states: TrainState, phases: jax.Array) -> tuple[TrainState, RoundMetrics]:
+        return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
+
+    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
+
+
+def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
+    """Jits a function, each device of the mesh running its part.
+
+    Args:
+      mesh: None is one device.
+      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
+        over seeds.
+      given: how the arrays are laid out.
+      returned: how the results are laid out: along the seeds, or whole on each device.
+      options: of `jax.jit`.
+
+    """
+    if mesh is None or mesh.size == 1:
+        return jax.jit(functools.partial(function, None), **options)
+    axis = ENVS if mesh.shape[ENVS] > 1 else None
+    place = functools.partial(jax.tree.map, functools.partial(NamedSharding, mesh))
+    sharded = per_device(functools.partial(function, axis), mesh, given, ALONG_SEEDS)
+    return jax.jit(sharded, in_shardings=place(given), out_shardings=place(returned), **options)
+
+
+def evaluate_seeds(
+    env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
+) -> EpisodeMetrics:
+    """Evaluates every seed once; see `trace_evaluation` for the arguments, and what is returned and raised."""
+    return trace_evaluation(env, config, states, num_episodes, mesh)()(states)
+
+
+def trace_evaluation(
+    env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
+) -> Callable[[], SeedsEvaluation]:
+    """Traces the evaluation of every seed's mean action in the task's most accurate physics.
+
+    Args:
+      env: the task.
+      config: sizes and counts.
+      states: with an axis over seeds; only their shapes are read.
+      num_episodes: that each seed has at least: whole roll-outs.
+      mesh: see `compile_train_step`.
+
+    Returns:
+      A function that compiles, which needs the device no more, and returns a function of states, with a mesh as `shard`
+      placed them, to the means over the episodes, `[seeds]`. That raises an OverflowError if the simulation runs out of
+      room for contacts.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1; or see `compile_train_step`.
+
+    """
+    _check_worlds(env, config, states, mesh)
+    reference, rollouts = env.reference_physics(), whole_rollouts(num_episodes, config.num_envs)
+
+    def measure(axis: str | None, states: TrainState) -> tuple[EpisodeMetrics, jax.Array]:
+        def of_seed(state: TrainState) -> tuple[EpisodeMetrics, jax.Array]:
+            policy = make_policy(reference, config, state, noise=0.0, axis=axis)
+            rng = split_key(state.rng).final_evaluation
+            return evaluate_rollouts(reference, policy, rng, rollouts, config.num_envs, axis)
+
+        return jax.vmap(of_seed)(states)
+
+    lowered = _lower(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
+
+    def compile_evaluation() -> SeedsEvaluation:
+        compiled = _compile(lowered)
+
+        def evaluate(states: TrainState) -> EpisodeMetrics:
+            outcome, overflow = jax.tree.map(np.asarray, compiled(states))
+            if overflow.any():
+                raise OverflowError("the simulation ran out of room for contacts in the final evaluation")
+            return outcome
+
+        return evaluate
+
+    return compile_evaluation

@@ -1,0 +1,1 @@
+"""Talk with a terminal: signals, a status line."""

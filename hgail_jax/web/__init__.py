@@ -1,1 +1,0 @@
-"""A trained policy in the browser, and a target to drag."""

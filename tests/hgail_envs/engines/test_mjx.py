@@ -1,0 +1,49 @@
+"""MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_parity`."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.engines.mjx import buffer_sizes
+from hgail_envs.scenes import load_scene
+from hgail_jax import Hyperparameters, phase_table
+from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
+from tests.support import TINY
+
+
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision(task):
+    env = hgail_envs.make(task, impl="jax")
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    program = str(jax.make_jaxpr(env.step)(state, jax.ShapeDtypeStruct((4,), np.float32)))
+    assert program.count("precision=(Precision.HIGH") == program.count("dot_general[") > 100
+
+
+def test_buffers_hold_what_mjx_jax_allots():
+    """MJX-JAX has a row for whatever could be in contact, with four points for a pair of boxes instead of eight."""
+    for task in ("reach", "grasp", "push"):
+        env = hgail_envs.make(task, impl="jax")
+        sizes = buffer_sizes(load_scene(f"fetch/{task}"), worlds=3)
+        physics = jax.eval_shape(env.reset, jax.random.key(0)).pipeline_state
+        data = jax.eval_shape(lambda one, env=env: env.engine.data(one, env.control(one, np.zeros(3))), physics)
+        assert sizes["njmax"] >= data._impl.efc_J.shape[0]
+        assert sizes["naconmax"] % 3 == 0
+
+
+@pytest.mark.slow
+def test_a_tiny_training_runs():
+    env = hgail_envs.make("reach", impl="jax", substeps=4)
+    config = dataclasses.replace(TINY, rounds=1)
+    states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
+    before = jax.tree.map(np.asarray, states.actor_critic)
+    phases = phase_table(config)
+    step = compile_train_step(env, config, states, phases[0])
+    for row in phases:
+        states, metrics = step(states, row)
+    assert all(np.isfinite(values).all() for values in jax.tree.leaves((metrics, states.actor_critic)))
+    assert not any(map(np.array_equal, jax.tree.leaves(before), jax.tree.leaves(states.actor_critic)))
+    for share in (metrics.dropped, metrics.overflow, metrics.diverged):
+        np.testing.assert_array_equal(share, 0.0)

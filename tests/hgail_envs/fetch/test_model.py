@@ -1,0 +1,221 @@
+"""Fetch scenes with another model, against models edited by hand and C MuJoCo's own steps."""
+
+import copy
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.engines import make_engine
+from hgail_envs.fetch.arm import LEAST_DISTANCE
+from hgail_envs.fetch.grasp import CUBE_WIDTH
+from hgail_envs.fetch.model import SceneModel
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import RandomizedEnv
+from hgail_envs.scenes import load_scene
+from hgail_envs.variation import ModelFactors
+from tests.envs.engines.scene import MODEL, PERIOD, engine_control, engine_state, random_states
+
+FACTORS = ModelFactors(friction=0.3, object_mass=0.5, object_size=0.9, finger_force=0.6, finger_speed=0.5)
+NOT_IN_A_STEP = ("light_poscom0", "actuator_acc0", "dof_M0", "dof_length")
+FINGERS = ("right_finger", "left_finger")
+KEYS = jax.random.split(jax.random.key(0), 300)
+
+
+def edited(model, factors):
+    """Returns a model with mass, inertia, size and friction edited, and what derives from them worked out by MuJoCo."""
+    model = copy.copy(model)
+    body, geom = model.body("cube"), model.geom("cube")
+    body.mass *= factors.object_mass
+    body.inertia *= factors.object_mass * factors.object_size**2
+    geom.size *= factors.object_size
+    model.geom_rbound[geom.id] = np.linalg.norm(geom.size)
+    model.geom_aabb[geom.id, 3:] = geom.size
+    model.pair_friction *= factors.friction
+    for name in FINGERS:
+        joint, servo = model.joint(name), model.actuator(name)
+        heavier = factors.finger_force / factors.finger_speed**2
+        joint.armature = (joint.armature + model.body(name).mass) * heavier - model.body(name).mass
+        joint.damping *= factors.finger_force / factors.finger_speed
+        servo.gainprm *= factors.finger_force
+        servo.biasprm *= factors.finger_force
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def step_by_hand(model, qpos, qvel, control, substeps):
+    model.opt.timestep = PERIOD / substeps
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel, data.qacc_warmstart = qpos, qvel, 0.0
+    data.ctrl, data.mocap_pos[0], data.mocap_quat[0] = np.split(control, [model.nu, model.nu + 3])
+    mujoco.mj_step(model, data, nstep=substeps)
+    return data.qpos, data.qvel
+
+
+def test_what_derives_from_masses_is_what_mujoco_derives():
+    """All of the model's numbers, changed or not; the fingers' part in the arm's inverse weights is left out."""
+    ours, theirs = SceneModel(MODEL).fields(FACTORS), edited(MODEL, FACTORS)
+    for name in dir(MODEL):
+        before = getattr(MODEL, name)
+        if isinstance(before, np.ndarray) and before.dtype.kind == "f" and name not in NOT_IN_A_STEP:
+            after = np.asarray(ours.get(name, before))
+            least = {"dof_invweight0": 1e-2, "body_invweight0": 0.05}.get(name, 1e-12)  # the arm's own, which it drags
+            np.testing.assert_allclose(
+                after, getattr(theirs, name), rtol=1e-6 if name in ours else 0.02, atol=least, err_msg=name
+            )
+    assert set(ours) <= set(dir(MODEL))
+
+
+def test_each_environment_is_stepped_with_its_own_model_as_by_hand():
+    """Against MuJoCo on a copy of the scene for each, in which the same fields are set."""
+    count, substeps = 6, 10
+    qpos, qvel, control = random_states(count)
+    factors = [
+        dataclasses.replace(FACTORS, friction=0.2 + 0.3 * index, object_mass=0.4 + 0.2 * index)
+        for index in range(count)
+    ]
+    scene = SceneModel(MODEL)
+    batch = jax.tree.map(lambda *leaves: jnp.array(leaves, jnp.float32), *factors)
+    engine = make_engine("c", MODEL, PERIOD, substeps, worlds=1)
+
+    def step(state, control, factors):
+        return engine.step(state, control.replace(model=scene.fields(factors)))
+
+    after = jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), batch)
+    plain = jax.jit(jax.vmap(engine.step))(engine_state(qpos, qvel), engine_control(control))
+    for index in range(count):
+        model = copy.copy(MODEL)
+        for name, values in scene.fields(jax.tree.map(lambda leaf, i=index: leaf[i], batch)).items():
+            getattr(model, name)[...] = np.asarray(values)
+        own_qpos, own_qvel = step_by_hand(model, qpos[index], qvel[index], control[index], substeps)
+        np.testing.assert_allclose(after.qpos[index], own_qpos, atol=1e-6)
+        np.testing.assert_allclose(after.qvel[index], own_qvel, atol=1e-4)
+    assert np.abs(np.asarray(after.qpos - plain.qpos)).max() > 1e-3
+    # and the models go back to what they were, and on to others
+    again = jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), jax.tree.map(jnp.flip, batch))
+    np.testing.assert_array_equal(
+        jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), batch).qpos, after.qpos
+    )
+    assert np.abs(np.asarray(again.qpos - after.qpos)).max() > 1e-6
+
+
+def test_a_step_without_factors_is_the_program_that_it_was():
+    env = hgail_envs.make("grasp", impl="c", substeps=8)
+    physics = env.reset_physics(jax.random.key(0))
+    assert physics.factors is None
+    program = str(jax.make_jaxpr(env.step_physics)(physics, jnp.zeros(4)))
+    assert program.count("ffi_call") == 1
+    assert "pair_friction" not in program
+    assert "pair_friction" in str(jax.make_jaxpr(env.step_physics)(env.vary_model(physics, FACTORS), jnp.zeros(4)))
+
+
+def test_a_slippery_cube_falls_out_of_a_hand_that_holds_another():
+    env = hgail_envs.make("grasp", impl="c", substeps=20)
+    start = env.reset_physics(jax.random.key(0))
+    qpos = start.qpos.at[13:16].set(start.gripper_position).at[env._finger_qpos].set(0.027)
+    step, fallen = jax.jit(env.step_physics), {}
+    for friction in (1.0, 0.005):
+        physics = env.vary_model(start.replace(qpos=qpos), ModelFactors(friction=jnp.float32(friction)))
+        for _ in range(4):
+            physics = step(physics, jnp.array([0.0, 0.0, 0.0, -0.1]))
+        fallen[friction] = float(start.gripper_position[2] - env.cube_position(physics)[2])
+    assert fallen[1.0] < 0.01
+    assert fallen[0.005] > 0.05
+
+
+@pytest.mark.parametrize(("size", "held"), [(0.85, True), (1.1, True)])
+def test_a_cube_of_another_size_stands_on_the_table_and_can_be_held(size, held):
+    env = hgail_envs.make("grasp", impl="c", substeps=8)
+    factors = ModelFactors(object_size=jnp.float32(size))
+    start = env.vary_model(env.reset_physics(jax.random.key(0)), factors)
+    assert float(env.cube_position(start)[2]) == pytest.approx(0.4 + size * CUBE_WIDTH / 2, abs=1e-6)
+    step, physics = jax.jit(env.step_physics), start
+    for _ in range(5):
+        physics = step(physics, jnp.zeros(4))
+    np.testing.assert_allclose(env.cube_position(physics), env.cube_position(start), atol=5e-4)  # and it rests there
+    qpos = start.qpos.at[13:16].set(start.gripper_position).at[env._finger_qpos].set(0.035)
+    physics = start.replace(qpos=qpos)
+    for _ in range(6):
+        physics = step(physics, jnp.array([0.0, 0.0, 0.0, -1.0]))
+    assert float(env.gap(physics)) == pytest.approx(size * CUBE_WIDTH, abs=0.006)
+    assert bool(env.holding(physics)) is held
+    assert not bool(env.holding(physics.replace(factors=None))) or abs(size - 1) * CUBE_WIDTH < 0.008
+
+
+def test_slow_fingers_take_as_much_longer():
+    """Time to half an open hand scales with the inverse of the speed; the force has no part in it."""
+    env = hgail_envs.make("grasp", impl="c", substeps=20)
+    step, start, gaps = jax.jit(env.step_physics), env.reset_physics(jax.random.key(0)), {}
+    for speed, force, steps in ((1.0, 1.0, 1), (0.5, 1.0, 2), (0.5, 0.5, 2)):
+        physics = env.vary_model(start, ModelFactors(finger_speed=jnp.float32(speed), finger_force=jnp.float32(force)))
+        for _ in range(steps):
+            physics = step(physics, jnp.array([0.0, 0.0, 0.0, 1.0]))
+        gaps[speed, force] = float(env.gap(physics))
+    assert 0.01 < gaps[1.0, 1.0] < 0.09
+    assert gaps[0.5, 1.0] == pytest.approx(gaps[1.0, 1.0], rel=0.1)
+    assert gaps[0.5, 0.5] == pytest.approx(gaps[0.5, 1.0], rel=0.1)
+
+
+@pytest.mark.parametrize("task", ["grasp", "push"])
+def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
+    env = hgail_envs.make(task, impl="c", substeps=8)
+    physics = jax.vmap(env.reset_physics)(KEYS)
+    moved = jax.jit(jax.vmap(lambda key, physics: env.vary_start(key, physics, 0.04, 1.0)))(KEYS, physics)
+    shift = np.asarray(moved.gripper_position - physics.gripper_position)
+    assert np.abs(shift).max() < 0.05
+    assert (np.ptp(shift, axis=0)[:2] > 0.06).all()
+    assert np.asarray(moved.gripper_position)[:, 2].min() > 0.41
+    cube = np.asarray(moved.qpos[:, 13:16])
+    np.testing.assert_array_equal(cube, physics.qpos[:, 13:16])
+    away = np.linalg.norm(moved.gripper_position[:, :2] - cube[:, :2], axis=-1)
+    assert away.min() > LEAST_DISTANCE - 1e-3
+    gaps = np.asarray(jax.vmap(env.gap)(moved))
+    assert (gaps.min() < 0.01 and gaps.max() > 0.09) if task == "grasp" else gaps.max() < 0.01
+
+
+def test_sensors_err_by_what_they_are_told():
+    env = hgail_envs.make("pick-and-place", impl="c", substeps=8)
+    randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
+    state = randomised.step(randomised.reset(jax.random.key(0)), jnp.zeros(4))
+    physics, errors = state.pipeline_state, state.pipeline_state.errors()
+    plain, seen = np.asarray(env.features(physics.true)), np.asarray(state.info["observation"])
+    expected = [errors.robot, errors.robot_motion, errors.object - errors.robot, errors.object, errors.object_motion]
+    np.testing.assert_allclose(seen[:15] - plain[:15], np.concatenate(expected), atol=1e-6)
+    np.testing.assert_array_equal(seen[15:], plain[15:])
+    assert np.abs(errors.robot).max() > 1e-3
+    assert np.abs(errors.robot_motion).max() > 1e-4
+
+
+@pytest.mark.parametrize("task", ["reach", "grasp", "push", "pick-and-place", "slide"])
+def test_the_full_level_suits_all_fetch_tasks(task):
+    env = RandomizedEnv(hgail_envs.make(task, impl="c", substeps=8), LEVELS["full-history"])
+    reset, step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+    state = reset(KEYS[:8])
+    for _ in range(3):
+        state = step(state, jnp.full((8, 4), 0.5))
+    assert state.obs.shape == (8, env.observation_size)
+    assert np.isfinite(np.asarray(state.obs)).all()
+
+
+def test_a_field_that_an_engine_cannot_vary_is_refused():
+    state, control = (
+        jax.tree.map(lambda leaf: leaf[0], tree)
+        for tree in (engine_state(*random_states(1)[:2]), engine_control(random_states(1)[2]))
+    )
+    for impl, name in (("c", "wind"), ("jax", "ngeom"), ("c", "body_mass")):
+        engine = make_engine(impl, MODEL, PERIOD, 4, worlds=1)
+        with pytest.raises(ValueError, match=f"impl '{impl}' cannot vary {name}"):
+            engine.step(state, control.replace(model={name: jnp.zeros(3)}))
+
+
+@pytest.mark.parametrize("scene", ["grasp", "push", "slide", "reach"])
+def test_warp_has_all_fields_for_each_world(scene):
+    """By MJX's own table of what its implementation on Warp may be given a batch of."""
+    types = pytest.importorskip("mujoco.mjx.warp.types")
+    fields = SceneModel(load_scene(f"fetch/{scene}")).fields(FACTORS)
+    assert "pair_friction" in fields
+    assert all(types._BATCH_DIM["Model"][name] for name in fields)

@@ -1,0 +1,308 @@
+"""Randomised tasks: what is disturbed by how much, on a point that moves by known steps."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import hgail_envs
+from hgail_envs.base import GoalEnv
+from hgail_envs.point import Point
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import RandomizedEnv, randomize
+from hgail_jax.hindsight import relabel
+from hgail_jax.rollout import rollout
+
+STEP = 0.03  # metres by which a whole action moves the point
+MANY = 2000
+KEYS = jax.random.split(jax.random.key(0), MANY)
+ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 3)).astype(np.float32)
+
+
+def follow(env, actions=ACTIONS, key=0, reset=None):
+    """Returns the states of an episode under some actions, the start first."""
+    step = jax.jit(env.step)
+    states = [(reset or jax.jit(env.reset))(jax.random.key(key))]
+    for action in actions:
+        states.append(step(states[-1], action))
+    return states
+
+
+def truth(states):
+    return np.array([state.pipeline_state.true for state in states])
+
+
+def starts(**sizes):
+    return jax.jit(jax.vmap(RandomizedEnv(Point(), Randomization(**sizes)).reset))(KEYS)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_an_action_comes_as_many_steps_late_as_the_delay(delay):
+    states = follow(RandomizedEnv(Point(), Randomization(delay=(delay, delay))))
+    late = np.concatenate([np.zeros((delay, 3)), ACTIONS])[: len(ACTIONS)]
+    expected = np.concatenate([np.zeros((1, 3)), np.cumsum(STEP * late, axis=0)])
+    np.testing.assert_allclose(truth(states), expected, atol=1e-6)
+
+
+def test_each_delay_is_as_frequent_and_differs_between_episodes():
+    delays = np.asarray(starts(delay=(1, 3)).pipeline_state.drawn.delay)
+    counts = np.bincount(delays)
+    assert counts[0] == 0
+    assert stats.chisquare(counts[1:]).pvalue > 1e-4
+
+
+def test_displacements_are_scaled_and_sink():
+    env = RandomizedEnv(Point(), Randomization(step_size=(0.6, 1.4), z_bias=(0.02, 0.05)))
+    drawn = jax.vmap(env.reset)(KEYS).pipeline_state.drawn
+    for values, (low, high) in ((drawn.step_size, (0.6, 1.4)), (drawn.z_bias, (0.02, 0.05))):
+        assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-4
+    states = follow(env)
+    factor, z_bias = (
+        float(value) for value in (states[0].pipeline_state.drawn.step_size, states[0].pipeline_state.drawn.z_bias)
+    )
+    assert abs(factor - 1.0) > 0.01
+    moves = STEP * (factor * ACTIONS - np.array([0.0, 0.0, z_bias]))
+    np.testing.assert_allclose(np.diff(truth(states), axis=0), moves, atol=1e-6)
+
+
+@pytest.mark.parametrize(("source", "part"), [("robot", "observation"), ("goal", "achieved_goal")])
+def test_noises_and_offsets_have_their_deviations(source, part):
+    noise, offset = 0.01, 0.03
+    states = [starts(**{f"{source}_noise": noise, f"{source}_offset": offset})]
+    env = RandomizedEnv(Point(), Randomization(**{f"{source}_noise": noise, f"{source}_offset": offset}))
+    states.append(jax.jit(jax.vmap(env.step))(states[0], jnp.zeros((MANY, 3))))
+    errors = np.array([state.info[part] for state in states])  # the point stays at 0
+    for values, deviation in ((errors[0], np.hypot(noise, offset)), (errors[1] - errors[0], np.sqrt(2) * noise)):
+        assert stats.kstest(values.ravel(), stats.norm(0.0, deviation).cdf).pvalue > 1e-4
+    for first, second in ((0, 1), (1, 2), (0, 2)):
+        assert abs(np.corrcoef(errors[0, :, first], errors[0, :, second])[0, 1]) < 0.1  # axes have their own
+
+
+@pytest.mark.parametrize(("source", "part"), [("robot", "observation"), ("goal", "achieved_goal")])
+def test_an_offset_stays_for_an_episode_and_is_another_in_the_next(source, part):
+    env = RandomizedEnv(Point(), Randomization(**{f"{source}_offset": 0.02}))
+    errors = [
+        np.array([state.info[part] for state in states]) - truth(states)
+        for states in (follow(env, key=k) for k in (1, 2))
+    ]
+    for error in errors:
+        np.testing.assert_allclose(error, np.broadcast_to(error[:1], error.shape), atol=1e-6)
+        assert np.abs(error).max() > 1e-3
+    assert np.abs(errors[0] - errors[1]).max() > 1e-3
+
+
+def test_the_desired_goal_has_the_error_of_the_achieved_one():
+    env = RandomizedEnv(Point(), Randomization(goal_noise=0.01, goal_offset=0.02))
+    for state in follow(env):
+        error = state.info["achieved_goal"] - state.pipeline_state.true
+        np.testing.assert_allclose(state.info["desired_goal"] - state.info["plan"], error, atol=1e-6)
+
+
+def test_relabelled_goals_are_positions_as_observed():
+    """Each is what was observed of a later step, error and all, and not where the point truly was."""
+    env = RandomizedEnv(Point(), Randomization(goal_noise=0.02, goal_offset=0.05))
+
+    def random_policy(observation, rng):
+        return jax.random.uniform(rng, (*observation.shape[:-1], 3), minval=-1.0), jnp.zeros(observation.shape[:-1])
+
+    trajectory = jax.jit(lambda rng: rollout(env, random_policy, rng, 2))(jax.random.key(0))
+    achieved, features = np.asarray(trajectory.achieved[:, 0]), np.asarray(trajectory.features[:, 0])
+    relabelled = relabel(jax.random.key(1), trajectory.achieved[:, 0], trajectory.desired[:-1, 0], p_ht=1.0)
+    np.testing.assert_array_equal(relabelled.goal, achieved[relabelled.source])
+    errors = achieved - features  # the robot's own position is exact here
+    assert 0.5 * 0.05 < np.sqrt(np.mean(np.asarray(trajectory.achieved - trajectory.features) ** 2)) < 2 * 0.06
+    np.testing.assert_allclose(relabelled.goal, features[relabelled.source] + errors[relabelled.source], atol=1e-6)
+
+
+def test_success_and_reward_are_of_the_true_positions():
+    env = RandomizedEnv(Point(), Randomization(goal_offset=5.0, robot_offset=5.0))
+    states = follow(env)
+    goal = states[-1].info["plan"]
+    at = states[-1].replace(pipeline_state=states[-1].pipeline_state.replace(true=goal + 0.03))
+    seen = env.step(at, jnp.zeros(3))
+    assert np.linalg.norm(seen.info["desired_goal"] - goal) > 0.5
+    assert seen.reward == (0.0 if np.linalg.norm(seen.pipeline_state.true - goal) <= 0.05 else -1.0)
+    outcome = env.outcome(at, at)
+    np.testing.assert_allclose(outcome.distance_l1, 0.09, atol=1e-6)
+    assert outcome.success == float(np.sqrt(3) * 0.03 <= 0.05)
+    far = states[-1].replace(pipeline_state=states[-1].pipeline_state.replace(true=goal + 0.03001))
+    assert env.outcome(far, far).success == 0.0
+
+
+def test_the_history_is_what_was_done_and_observed():
+    env = RandomizedEnv(Point(), Randomization(delay=(2, 2), robot_noise=0.01, goal_offset=0.01, history=3))
+    assert env.observation_size == 3 * (3 + 3) + 3 + 3
+    states = follow(env)
+    seen = [np.asarray(state.info["observation"])[-3:] for state in states]
+    rows = [np.concatenate([np.zeros(3), seen[0]])] * 3
+    for step, state in enumerate(states):
+        if step:
+            rows = [np.concatenate([ACTIONS[step - 1], seen[step - 1]]), *rows[:2]]
+        expected = np.concatenate([*rows, seen[step]])
+        np.testing.assert_allclose(state.info["observation"], expected, atol=1e-6)
+        np.testing.assert_allclose(state.obs, np.append(expected, state.info["desired_goal"]), atol=1e-6)
+
+
+def test_a_controller_acts_on_the_present_observation():
+    env = RandomizedEnv(Point(), Randomization(history=2))
+    state = env.reset(jax.random.key(0))
+    (name, controller), plain = next(iter(env.controllers.items())), Point()
+    np.testing.assert_array_equal(controller(state.obs), plain.controllers[name](state.obs[-6:]))
+
+
+def test_nothing_that_is_not_asked_for_changes_a_bit():
+    point = Point()
+    assert randomize(point, "none") is point
+    plain, wrapped = follow(point), follow(RandomizedEnv(point, Randomization()))
+    np.testing.assert_array_equal(truth(wrapped), [state.pipeline_state for state in plain])
+    np.testing.assert_array_equal(
+        [state.info["desired_goal"] for state in wrapped], [wrapped[0].info["plan"]] * len(wrapped)
+    )
+
+
+def test_noises_leave_the_rest_of_an_episode_as_it_is():
+    """Each size is drawn with a key of its own, so that episodes can be compared."""
+    few, more = (
+        RandomizedEnv(Point(), Randomization(delay=(0, 3), goal_offset=0.01, robot_noise=noise)) for noise in (0.0, 0.1)
+    )
+    first, second = follow(few, key=5), follow(more, key=5)
+    np.testing.assert_array_equal(truth(first), truth(second))
+    np.testing.assert_array_equal(first[-1].info["desired_goal"], second[-1].info["desired_goal"])
+
+
+def test_seeds_side_by_side_are_what_each_is_alone():
+    env = RandomizedEnv(Point(), Randomization(delay=(0, 3), goal_noise=0.01, robot_offset=0.01, history=2))
+
+    def run(rng):
+        return rollout(env, lambda obs, rng: (0.1 * obs[:, :3], obs[:, 0]), rng, 3, training_goals=True)
+
+    rngs = jax.random.split(jax.random.key(0), 2)
+    together = jax.jit(jax.vmap(run))(rngs)
+    for index, rng in enumerate(rngs):
+        alone = jax.jit(run)(rng)
+        jax.tree.map(lambda both, one, i=index: np.testing.assert_allclose(both[i], one, atol=1e-6), together, alone)
+    assert np.abs(np.asarray(together.features[0] - together.features[1])).max() > 1e-3
+
+
+def test_a_randomised_task_fits_the_interface():
+    hgail_envs.check_task(RandomizedEnv(Point(), Randomization(delay=(0, 3), goal_offset=0.01, history=3)))
+
+
+def test_a_target_is_dragged_to_its_true_place():
+    env = RandomizedEnv(Point(), Randomization(goal_offset=0.05))
+    state = follow(env)[-1]
+    moved = env.move_target(state, jnp.array([0.1, 0.2, 0.3]))
+    np.testing.assert_allclose(moved.info["plan"], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(
+        moved.info["desired_goal"], moved.info["plan"] + state.pipeline_state.goal_error, atol=1e-6
+    )
+
+
+def test_what_a_task_lacks_is_refused():
+    class Bare(Point):
+        add_sensor_noise = GoalEnv.add_sensor_noise
+
+    RandomizedEnv(Bare(), Randomization(goal_offset=0.01, delay=(0, 1)))
+    with pytest.raises(ValueError, match="Bare cannot be randomised so: it has no add_sensor_noise"):
+        RandomizedEnv(Bare(), Randomization(robot_noise=0.01))
+    with pytest.raises(ValueError, match="Point cannot be randomised so: it has no vary_model"):
+        randomize(Point(), "mild")
+    with pytest.raises(ValueError, match="Point cannot be randomised so: it has no vary_start"):
+        RandomizedEnv(Point(), Randomization(posture=0.01))
+    with pytest.raises(ValueError, match="unknown randomize 'wild'; choose from none, mild, full"):
+        randomize(Point(), "wild")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("delay", (2, 1), "a least and a most from 0 to 50"),
+        ("delay", (0, 1.5), "a least and a most"),
+        ("delay", (-1, 1), "from 0"),
+        ("delay", (0, 51), "to 50"),
+        ("history", -1, "an integer from 0 to 50"),
+        ("history", 1.0, "an integer"),
+        ("step_size", (0.0, 1.0), "a least and a most from 0.01 to 100"),
+        ("friction", 0.5, "a least and a most from 0.01 to 100"),
+        ("z_bias", (0.0, np.inf), "a least and a most"),
+        ("goal_noise", -0.1, "a number from 0"),
+        ("robot_offset", True, "a number from 0"),
+        ("hand_opening", 1.5, "a number from 0 to 1"),
+        ("posture", 0.2, "a number from 0 to 0.15"),
+        ("z_bias", (-2.0, 0.0), "a least and a most from -1 to 1"),
+        ("ramp", 1.5, "a number from 0 to 1"),
+    ],
+)
+def test_sizes_out_of_range_are_refused(name, value, allowed):
+    with pytest.raises(ValueError, match=f"{name} is .*; it must be .*{allowed}"):
+        Randomization(**{name: value})
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_randomisation_comes_back_from_json(level):
+    content = json.loads(json.dumps(dataclasses.asdict(LEVELS[level])))
+    assert Randomization.from_json(content) == LEVELS[level]
+    with pytest.raises(ValueError, match="a randomisation has no field 'wind'"):
+        Randomization.from_json({"wind": 1.0})
+
+
+def test_undisturbed_is_none_with_the_same_history():
+    full = LEVELS["full-history"]
+    assert full.nominal() == Randomization(history=full.history)
+    assert full.history > 0
+
+
+GROWS = Randomization(
+    delay=(1, 3), step_size=(0.6, 1.4), z_bias=(-0.1, 0.2), goal_offset=0.03, robot_noise=0.02, ramp=0.5
+)
+
+
+@pytest.mark.parametrize(
+    ("progress", "present"),
+    [
+        (0.0, Randomization()),
+        (0.25, Randomization(step_size=(0.8, 1.2), z_bias=(-0.05, 0.1), goal_offset=0.015, robot_noise=0.01)),
+        (0.5, GROWS),
+        (1.0, GROWS),
+    ],
+)
+def test_disturbances_grow_to_their_sizes(progress, present):
+    env = RandomizedEnv(Point(), GROWS)
+    grown = jax.jit(lambda key, progress: env.curriculum(progress).reset(key))(jax.random.key(3), progress)
+    there = jax.jit(RandomizedEnv(Point(), present).reset)(jax.random.key(3))
+    for name in ("step_size", "z_bias", "offset"):
+        pair = [getattr(state.pipeline_state.drawn, name) for state in (grown, there)]
+        np.testing.assert_allclose(*pair, atol=1e-6)
+    np.testing.assert_allclose(grown.info["observation"], there.info["observation"], atol=1e-6)
+
+
+@pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])
+def test_a_delay_grows_by_whole_steps(progress, delays):
+    env = RandomizedEnv(Point(), GROWS).curriculum(progress)
+    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn.delay
+    assert drawn.dtype == jnp.int32
+    assert set(np.asarray(drawn).tolist()) == delays
+
+
+@pytest.mark.parametrize("progress", [0.0, 0.3])
+def test_without_growth_the_disturbances_are_there_from_the_start(progress):
+    env = RandomizedEnv(Point(), dataclasses.replace(GROWS, ramp=0.0))
+    reset = jax.jit(lambda env_reset: env_reset(jax.random.key(3)), static_argnums=0)
+    jax.tree.map(np.testing.assert_array_equal, reset(env.curriculum(progress).reset), reset(env.reset))
+
+
+def test_its_task_may_become_harder_itself(monkeypatch):
+    monkeypatch.setattr(Point, "curriculum", lambda self, progress: f"the point after {progress}")
+    assert RandomizedEnv(Point(), GROWS).curriculum(0.25).task == "the point after 0.25"
+
+
+def test_its_task_is_prepared(monkeypatch):
+    prepared = []
+    monkeypatch.setattr(Point, "prepare", lambda self: prepared.append(self))
+    task = Point()
+    RandomizedEnv(task, Randomization(delay=(0, 1))).prepare()
+    assert prepared == [task]

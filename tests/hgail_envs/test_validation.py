@@ -1,0 +1,143 @@
+"""Values that no run can have, drawn at random; every one is refused by name before anything is traced."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hgail_envs
+from hgail_envs.validation import MOST
+from hgail_jax import Config, Hyperparameters, evaluate, init_state, relabel, rollout
+from hgail_jax.seeds import evaluation_episodes, seed_keys
+
+many = settings(max_examples=300, deadline=None, derandomize=True, database=None)
+no_number = st.one_of(st.none(), st.text(), st.lists(st.text(), min_size=1), st.just({}), st.complex_numbers())
+no_integer = st.one_of(no_number, st.floats(), st.booleans())
+COUNTS = {field.name: 1 for field in dataclasses.fields(Config) if field.type is int}
+COUNTS |= {"rounds": 0, "policy_phases": 0, "discriminator_phases": 0}
+SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
+POSITIVE = (
+    "action_std",
+    "final_action_std",
+    "clip_ratio",
+    "reward_scale",
+    "policy_learning_rate",
+    "discriminator_learning_rate",
+)
+
+
+def outside(least, most):
+    return st.one_of(st.integers(max_value=least - 1), st.integers(min_value=most + 1))
+
+
+no_share = st.one_of(no_number, st.floats().filter(lambda value: not 0.0 <= value <= 1.0), outside(0, 1))
+not_positive = st.one_of(
+    no_number,
+    st.floats(max_value=0.0),
+    st.floats(min_value=1e39),
+    st.sampled_from([float("nan"), 1e-60]),  # which is 0 in single precision
+)
+no_widths = st.one_of(
+    no_integer, st.lists(st.integers(1, 9)), st.tuples(st.integers(1, 9), no_integer), st.tuples(outside(1, MOST))
+)
+
+
+@many
+@given(
+    bad=st.one_of(
+        *(st.tuples(st.just(name), no_integer | outside(least, MOST)) for name, least in COUNTS.items()),
+        st.tuples(st.just("pretrain"), st.one_of(no_number, st.integers(), st.floats())),
+        st.tuples(st.just("final_learning_rate"), no_share),
+        st.tuples(st.sampled_from(["policy_hidden", "discriminator_hidden"]), no_widths),
+    )
+)
+def test_bad_sizes_are_refused_by_name(bad):
+    name, value = bad
+    with pytest.raises(ValueError, match=name) as error:
+        Config(**{name: value})
+    assert len(str(error.value).splitlines()) == 1
+
+
+@many
+@given(
+    bad=st.one_of(
+        st.tuples(st.sampled_from(SHARES), no_share),
+        st.tuples(st.sampled_from(POSITIVE), not_positive),
+        st.tuples(st.sampled_from(["strategy"]), no_number | outside(0, 1) | st.just(0.5)),
+        st.tuples(st.sampled_from(["reward"]), no_number | outside(0, 3) | st.just(float("nan"))),
+    )
+)
+def test_bad_hyperparameters_are_refused_by_name(bad):
+    name, value = bad
+    with pytest.raises(ValueError, match=name) as error:
+        init_state(hgail_envs.make("point"), Config(), Hyperparameters(**{name: value}), jax.random.key(0))
+    assert len(str(error.value).splitlines()) == 1
+
+
+@many
+@given(
+    counts=st.fixed_dictionaries({}, optional={name: st.integers(least, MOST) for name, least in COUNTS.items()}),
+    share=st.floats(0.0, 1.0),
+    positive=st.floats(1e-30, 1e30),
+    widths=st.lists(st.integers(1, MOST), max_size=4).map(tuple),
+)
+def test_good_values_are_taken(counts, share, positive, widths):
+    config = Config(**counts, final_learning_rate=share, policy_hidden=widths, discriminator_hidden=widths)
+    assert dataclasses.asdict(config) == dataclasses.asdict(Config()) | counts | {
+        "final_learning_rate": share,
+        "policy_hidden": widths,
+        "discriminator_hidden": widths,
+    }
+    for good in (Hyperparameters(p_ht=share), Hyperparameters(action_std=positive, reward=3, include_current=True)):
+        assert good.validate() is good
+
+
+def test_hyperparameters_may_be_arrays_and_tracers():
+    Hyperparameters(p_ht=jnp.array(0.5), discount=np.float32(0.5)).validate()
+    with pytest.raises(ValueError, match="p_ht"):
+        Hyperparameters(p_ht=jnp.array([0.5, 1.5])).validate()
+    swept = jax.vmap(lambda p_ht: Hyperparameters(p_ht=p_ht).validate().p_ht)(jnp.array([0.0, 1.0]))
+    np.testing.assert_array_equal(swept, [0.0, 1.0])
+
+
+def test_minibatches_must_not_outnumber_samples():
+    env = hgail_envs.make("point")
+    Config(num_envs=2, minibatches=100).validate(env)
+    with pytest.raises(ValueError, match="minibatches is 101; it must be at most 100"):
+        Config(num_envs=2, minibatches=101).validate(env)
+    with pytest.raises(ValueError, match="is not a GoalEnv"):
+        Config().validate("point")
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "message"),
+    [(0, 0, "seeds is 0"), (-1, 2, "first_seed is -1"), (2**31 - 1, 1, "first_seed"), (0.0, 1, "integer")],
+)
+def test_bad_seeds_are_refused(first, count, message):
+    with pytest.raises(ValueError, match=message):
+        seed_keys(first, count)
+
+
+def test_no_episodes_are_refused():
+    env, key = hgail_envs.make("point"), jax.random.key(0)
+    for call in (
+        lambda: evaluate(env, None, key, 0),
+        lambda: rollout(env, None, key, -1),
+        lambda: rollout(env, None, key, 2.5),
+        lambda: evaluation_episodes(Config(), 0),
+    ):
+        with pytest.raises(ValueError, match="must be"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("achieved", "desired", "p_ht"),
+    [((5,), (3,), 1.0), ((5, 3), (2,), 1.0), ((1, 3), (3,), 1.0), ((5, 3), (3,), 1.5), ((5, 3), (3,), float("nan"))],
+)
+def test_relabelling_refuses_what_does_not_fit(achieved, desired, p_ht):
+    with pytest.raises(ValueError, match="must be"):
+        relabel(jax.random.key(0), jnp.zeros(achieved), jnp.zeros(desired), p_ht)

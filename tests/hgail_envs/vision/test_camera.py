@@ -1,0 +1,188 @@
+import dataclasses
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hgail_envs.vision import rgbd
+from hgail_envs.vision.camera import Camera, from_mujoco, intrinsics, look_at
+from hgail_envs.vision.rgbd import Photographer, add_shape, open_renderer
+
+WIDTH, HEIGHT = 160, 120
+BALL, BOX = np.array([-0.1, 0.12, 0.1]), np.array([0.1, -0.07, 0.05])
+HALF = np.array([0.03, 0.02, 0.05])
+SCENE = f"""
+<mujoco>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom name="plane" type="plane" size="3 3 .1"/>
+    <geom name="ball" type="sphere" size="0.02" pos="{" ".join(map(str, BALL))}"/>
+    <geom name="box" type="box" size="{" ".join(map(str, HALF))}" pos="{" ".join(map(str, BOX))}" euler="0 0 30"/>
+    <site name="site" size="0.1"/>
+    <camera name="slanted" pos="0.6 0.2 0.9" xyaxes="-.316 .949 0 -.8 -.27 .54" fovy="40"/>
+  </worldbody>
+</mujoco>
+"""
+numbers = st.floats(-1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+@pytest.fixture(scope="module")
+def photographer(scene, rendering):
+    with Photographer(scene[0], WIDTH, HEIGHT) as photographer:
+        yield photographer
+
+
+@pytest.fixture(scope="module", params=["slanted", "off-centre"])
+def camera(scene, request):
+    """MuJoCo's own camera, and one whose optical axis is not in the middle and whose pixels are not square."""
+    camera = from_mujoco(scene[1], "slanted", WIDTH, HEIGHT)
+    if request.param == "slanted":
+        return camera
+    matrix = np.add(camera.matrix, [[12.0, 0.0, 20.3], [0.0, 0.0, -7.7], [0.0, 0.0, 0.0]])
+    return dataclasses.replace(camera, matrix=matrix).moved(np.array([0.02, -0.03, 0.4]), np.array([0.01, 0.0, 0.02]))
+
+
+def pixel_grid():
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    return np.stack([columns + 0.5, rows + 0.5], axis=-1)
+
+
+def test_pictures_are_those_of_mujocos_own_camera(scene, photographer):
+    model, data = scene
+    picture = photographer.shoot(data, from_mujoco(data, "slanted", WIDTH, HEIGHT))
+    with open_renderer(model, HEIGHT, WIDTH) as renderer:
+        options = mujoco.MjvOption()
+        options.sitegroup[:] = 0
+        renderer.update_scene(data, "slanted", options)
+        colours = renderer.render().astype(int)
+        renderer.enable_depth_rendering()
+        np.testing.assert_allclose(picture.depth, renderer.render(), atol=1e-5)
+    assert np.abs(picture.rgb - colours).mean() < 0.1
+
+
+def test_every_pixel_lies_on_the_surface_that_it_shows(scene, photographer, camera):
+    model, data = scene
+    shown = photographer.segment(data, camera)
+    points = camera.to_world(pixel_grid(), photographer.shoot(data, camera).depth)
+    assert np.bincount(shown.ravel()).min() > 20  # each of the three is in the picture
+    np.testing.assert_allclose(points[shown == model.geom("plane").id][:, 2], 0.0, atol=1e-5)
+    radii = np.linalg.norm(points[shown == model.geom("ball").id] - BALL, axis=-1)
+    np.testing.assert_allclose(radii, 0.02, atol=5e-4)  # MuJoCo draws a polyhedron
+    in_box = (points[shown == model.geom("box").id] - BOX) @ data.geom("box").xmat.reshape(3, 3)
+    np.testing.assert_allclose(np.max(np.abs(in_box) / HALF, axis=-1), 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.05], [0.25, 0.2, 0.3], [-0.2, -0.15, 0.2]])
+def test_small_balls_are_where_they_project_to(scene, photographer, camera, place):
+    ids = []
+
+    def stage(shapes):
+        ids.append(add_shape(shapes, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.02), np.array(place), np.ones(4)))
+
+    shown = photographer.segment(scene[1], camera, stage)
+    pixel, depth = camera.to_pixels(np.array(place))
+    assert camera.contains(pixel)
+    np.testing.assert_allclose(pixel_grid()[shown == ids[0]].mean(axis=0), pixel, atol=0.3)
+    nearest = photographer.shoot(scene[1], camera, stage).depth[shown == ids[0]].min()
+    assert nearest == pytest.approx(depth - 0.02, abs=1e-3)
+
+
+def test_depth_is_along_the_axis(photographer, scene):
+    """A plane across the optical axis has the same depth in every pixel."""
+    down = look_at(np.array([0.0, 1e-6, 1.5]), np.zeros(3), 40.0, WIDTH, HEIGHT)
+    depth = photographer.shoot(scene[1], down).depth[photographer.segment(scene[1], down) == 0]
+    np.testing.assert_allclose(depth, 1.5, atol=1e-4)
+
+
+def test_pictures_leave_the_model_alone_and_show_no_sites(scene, photographer, camera):
+    model, data = scene
+    before = model.vis.quality.shadowsize, model.vis.global_.offwidth, model.geom_rgba.copy()
+    shown = photographer.segment(data, camera)
+    assert set(np.unique(shown)) == {0, 1, 2}
+    assert before[:2] == (model.vis.quality.shadowsize, model.vis.global_.offwidth)
+    np.testing.assert_array_equal(before[2], model.geom_rgba)
+    with pytest.raises(ValueError, match="64 by 64 pixels"):
+        photographer.shoot(data, look_at(np.ones(3), np.zeros(3), 40.0, 64, 64))
+
+
+def test_where_nothing_renders_it_says_what_to_install(monkeypatch, scene):
+    def no_library(*_):
+        raise ImportError("no libEGL")
+
+    monkeypatch.setattr(rgbd.mujoco, "Renderer", no_library)
+    with pytest.raises(RuntimeError, match=r"install EGL or OSMesa \(no libEGL\)"):
+        Photographer(scene[0], WIDTH, HEIGHT)
+
+
+def test_renders_without_a_display_whichever_is_imported_first(rendering):
+    lines = "import mujoco, hgail_envs; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    subprocess.run([sys.executable, "-c", lines], check=True, env=environment)
+
+
+def test_equation_8_by_hand():
+    """Looking along the world's x, with y to the left: what is right in the image has a smaller y, what is down z."""
+    rotation = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    camera = Camera(640, 480, np.array([[500.0, 0, 320], [0, 400.0, 240], [0, 0, 1]]), rotation, np.array([1.0, 2, 3]))
+    pixels = np.array([[[320.0, 240.0], [420.0, 240.0], [320.0, 280.0]]])
+    points = camera.to_world(pixels, np.array([[2.0, 2.0, 4.0]]))
+    np.testing.assert_allclose(points, [[[3.0, 2.0, 3.0], [3.0, 1.6, 3.0], [5.0, 2.0, 2.6]]])
+
+
+@given(st.tuples(numbers, numbers, numbers), st.tuples(numbers, numbers, st.floats(0.1, 1.0)))
+def test_to_pixels_and_back(where, at):
+    camera = look_at(np.array([0.1, 0.2, 3.0]) + where, np.array(at), 45.0, 64, 48).moved(np.array(where), np.array(at))
+    points = camera.position + np.array([[0.3, 0.1, 2.0], [-0.5, 0.4, 1.0]]) @ camera.rotation.T
+    pixels, depth = camera.to_pixels(points)
+    np.testing.assert_allclose(depth, [2.0, 1.0])
+    np.testing.assert_allclose(camera.to_world(pixels, depth), points, atol=1e-9)
+
+
+def test_the_target_is_in_the_middle_and_up_is_up():
+    camera = look_at(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.5]), 30.0, 64, 48)
+    (middle, above), _ = camera.to_pixels(np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 0.6]]))
+    np.testing.assert_allclose(middle, [32.0, 24.0])
+    assert above[0] == pytest.approx(32.0)
+    assert above[1] < 24.0
+
+
+def test_a_turned_camera_errs_by_the_angle_times_the_distance():
+    camera = look_at(np.array([0.0, -2.0, 0.0]), np.zeros(3), 30.0, 64, 48)
+    middle = np.array([32.0, 24.0])
+    turned = camera.moved(np.radians([0.5, 0.0, 0.0]), np.zeros(3))
+    error = turned.to_world(middle, np.array(2.0)) - camera.to_world(middle, np.array(2.0))
+    np.testing.assert_allclose(error, [0.0, 0.0, 2.0 * np.sin(np.radians(0.5))], atol=1e-4)
+    shifted = camera.moved(np.zeros(3), np.array([0.01, 0.02, 0.03]))
+    np.testing.assert_allclose(shifted.to_world(middle, np.array(2.0)), [0.01, 0.02, 0.03], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 0}, "0 by 48 pixels"),
+        ({"matrix": np.zeros((3, 3))}, "positive focal lengths"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation matrix"),
+    ],
+)
+def test_a_camera_that_cannot_be(change, message):
+    good = {"width": 64, "height": 48, "matrix": intrinsics(64, 48, 45.0), "rotation": np.eye(3)}
+    with pytest.raises(ValueError, match=message):
+        Camera(**(good | change), position=np.zeros(3))
+
+
+def test_looking_straight_down_is_refused():
+    with pytest.raises(ValueError, match="straight up or down"):
+        look_at(np.array([0.0, 0.0, 1.0]), np.zeros(3), 45.0, 64, 48)

@@ -1,0 +1,809 @@
+"""What a phase learns and measures, against plain NumPy and a plain Adam."""
+
+import dataclasses
+import functools
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from hgail_envs.base import EpisodeMetrics, GoalEnv
+from hgail_jax import Config, Hyperparameters, Trajectory, check_metrics, env_steps, init_state, phase_table, rollout
+from hgail_jax.config import DEMONSTRATIONS, FROZEN
+from hgail_jax.discriminator import R1, R2, R3, R4, discriminator_accuracy, discriminator_loss, imitation_reward
+from hgail_jax.evaluate import mean_outcome
+from hgail_jax.learners.ppo import (
+    UpdateMetrics,
+    _expert_samples,
+    _fit_discriminator,
+    _minibatches,
+    _ppo_batch,
+    make_policy,
+    pretrain,
+    update_discriminator,
+    update_policy,
+)
+from hgail_jax.learners.ppo_loss import policy_loss, standardize, weighted_mean
+from hgail_jax.networks import MLP, discriminator_network, gaussian_log_prob, policy_network, value_network
+from hgail_jax.samples import Samples, policy_samples
+from hgail_jax.state import actor_critic_optimizer, split_key
+from hgail_jax.train import (
+    DISCRIMINATOR,
+    EVALUATE,
+    MEASURED_BY,
+    POLICY,
+    PRETRAIN,
+    SKIP,
+    PhaseMetrics,
+    RoundMetrics,
+    train_step,
+)
+
+LENGTH, EPISODES = 5, 8
+RNG = np.random.default_rng(0)
+
+
+class Track(GoalEnv):
+    """A point in the plane that breaks down far right and overflows far up; goals are left, to learn from right."""
+
+    episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.5
+
+    def reset_physics(self, rng):
+        return jax.random.uniform(rng, (2,))
+
+    def step_physics(self, physics, action):
+        following = physics + action
+        return jnp.where(following[0] > 3.0, jnp.nan, following)
+
+    def features(self, physics):
+        return physics
+
+    def achieved_goal(self, physics):
+        return physics
+
+    def sample_goal(self, rng, physics):
+        return jnp.array([-9.0, 0.0])
+
+    def plan_goals(self, rng, physics, training_goals):
+        return jnp.where(training_goals, jnp.array([9.0, 0.0]), self.sample_goal(rng, physics))
+
+    def overflow(self, physics):
+        return physics[1] > 2.0
+
+
+ENV = Track()
+CONFIG = Config(
+    num_envs=EPISODES,
+    rounds=2,
+    policy_phases=2,
+    discriminator_phases=1,
+    epochs=2,
+    minibatches=3,
+    bc_batch=6,
+    discriminator_minibatches=3,
+    discriminator_batch=7,
+    pretrain_policy_minibatches=4,
+    pretrain_policy_batch=5,
+    pretrain_discriminator_minibatches=2,
+    policy_hidden=(6, 5),
+    discriminator_hidden=(7,),
+)
+HYPER = Hyperparameters(action_std=jnp.array([0.3, 0.6]), policy_learning_rate=1e-2, discriminator_learning_rate=1e-2)
+DEMONSTRATION = Samples(
+    jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
+)
+init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
+
+
+def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
+    """A state with statistics of its own, whose networks have all their weights."""
+    state = init(config, HYPER.replace(**changes), jax.random.key(seed), demonstrations=demonstrations)
+    rng = np.random.default_rng(seed)
+    statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
+    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.3 * rng.normal(size=leaf.shape).astype(np.float32))
+    return state.replace(
+        statistics=statistics, actor_critic=vary(state.actor_critic), discriminator=vary(state.discriminator)
+    )
+
+
+def mlp(params, inputs, xp=np):
+    layers = params["params"]
+    for index in range(len(layers)):
+        layer = layers[f"Dense_{index}"]
+        inputs = inputs @ layer["kernel"] + layer["bias"]
+        inputs = xp.tanh(inputs) if index < len(layers) - 1 else inputs
+    return inputs
+
+
+def normalized(state, observation):
+    return np.clip((observation - state.statistics.mean) / state.statistics.std, -5, 5)
+
+
+def log_density(action, mean, std, xp=np):
+    return (-0.5 * ((action - mean) / std) ** 2 - xp.log(std) - 0.5 * np.log(2 * np.pi)).sum(axis=-1)
+
+
+def logits(state, observation, action, params=None, xp=np):
+    inputs = xp.concatenate([normalized(state, observation), np.clip(action, -1, 1)], axis=-1)
+    return mlp(state.discriminator if params is None else params, inputs, xp)[..., 0]
+
+
+def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
+    """Adam as in the paper (Kingma & Ba 2015); returns the parameters and the mean of the losses."""
+    first, second = (jax.tree.map(np.zeros_like, params) for _ in range(2))
+    losses = []
+    for step in range(steps):
+        loss, gradient = jax.value_and_grad(gradient_of)(params)
+        losses.append(loss)
+        first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, gradient)
+        second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g**2, second, gradient)
+        scale, root = rate * share(step) / (1 - 0.9 ** (step + 1)), np.sqrt(1 - 0.999 ** (step + 1))
+        params = jax.tree.map(
+            lambda p, m, v, a=scale, b=root: p - a * m / (np.sqrt(v) / b + 1e-8), params, first, second
+        )
+    return params, np.mean(losses)
+
+
+def assert_close(one, other, rtol=1e-3, atol=2e-5):
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=rtol, atol=atol), one, other)
+
+
+def a_trajectory(valid=None):
+    rng = np.random.default_rng(1)
+
+    def normal(*shape):
+        return jnp.asarray(rng.normal(size=shape), jnp.float32)
+
+    return Trajectory(
+        features=3.0 * normal(LENGTH + 1, EPISODES, 2),
+        achieved=normal(LENGTH + 1, EPISODES, 2),
+        desired=normal(LENGTH + 1, EPISODES, 2),
+        action=normal(LENGTH, EPISODES, 2),
+        log_prob=normal(LENGTH, EPISODES) - 2.0,
+        reward=jnp.asarray(rng.integers(-1, 1, (LENGTH, EPISODES)), jnp.float32),
+        valid=jnp.ones(EPISODES, bool) if sound is None else jnp.asarray(sound),
+        overflow=jnp.zeros(EPISODES, bool),
+        outcome=EpisodeMetrics(),
+    )
+
+
+SOUND = np.array([1, 1, 0, 1, 1, 1, 0, 1], bool)
+
+
+def test_a_round_keeps_the_shapes_of_the_state():
+    state = jax.eval_shape(functools.partial(init_state, ENV, CONFIG, HYPER), jax.random.key(0))
+    after, _ = jax.eval_shape(functools.partial(train_step, ENV, CONFIG), state, phase_table(CONFIG)[0])
+    assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)
+
+
+# Networks and the policy
+
+
+def test_networks_are_tanh_layers_of_the_sizes_asked_for():
+    for network, widths in (
+        (policy_network(CONFIG, 3), [4, 6, 5, 3]),
+        (value_network(CONFIG), [4, 6, 5, 1]),
+        (discriminator_network(CONFIG), [4, 7, 1]),
+    ):
+        inputs = RNG.normal(size=(9, 4)).astype(np.float32)
+        params = network.init(jax.random.key(0), inputs[0])
+        shapes = [params["params"][f"Dense_{index}"]["kernel"].shape for index in range(len(widths) - 1)]
+        assert shapes == list(itertools.pairwise(widths))
+        np.testing.assert_allclose(network.apply(params, inputs), mlp(params, inputs), rtol=1e-4, atol=1e-5)
+
+
+def test_the_first_policy_hardly_moves_and_the_first_value_does():
+    for network, scale in ((MLP((), 200), 1.0), (policy_network(Config(policy_hidden=()), 200), 1e-4)):
+        kernel = network.init(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
+        assert np.std(kernel) == pytest.approx(np.sqrt(scale / 100), rel=0.05)
+        assert np.abs(kernel).max() < 2.6 * np.sqrt(scale / 100)
+
+
+def test_the_log_density_is_the_normal_one():
+    action, mean = RNG.normal(size=(2, 9, 3, 2)).astype(np.float32)
+    for std in (0.3, np.array([0.2, 1.5])):
+        expected = norm.logpdf(action, mean, std).sum(axis=-1)
+        np.testing.assert_allclose(gaussian_log_prob(action, mean, std), expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 1.0])
+def test_the_policy_acts_about_its_mean_by_its_own_deviations(noise):
+    state = make_state()
+    observation = RNG.normal(size=(2000, 4)).astype(np.float32)
+    action, log_prob = make_policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))
+    mean = mlp(state.actor_critic["policy"], normalized(state, observation))
+    np.testing.assert_allclose(log_prob, log_density(action, mean, np.array([0.3, 0.6])), rtol=1e-3, atol=1e-3)
+    away = (np.asarray(action) - mean) / np.array([0.3, 0.6])
+    if noise == 0.0:
+        np.testing.assert_allclose(away, 0.0, atol=1e-4)
+        return
+    for axis in range(2):
+        assert kstest(away[:, axis] / noise, norm.cdf).pvalue > 1e-4
+    assert abs(np.corrcoef(away.T)[0, 1]) < 0.08
+
+
+def test_observations_are_standardised_and_clipped_at_5():
+    state = make_state()
+    far = np.asarray(state.statistics.mean) + np.asarray(state.statistics.std) * np.float32([[4.9, -4.9, 6.0, -6.0]])
+    np.testing.assert_allclose(state.normalize(far), [[4.9, -4.9, 5.0, -5.0]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("standard", [False, True])
+def test_observations_have_statistics_where_they_are_standardised(standard):
+    state = init(CONFIG, HYPER.replace(standardize_observation=standard), jax.random.key(0))
+    seen = (RNG.normal(size=(2000, 4)) * [1.0, 2.0, 0.5, 1.5] + [0.5, 0.0, -1.0, 2.0]).astype(np.float32)
+    state = state.observe(seen, np.ones(len(seen), np.float32))
+    expected = (seen - seen.mean(axis=0)) / seen.std(axis=0) if standard else seen
+    np.testing.assert_allclose(state.normalize(seen), np.clip(expected, -5, 5), atol=1e-3)
+    assert int(state.statistics.count) == (2000 if standard else 0)
+
+
+# The training state
+
+
+def test_networks_start_apart_and_the_state_holds_what_it_is_given():
+    state = init(CONFIG, HYPER, jax.random.key(0))
+    first = [state.actor_critic[name]["params"]["Dense_0"]["kernel"] for name in ("policy", "value")]
+    assert np.abs(first[0] - first[1]).min() > 0
+    assert state.discriminator["params"]["Dense_0"]["kernel"].shape == (6, 7)
+    wide = dataclasses.replace(CONFIG, discriminator_hidden=(6,), policy_hidden=(6,))
+    wide = init_state(ENV, wide, HYPER, jax.random.key(0))
+    drawn = [tree["params"]["Dense_0"]["kernel"][0] for tree in (*wide.actor_critic.values(), wide.discriminator)]
+    assert len(np.unique(np.sign(np.stack(drawn)), axis=0)) == 3
+    np.testing.assert_array_equal(state.statistics.mean, np.zeros(4))
+    np.testing.assert_array_equal(state.statistics.std, np.ones(4))
+    assert state.expert is None
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(state.hyperparameters))
+    assert state.hyperparameters.policy_learning_rate == pytest.approx(1e-2)
+    assert not np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(jax.random.key(0)))
+    given = init(dataclasses.replace(CONFIG, expert_source=DEMONSTRATIONS), HYPER, jax.random.key(0), DEMONSTRATION)
+    assert_close(given.expert, DEMONSTRATION)
+    with pytest.raises(ValueError, match="action_std"):
+        init_state(ENV, CONFIG, HYPER.replace(action_std=(0.1, 0.2, 0.3)), jax.random.key(0))
+
+
+def test_keys_of_a_state_are_all_different():
+    keys = split_key(jax.random.key(7))
+    data = {
+        tuple(jax.random.key_data(key).tolist()) for key in (*keys, jax.random.key(7), *jax.random.split(keys.phase))
+    }
+    assert len(data) == len(keys) + 3 == 7
+
+
+@pytest.mark.parametrize("pretraining", [False, True])
+@pytest.mark.parametrize("final", [0.0, 0.25, 1.0])
+def test_steps_shrink_over_the_rounds_to_their_final_length(final, pretraining):
+    """Adam's steps along a gradient that stays are all as long as the learning rate."""
+    config = dataclasses.replace(CONFIG, final_learning_rate=final, pretrain=pretraining)
+    optimizer, before, steps = actor_critic_optimizer(config), 4 if pretraining else 0, 2 * 2 * 2 * 3
+    state = optimizer.init(jnp.zeros(1))
+    lengths = []
+    for _ in range(before + steps + 3):
+        update, state = optimizer.update(jnp.full(1, 0.7), state)
+        lengths.append(float(update[0]))
+    expected = np.interp(np.arange(len(lengths)), [before, before + steps], [1.0, final])
+    np.testing.assert_allclose(lengths, expected, rtol=1e-3, atol=1e-6)
+
+
+# PPO
+
+
+def batch_by_hand(state, trajectory):
+    hyper, weight = state.hyperparameters, np.broadcast_to(trajectory.valid, (LENGTH, EPISODES)).astype(float)
+    seen = np.concatenate([trajectory.features, trajectory.desired], axis=-1)
+    values = mlp(state.actor_critic["value"], normalized(state, seen))[..., 0]
+    logit = logits(state, seen[:-1], np.asarray(trajectory.action))
+    forms = (np.logaddexp(0, logit), np.log(np.clip(logit, 1e-3, 1)), logit, logit)
+    mixed = float(hyper.environment_reward)
+    reward = (1 - mixed) * forms[int(hyper.reward)] + mixed * np.asarray(trajectory.reward)
+
+    def standard(array):
+        return (array - np.average(array, weights=weight)) / np.sqrt(
+            np.average((array - np.average(array, weights=weight)) ** 2, weights=weight)
+        )
+
+    scaled = (standard(reward) if hyper.standardize_reward else reward) / LENGTH * float(hyper.reward_scale)
+    gamma, lam = float(hyper.discount), float(hyper.gae_lambda)
+    advantage = np.zeros((LENGTH, EPISODES))
+    for start in range(LENGTH):
+        for step in range(start, LENGTH):
+            delta = scaled[step] + gamma * values[step + 1] - values[step]
+            advantage[start] += (gamma * lam) ** (step - start) * delta
+    batch = {
+        "observation": normalized(state, seen[:-1]),
+        "action": trajectory.action,
+        "log_prob": trajectory.log_prob,
+        "advantage": standard(advantage) if hyper.standardize_advantage else advantage,
+        "return": advantage + values[:-1],
+        "weight": weight,
+    }
+    flat = {name: np.asarray(leaf).reshape(LENGTH * EPISODES, *leaf.shape[2:]) for name, leaf in batch.items()}
+    return flat, np.average(reward, weights=weight)
+
+
+@functools.partial(jax.jit)
+def ppo_batch(state, trajectory):
+    return _ppo_batch(ENV, CONFIG, state, trajectory)
+
+
+@pytest.mark.parametrize("form", [R1, R2, R3, R4])
+@pytest.mark.parametrize("mixed", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("standard", [False, True])
+def test_what_ppo_learns_from_is_as_by_hand(form, mixed, standard):
+    sound = SOUND if form == R1 else np.ones(EPISODES, bool)
+    state = make_state(
+        reward=form,
+        environment_reward=mixed,
+        standardize_reward=standard,
+        standardize_advantage=mixed == 0.3 or not standard,
+        reward_scale=1.0 + mixed,
+        discount=0.9,
+        gae_lambda=0.7,
+    )
+    state = state.replace(hyperparameters=jax.tree.map(jnp.asarray, state.hyperparameters))
+    batch, metrics = ppo_batch(state, a_trajectory(sound))
+    expected, reward = batch_by_hand(state, a_trajectory(sound))
+    weight = expected["weight"] > 0
+    for name in ("observation", "action", "log_prob", "advantage", "return"):
+        np.testing.assert_allclose(batch[name][weight], expected[name][weight], rtol=2e-3, atol=2e-4)
+    np.testing.assert_array_equal(batch["weight"], expected["weight"])
+    assert float(metrics.reward) == pytest.approx(reward, rel=1e-3, abs=1e-5)
+
+
+def test_rewards_of_logits_by_hand():
+    logit = np.linspace(-3, 3, 13).astype(np.float32)
+    by_hand = (np.log(1 + np.exp(logit)), np.log(np.clip(logit, 1e-3, 1.0)), logit, logit)
+    for form, expected in zip((R1, R2, R3, R4), by_hand, strict=True):
+        np.testing.assert_allclose(imitation_reward(form, logit), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_weighted_means_and_standardised_values_ignore_what_has_no_weight():
+    values, weight = np.float32([1.0, 2.0, 5.0, 900.0]), np.float32([1.0, 1.0, 1.0, 0.0])
+    assert weighted_mean(values, weight) == pytest.approx(8 / 3)
+    assert weighted_mean(values, 0 * weight) == 0.0
+    assert weighted_mean(values, np.float32([1, 0, 3, 0])) == pytest.approx(4.0)
+    np.testing.assert_allclose(
+        standardize(values, weight)[:3], (values[:3] - 8 / 3) / np.std(values[:3]), rtol=1e-4, atol=1e-6
+    )
+    np.testing.assert_array_equal(standardize(np.full(3, 2.0), np.ones(3)), np.zeros(3))
+    tiny = np.float32([0.0, 2e-6])
+    np.testing.assert_allclose(standardize(tiny, np.ones(2)), [-1.0, 1.0], rtol=0.011)
+    assert standardize(tiny, np.ones(2))[1] < 0.995
+
+
+def test_the_policy_s_loss_by_hand():
+    new, old, advantage = RNG.normal(size=(3, 50)).astype(np.float32)
+    weight = RNG.integers(0, 2, 50).astype(np.float32)
+    for clip in (0.1, 0.7):
+        ratio = np.exp(new - old)
+        clipped = np.where(ratio > 1 + clip, 1 + clip, np.where(ratio < 1 - clip, 1 - clip, ratio))
+        found = policy_loss(new, old, advantage, weight, clip)
+        gain = np.minimum(ratio * advantage, clipped * advantage)
+        assert found.loss == pytest.approx(-np.average(gain, weights=weight), rel=1e-4)
+        outside = (ratio < 1 - clip) | (ratio > 1 + clip)
+        assert found.clip_fraction == pytest.approx(np.average(outside, weights=weight), rel=1e-5)
+        assert found.kl == pytest.approx(np.average(ratio - 1 - np.log(ratio), weights=weight), rel=1e-3)
+
+
+def test_a_ratio_at_the_bound_is_not_outside():
+    assert policy_loss(np.zeros(3), np.zeros(3), np.ones(3), np.ones(3), 0.0).clip_fraction == 0.0
+
+
+def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():
+    expert, policy = np.float32([0.5, 0.0, 2.0, -0.5]), np.float32([-0.5, 0.0, 0.5])
+    assert discriminator_accuracy(expert, policy) == pytest.approx((2 / 4 + 2 / 3) / 2)
+    assert discriminator_loss(expert, policy) == pytest.approx(
+        np.logaddexp(0, -expert).mean() + np.logaddexp(0, policy).mean(), rel=1e-5
+    )
+
+
+def test_minibatches_pass_through_all_samples_in_a_new_order_each_time():
+    found = np.asarray(_minibatches(jax.random.key(0), 12, 5, 3))
+    assert found.shape == (15, 4)
+    passes = found.reshape(5, 12)
+    np.testing.assert_array_equal(np.sort(passes), np.broadcast_to(np.arange(12), (5, 12)))
+    assert len(np.unique(passes, axis=0)) == 5
+    assert not (passes == np.arange(12)).all(axis=1).any()
+    rest = np.asarray(_minibatches(jax.random.key(0), 14, 40, 3))
+    assert rest.shape == (120, 4)
+    assert all(len(np.unique(order)) == 12 for order in rest.reshape(40, 12))
+    np.testing.assert_array_equal(np.unique(rest), np.arange(14))
+    assert not np.array_equal(_minibatches(jax.random.key(1), 12, 5, 3), found)
+
+
+# Updates
+
+
+def whole_batch(bc_batch):
+    """One minibatch is all samples, whatever their order, and all that can be drawn of the demonstrations is alike."""
+    return dataclasses.replace(
+        CONFIG,
+        epochs=3,
+        minibatches=1,
+        policy_phases=1,
+        pretrain=False,
+        final_learning_rate=0.4,
+        bc_batch=bc_batch,
+        expert_source=DEMONSTRATIONS,
+    )
+
+
+WITH_LIKELIHOOD, WITHOUT = whole_batch(4), whole_batch(0)
+update = jax.jit(lambda config, *rest: update_policy(ENV, config, *rest), static_argnums=0)
+
+
+@pytest.mark.parametrize("config", [WITH_LIKELIHOOD, WITHOUT], ids=["with likelihood", "without"])
+@pytest.mark.parametrize(("of_ppo", "of_likelihood"), [(1.0, 0.0), (0.0, 1.0), (0.7, 0.2)])
+def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_likelihood):
+    std, given = np.array([0.3, 0.6]), a_trajectory(SOUND)
+    state = make_state(config, demonstrations=DEMONSTRATION, ppo_weight=of_ppo, bc_weight=of_likelihood)
+    seen = normalized(state, np.concatenate([given.features, given.desired], axis=-1)[:-1])
+    given = given.replace(
+        log_prob=jnp.asarray(log_density(given.action, mlp(state.actor_critic["policy"], seen), std) + 0.05)
+    )
+    batch, reward = batch_by_hand(state, given)
+    weight = batch["weight"] / batch["weight"].sum()
+    parts = {}
+
+    def loss(params):
+        log_prob = log_density(batch["action"], mlp(params["policy"], batch["observation"], jnp), std)
+        ratio = jnp.exp(log_prob - batch["log_prob"])
+        gain = jnp.minimum(ratio * batch["advantage"], jnp.clip(ratio, 0.8, 1.2) * batch["advantage"])
+        predicted = mlp(params["value"], batch["observation"], jnp)[:, 0]
+        mean = mlp(params["policy"], normalized(state, DEMONSTRATION.observation[0]), jnp)
+        likelihood = -log_density(DEMONSTRATION.action[0], mean, std)
+        of = {
+            "policy_loss": -(weight * gain).sum(),
+            "value_loss": 0.5 * (weight * (predicted - batch["return"]) ** 2).sum(),
+            "bc_loss": likelihood if config.bc_batch else jnp.zeros(()),
+            "clip_fraction": (weight * (jnp.abs(ratio - 1) > 0.2)).sum(),
+            "kl": (weight * (ratio - 1 - jnp.log(ratio))).sum(),
+        }
+        jax.debug.callback(lambda of: [parts.setdefault(name, []).append(value) for name, value in of.items()], of)
+        return of_ppo * of["policy_loss"] + of["value_loss"] + of_likelihood * of["bc_loss"]
+
+    expected, _ = adam(state.actor_critic, loss, 1e-2, 3, lambda step: 1 - 0.6 * step / 6)
+    after, metrics = update(config, state, given, jax.random.key(0))
+    assert_close(after.actor_critic, expected)
+    assert float(metrics.reward) == pytest.approx(reward, rel=1e-3)
+    for name, values in parts.items():
+        np.testing.assert_allclose(getattr(metrics, name), np.mean(values), rtol=2e-3, atol=1e-4)
+    assert metrics.discriminator_loss == metrics.discriminator_accuracy == 0.0
+    assert_close((after.discriminator, after.expert), (state.discriminator, state.expert), rtol=0, atol=0)
+    observation = np.concatenate([given.features, given.desired], axis=-1)[:-1, SOUND].reshape(-1, 4)
+    np.testing.assert_allclose(after.statistics.mean, observation.mean(axis=0), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("pretraining", [False, True])
+@pytest.mark.parametrize("final", [0.25, 1.0])
+def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretraining):
+    """A roll-out acts by the deviations that its update then takes its log-probabilities by."""
+    config = dataclasses.replace(WITH_LIKELIHOOD, epochs=1, pretrain=pretraining)
+    state, given = make_state(config, demonstrations=DEMONSTRATION, final_action_std=final), a_trajectory(SOUND)
+    before, rounds = 4 if pretraining else 0, 2  # gradient steps
+    for steps in range(before + rounds + 2):
+        std = np.array([0.3, 0.6]) * np.interp(steps, [before, before + rounds], [1.0, final])
+        adam_state, schedule = state.actor_critic_optimizer
+        late = state.replace(actor_critic_optimizer=(adam_state, schedule._replace(count=jnp.int32(steps))))
+        seen = given.observation(ENV)[:-1]
+        mean = mlp(state.actor_critic["policy"], normalized(state, seen))
+        action, log_prob = make_policy(ENV, config, late, 1.0)(seen[0], jax.random.key(steps))
+        np.testing.assert_allclose(log_prob, log_density(action, mean[0], std), rtol=1e-3, atol=1e-3)
+        acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
+        metrics = update(config, late, acted, jax.random.key(0))[1]
+        assert abs(metrics.kl) < 1e-5
+        shown = mlp(state.actor_critic["policy"], normalized(state, DEMONSTRATION.observation[0]))
+        likelihood = log_density(DEMONSTRATION.action[0], shown, std)
+        np.testing.assert_allclose(metrics.bc_loss, -likelihood, rtol=1e-3)
+
+
+def still_trajectory():
+    """Of the sound episodes all steps are alike; of the others none is."""
+    given = a_trajectory(SOUND)
+
+    def still(leaf):
+        return jnp.where(jnp.asarray(SOUND)[None, :, None], leaf[0, 0], leaf)
+
+    return given.replace(features=still(given.features), desired=still(given.desired), action=still(given.action))
+
+
+def discriminator_by_hand(state, given, steps):
+    seen = np.concatenate([given.features, given.desired], axis=-1)[0, 0]
+    accuracy = []
+
+    def loss(params):
+        expert = logits(state, DEMONSTRATION.observation[0], DEMONSTRATION.action[0], params, jnp)
+        policy = logits(state, seen, given.action[0, 0], params, jnp)
+        jax.debug.callback(lambda one, other: accuracy.append(0.5 * (one > 0) + 0.5 * (other <= 0)), expert, policy)
+        return jnp.logaddexp(0.0, -expert) + jnp.logaddexp(0.0, policy)
+
+    params, value = adam(state.discriminator, loss, 1e-2, steps)
+    return params, value, np.mean(accuracy)
+
+
+@jax.jit
+def discriminate(state, given, rng):
+    return update_discriminator(ENV, WITHOUT, state, given, rng)
+
+
+def test_a_discriminator_update_is_adam_on_the_cross_entropy_and_leaves_the_policy_alone():
+    state, given = make_state(WITHOUT, demonstrations=DEMONSTRATION), still_trajectory()
+    after, metrics = discriminate(state, given, jax.random.key(0))
+    expected, loss, accuracy = discriminator_by_hand(state, given, 3)
+    assert_close(after.discriminator, expected)
+    assert_close((metrics.discriminator_loss, metrics.discriminator_accuracy), (loss, accuracy))
+    for name in ("actor_critic", "actor_critic_optimizer", "statistics", "expert"):
+        assert_close(getattr(after, name), getattr(state, name), rtol=0, atol=0)
+    others = {name: value for name, value in vars(metrics).items() if "discriminator" not in name}
+    assert set(map(float, others.values())) == {0.0}
+
+
+PRETRAINED = dataclasses.replace(WITHOUT, pretrain=True)
+
+
+def test_pretraining_is_adam_on_the_likelihood_and_on_the_cross_entropy():
+    state, given = make_state(PRETRAINED, demonstrations=DEMONSTRATION), still_trajectory()
+    after, metrics = jax.jit(functools.partial(pretrain, ENV, PRETRAINED))(state, given, jax.random.key(0))
+    # A sample's weight says how often to draw it; the statistics count it once if it has any.
+    np.testing.assert_allclose(after.statistics.mean, DEMONSTRATION.observation[0], rtol=1e-5)
+    assert int(after.statistics.count.lo) == 2
+    observed = state.replace(statistics=after.statistics)
+
+    def loss(params):
+        mean = mlp(params["policy"], normalized(observed, DEMONSTRATION.observation[0]), jnp)
+        return -log_density(DEMONSTRATION.action[0], mean, np.array([0.3, 0.6]))
+
+    expected, likelihood = adam(state.actor_critic, loss, 1e-2, 4)
+    assert_close(after.actor_critic["policy"], expected["policy"])
+    assert_close(after.actor_critic["value"], state.actor_critic["value"], atol=0)
+    params, value, accuracy = discriminator_by_hand(observed, given, 2)
+    assert_close(after.discriminator, params)
+    found = (metrics.bc_loss, metrics.discriminator_loss, metrics.discriminator_accuracy)
+    assert_close(found, (likelihood, value, accuracy))
+    assert metrics.reward == metrics.policy_loss == metrics.value_loss == 0.0
+
+
+def test_statistics_count_each_sample_once_and_none_of_a_broken_episode():
+    given = a_trajectory(SOUND)
+    state = init(CONFIG, HYPER.replace(p_ht=0.0), jax.random.key(0))
+    seen = np.concatenate([given.features, given.desired], axis=-1)[:-1]
+    weights = RNG.integers(0, 4, (LENGTH, EPISODES)).astype(np.float32)
+    config = dataclasses.replace(CONFIG, expert_source=DEMONSTRATIONS)
+    expert = policy_samples(ENV, given).replace(weight=jnp.asarray(weights).reshape(-1))
+    learn = jax.jit(functools.partial(pretrain, ENV, config))
+    after, _ = learn(state.replace(expert=expert), given, jax.random.key(0))
+    for weight, statistics in ((weights, after.statistics),):
+        counted = seen[weight > 0]
+        np.testing.assert_allclose(statistics.mean, counted.mean(axis=0), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(statistics.std, counted.std(axis=0), rtol=1e-3)
+        assert int(statistics.count.lo) == len(counted)
+
+
+def test_expert_samples_that_are_kept_stay_in_the_state():
+    config = dataclasses.replace(CONFIG, expert_source=FROZEN)
+    state = init(config, HYPER, jax.random.key(0))
+    keep = jax.jit(functools.partial(_expert_samples, ENV, config))
+    after, samples = keep(state, a_trajectory(SOUND), jax.random.key(0))
+    assert_close(after.expert, samples, rtol=0, atol=0)
+    assert float(samples.weight.sum()) > 0
+    again, samples = keep(after, a_trajectory(), jax.random.key(1))
+    assert_close((again.expert, samples), (after.expert, after.expert), rtol=0, atol=0)
+
+
+def test_the_discriminator_learns_the_log_ratio_of_two_gaussians_in_what_the_environment_sees():
+    """Expert actions are N(0.5, 0.3²), the policy's N(-0.5, 0.3²), clipped: inside the logit is x / 0.09."""
+    config = dataclasses.replace(CONFIG, discriminator_hidden=(32,), discriminator_batch=256)
+    state = init(config, HYPER, jax.random.key(0))
+
+    def samples(mean):
+        drawn = RNG.normal(mean, 0.3, (4000, 2)) * [1, 0]
+        return Samples(jnp.zeros((4000, 4)), jnp.asarray(drawn, jnp.float32), jnp.ones(4000))
+
+    fit = jax.jit(lambda state, rng: _fit_discriminator(config, state, samples(0.5), samples(-0.5), 600, rng))
+    after, metrics = fit(state, jax.random.key(1))
+    inputs = np.zeros((7, 6))
+    inputs[:, 4] = np.linspace(-0.45, 0.45, 7)
+    np.testing.assert_allclose(mlp(after.discriminator, inputs)[:, 0], inputs[:, 4] / 0.09, atol=1.2)
+    assert metrics.discriminator_loss < 0.6
+    assert metrics.discriminator_accuracy > 0.9
+
+
+# Rounds
+
+one_round = jax.jit(functools.partial(train_step, ENV, CONFIG))
+
+
+def run(state, *phases):
+    return one_round(state, np.array([*phases, *[SKIP] * (5 - len(phases))]))
+
+
+def same_key(one, other):
+    return np.array_equal(jax.random.key_data(one), jax.random.key_data(other))
+
+
+def mean_policy(state):
+    def policy(observation, rng):
+        del rng
+        action = mlp(
+            state.actor_critic["policy"],
+            jnp.clip((observation - state.statistics.mean) / state.statistics.std, -5, 5),
+            jnp,
+        )
+        return action, jnp.zeros(len(observation))
+
+    return policy
+
+
+def broad(state, **changes):
+    """With so wide a policy that its noise alone decides, and breaks some episodes down."""
+    hyper = jax.tree.map(jnp.asarray, HYPER.replace(action_std=jnp.array([0.8, 50.0]), **changes))
+    return state.replace(hyperparameters=hyper)
+
+
+def test_an_evaluation_is_the_mean_action_s_roll_out_with_a_key_of_its_own():
+    state = broad(make_state())
+    after, metrics = run(state, EVALUATE)
+    rng = jax.random.split(split_key(state.rng).evaluation)[0]
+    episodes = jax.jit(lambda state: rollout(ENV, mean_policy(state), rng, EPISODES))(state)
+    assert_close(metrics.evaluation, mean_outcome(episodes))
+    assert float(metrics.evaluation.distance_l1) > 0
+    assert all(np.isnan(leaf) for leaf in jax.tree.leaves((metrics.training, metrics.update, metrics.diverged)))
+    assert metrics.dropped == 1 - np.mean(episodes.valid)
+    assert same_key(after.rng, state.rng)
+    assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
+
+
+UPDATES = {PRETRAIN: pretrain, POLICY: update_policy, DISCRIMINATOR: update_discriminator}
+
+
+@pytest.mark.parametrize("phase", UPDATES, ids=lambda phase: phase.name)
+def test_a_phase_learns_from_a_noisy_roll_out_to_the_goals_to_learn_from(phase):
+    state = broad(make_state())
+    after, metrics = run(state, phase)
+    keys = split_key(state.rng)
+    rollout_rng, update_rng = jax.random.split(keys.phase)
+
+    @jax.jit
+    def by_hand(state):
+        policy = make_policy(ENV, CONFIG, state, noise=1.0)
+        episodes = rollout(ENV, policy, rollout_rng, EPISODES, training_goals=True)
+        return episodes, UPDATES[phase](ENV, CONFIG, state, episodes, update_rng)
+
+    episodes, (learnt, update) = by_hand(state)
+    assert 0 < episodes.valid.sum() < EPISODES
+    assert 0 < episodes.overflow.sum() < EPISODES
+    assert_close(metrics.training, mean_outcome(episodes))
+    assert_close(after.replace(rng=None), learnt.replace(rng=None))
+    assert same_key(after.rng, keys.following)
+    for name, value in vars(metrics.update).items():
+        if phase in MEASURED_BY[name]:
+            assert_close(value, getattr(update, name))
+        else:
+            assert np.isnan(value)
+            assert getattr(update, name) == 0.0
+    assert all(np.isnan(leaf) for leaf in jax.tree.leaves(metrics.evaluation))
+    np.testing.assert_allclose(
+        (metrics.dropped, metrics.overflow), (1 - episodes.valid.mean(), episodes.overflow.mean())
+    )
+    assert metrics.diverged == 0.0
+
+
+def test_a_round_means_over_the_phases_that_measured():
+    state, parts = make_state(), []
+    row = (POLICY, SKIP, DISCRIMINATOR, POLICY, EVALUATE)
+    together, metrics = one_round(state, np.array(row))
+    for phase in row:
+        state, measured = run(state, phase)
+        parts.append(jax.tree.map(float, measured))
+    assert_close(together.replace(rng=None), state.replace(rng=None))
+    assert same_key(together.rng, state.rng)
+    for leaf, *each in zip(*map(jax.tree.leaves, (metrics, *parts)), strict=True):
+        finite = [value for value in each if np.isfinite(value)]
+        np.testing.assert_allclose(leaf, np.mean(finite) if finite else np.nan, rtol=1e-4)
+
+
+def test_an_update_that_is_not_finite_is_undone_and_counted():
+    for phase, changes in (
+        (POLICY, {"policy_learning_rate": jnp.inf}),
+        (PRETRAIN, {"discriminator_learning_rate": jnp.inf}),
+    ):
+        state = make_state()
+        state = state.replace(hyperparameters=state.hyperparameters.replace(**changes))
+        after, metrics = run(state, phase, EVALUATE)
+        assert metrics.diverged == 1.0
+        assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
+        assert same_key(after.rng, split_key(state.rng).following)
+        with pytest.raises(FloatingPointError):
+            check_metrics(metrics.replace(overflow=0.0))
+
+
+def test_nothing_is_learnt_where_every_episode_breaks_down():
+    state, _ = run(make_state(), POLICY)
+    bias = {"Dense_2": {"kernel": jnp.zeros((5, 2)), "bias": jnp.array([5.0, 0.0])}}
+    params = state.actor_critic["policy"]["params"] | bias
+    state = state.replace(actor_critic=state.actor_critic | {"policy": {"params": params}})
+    after, metrics = run(state, POLICY, DISCRIMINATOR, PRETRAIN)
+    assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
+    assert (metrics.dropped, metrics.diverged) == (1.0, 0.0)
+    assert metrics.training.success == 0.0
+    assert np.isnan(metrics.training.distance_l1)
+    key = state.rng
+    for _ in range(3):
+        key = split_key(key).following
+    assert same_key(after.rng, key)
+
+
+def test_without_exploring_no_roll_out_goes_for_the_goals_to_learn_from(monkeypatch):
+    asked, axes = [], []
+
+    def watched(env, policy, rng, num_envs, training_goals, *, axis, **options):
+        asked.append(training_goals)
+        axes.append(axis)
+        return rollout(env, policy, rng, num_envs, training_goals, axis=axis, **options)
+
+    def watched_policy(env, config, state, noise, axis):
+        axes.append(axis)
+        return make_policy(env, config, state, noise, axis)
+
+    monkeypatch.setattr("hgail_jax.train.rollout", watched)
+    monkeypatch.setattr("hgail_jax.train.make_policy", watched_policy)
+    config = dataclasses.replace(CONFIG, training_goals=False)
+    step = functools.partial(train_step, ENV, config, axis="devices")
+    on_two = jax.vmap(step, in_axes=(None, None), axis_name="devices", axis_size=2)
+    jax.eval_shape(on_two, make_state(), phase_table(config)[0])
+    assert asked
+    assert all(training_goals is False for training_goals in asked)
+    assert set(axes) == {"devices"}  # what says along which axis the environments are split reaches both
+
+
+def test_environments_split_over_devices_give_the_roll_out_of_one():
+    state = broad(make_state())
+
+    def roll_out(state, axis):
+        return rollout(ENV, make_policy(ENV, CONFIG, state, 1.0, axis), jax.random.key(3), EPISODES, True, axis=axis)
+
+    alone = jax.jit(lambda state: roll_out(state, None))(state)
+    split = jax.vmap(lambda state: roll_out(state, "devices"), in_axes=None, axis_name="devices", axis_size=2)
+    for device in range(2):
+        assert_close(jax.tree.map(lambda leaf, n=device: leaf[n], jax.jit(split)(state)), alone)
+
+
+def test_the_schedule_of_a_run():
+    expected = [[PRETRAIN, SKIP, SKIP, SKIP, EVALUATE]] + 2 * [[SKIP, POLICY, POLICY, DISCRIMINATOR, EVALUATE]]
+    np.testing.assert_array_equal(phase_table(CONFIG), expected)
+    np.testing.assert_array_equal(env_steps(ENV, CONFIG, phase_table(CONFIG)), np.array([1, 3, 3]) * EPISODES * LENGTH)
+    assert env_steps(ENV, CONFIG, phase_table(CONFIG)[1]) == 3 * EPISODES * LENGTH
+    without = phase_table(dataclasses.replace(CONFIG, pretrain=False, rounds=0, discriminator_phases=0))
+    np.testing.assert_array_equal(without, [[SKIP, SKIP, SKIP, EVALUATE]])
+
+
+def test_the_last_step_of_a_run_is_the_last_of_the_learning_rate_s_schedule():
+    state = make_state()
+    for row in phase_table(CONFIG):
+        state, _ = one_round(state, row)
+    counts = {int(leaf) for leaf in jax.tree.leaves(state.actor_critic_optimizer) if leaf.dtype == jnp.int32}
+    assert counts == {4 + 2 * 2 * 2 * 3}
+
+
+def round_metrics(**changes):
+    zero = RoundMetrics(EpisodeMetrics(), EpisodeMetrics(), UpdateMetrics(), *np.zeros((3, 2)))
+    return zero.replace(**changes)
+
+
+def test_wrong_results_are_refused():
+    check_metrics(round_metrics())
+    check_metrics(
+        round_metrics(diverged=np.array([1.0, 0.0]), overflow=np.full(2, np.nan), dropped=np.array([1.0, 0.5]))
+    )
+    for overflow in ([0.1, 0.0], [0.0, 1.0]):
+        with pytest.raises(OverflowError):
+            check_metrics(round_metrics(overflow=np.array(overflow)))
+    with pytest.raises(FloatingPointError):
+        check_metrics(round_metrics(diverged=np.array([0.3, 1.0])))
+
+
+def test_what_is_not_measured_is_0():
+    assert set(jax.tree.leaves((UpdateMetrics(), PhaseMetrics(EpisodeMetrics(), UpdateMetrics())))) == {0.0}

@@ -1,0 +1,150 @@
+"""The status line as a terminal and as a log file get it."""
+
+import contextlib
+import dataclasses
+import io
+import os
+import pty
+import re
+import subprocess
+import sys
+import termios
+import threading
+import time
+
+import pytest
+
+import hgail_envs
+from hgail_jax import Hyperparameters
+from hgail_jax.terminal.status import StatusLine
+from hgail_jax.trainer import status
+from hgail_jax.trainer.loop import Program, train
+from tests.hgail_jax.trainer.test_loop import measured, start, told
+from tests.support import ROOT, TINY
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+    def frames(self):
+        """What the line was, one after another, and nothing that was there before is left behind it."""
+        return [frame.rstrip() for frame in re.split("[\r\n]", self.getvalue()) if frame.strip()]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that moves a second each time it is looked at, and a terminal that is drawn all the time."""
+    seconds = iter(range(10**9))
+    monkeypatch.setattr(status, "_TICK", 0.001)
+    monkeypatch.setattr(status.time, "monotonic", lambda: float(next(seconds)))
+
+
+def wait_for(terminal, frame):
+    for _ in range(10_000):
+        if any(frame in shown for shown in terminal.frames()):
+            return
+        time.sleep(0.001)
+    raise AssertionError(f"{frame!r} never came: {terminal.frames()[-3:]}")
+
+
+def test_a_terminal_s_line_counts_the_seconds(clock):
+    terminal = Terminal()
+    with StatusLine("compiling the training program", terminal) as line:
+        wait_for(terminal, "compiling the training program, 0:09 elapsed")
+        line.show("round 1/7, success 0.500", left=50.0)
+        wait_for(terminal, "left")
+    assert "\n" not in terminal.getvalue()
+    (lefts := [int(left) for left in re.findall(r"0:(\d\d) left", terminal.getvalue())]).sort(reverse=True)
+    assert lefts[0] < 50
+
+
+def test_no_line_wraps(clock):
+    terminal = Terminal()
+    with StatusLine("x" * 200, terminal) as line:
+        line.show("round 100/100, success 0.812, 2 diverged, 1.23M env steps/s", left=9e3)
+        wait_for(terminal, "1.23M env steps/s")
+    assert max(map(len, terminal.frames())) <= 79
+
+
+def output_of_a_terminal(code, rows, columns):
+    """Returns what a program shows on a terminal of that size."""
+    terminal, inner = pty.openpty()
+    termios.tcsetwinsize(inner, (rows, columns))
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=inner, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    os.close(inner)
+    shown = b""
+    with contextlib.suppress(OSError):  # at its end, on Linux
+        while read := os.read(terminal, 4096):
+            shown += read
+    os.close(terminal)
+    assert process.wait() == 0, shown
+    return [frame.rstrip() for frame in re.split("[\r\n]+", shown.decode()) if frame.strip()]
+
+
+BAR = """
+from hgail_jax.terminal.status import StatusLine, progress_bar
+with StatusLine("x" * 200):
+    pass
+for _ in progress_bar(range(3), mininterval=0):
+    pass
+"""
+
+
+@pytest.mark.parametrize(("rows", "columns", "width"), [(0, 0, 79), (24, 60, 59), (24, 80, 79)])
+def test_a_line_and_a_bar_are_as_wide_as_the_terminal_which_may_not_tell(rows, columns, width):
+    line, *bars = output_of_a_terminal(BAR, rows, columns)
+    assert line == "x" * width
+    assert bars[-1].startswith("100%|") and "3/3" in bars[-1]
+    assert max(map(len, bars)) <= width
+
+
+def test_a_log_file_has_plain_lines_and_only_those_worth_it():
+    log = io.StringIO()
+    with StatusLine("compiling", log) as line:
+        line.show("one", log=False)
+        line.show("two", left=61.0)
+    first, second = log.getvalue().splitlines()
+    assert first == "compiling ..."
+    assert re.fullmatch(r"two, 0:0\d elapsed, 1:0\d left", second)
+    assert "\r" not in log.getvalue()
+
+
+def test_a_training_says_what_came_of_each_evaluation(capsys):
+    program = Program(hgail_envs.make("point"), dataclasses.replace(TINY, rounds=4), (Hyperparameters(),), 2)
+    program = dataclasses.replace(program, evaluate_every=2)
+    rounds = [measured([0.25, 0.75], [0.1, 0.2])] * 5
+    train(program, told(*rounds), start(program))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "round 0/4 ..."  # the pre-training, as in metrics.csv
+    assert [line.split(",")[0] for line in lines[1:]] == ["round 0/4", "round 2/4", "round 4/4"]
+    for line in lines[1:]:
+        assert re.fullmatch(r"round ./4, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", line)
+        assert len(line) < 80
+
+
+def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
+    program = Program(
+        hgail_envs.make("point"), dataclasses.replace(TINY, rounds=1, pretrain=False), (Hyperparameters(),), 2
+    )
+    train(program, told(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
+    _, zero, one = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"round 0/1, success 0\.500, \d:\d\d elapsed", zero)
+    assert re.fullmatch(r"round 1/1, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", one)
+
+
+def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(capsys):
+    program = Program(hgail_envs.make("point"), dataclasses.replace(TINY, rounds=3), (Hyperparameters(),), 2)
+    progress, stop, rounds = start(program), threading.Event(), [measured([0.25, 0.75], [0.1, 0.2])] * 2
+
+    def stop_after_two(progress):
+        if progress.rounds == 2:
+            stop.set()
+
+    train(program, told(*rounds), progress, stop=stop, after_round=stop_after_two)
+    assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()][1:] == ["round 0/3", "round 1/3"]
+    train(program, told(*rounds), progress)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in lines] == ["round 2/3 ...", "round 2/3", "round 3/3"]
+    train(program, told(), progress)
+    assert capsys.readouterr().err == ""
