@@ -19,7 +19,7 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "bc_batch")
+_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "bc_batch", "discriminator_minibatches")
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
 
@@ -59,7 +59,35 @@ class PPO:
         check_share("final_learning_rate", self.final_learning_rate)
 
 
-LEARNERS: dict[str, type] = {learner.name: learner for learner in (PPO,)}
+@dataclasses.dataclass(frozen=True)
+class TD3:
+    """Sizes of the off-policy learner: an actor and an ensemble of critics, trained on a replay buffer.
+
+    Raises:
+      ValueError: a value is out of its range.
+
+    """
+
+    name: ClassVar[str] = "td3"
+    rollouts: int = 5
+    """Roll-outs in a round, each added to the buffer and followed by `updates`."""
+    updates: int = 256
+    """Gradient steps of actor and critics after each roll-out."""
+    batch: int = 1024
+    """Samples in one of them."""
+    buffer_episodes: int = 8192
+    """Episodes in the replay buffer."""
+    critics: int = 2
+    """Critics in the ensemble; targets take the least of them."""
+    final_learning_rate: float = 1.0
+    """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
+
+    def __post_init__(self) -> None:
+        _check_fields(self)
+        check_share("final_learning_rate", self.final_learning_rate)
+
+
+LEARNERS: dict[str, type] = {learner.name: learner for learner in (PPO, TD3)}
 """Sizes of each learner, by the learner's name; its code is the module of that name in `hgail_jax.learners`."""
 
 
@@ -78,7 +106,7 @@ class Config:
     """Episodes in a roll-out."""
     rounds: int = 6
     """Rounds of Algorithm 2 after the pre-training."""
-    learner: PPO = dataclasses.field(default_factory=PPO)
+    learner: PPO | TD3 = dataclasses.field(default_factory=PPO)
     """Learner, and its own sizes."""
     expert_source: str = RELABELLED
     """Source of the expert samples: one of `EXPERT_SOURCES`."""
@@ -94,11 +122,15 @@ class Config:
     """Widths of the hidden layers of the policy and of the value functions."""
     discriminator_hidden: tuple[int, ...] = (100, 100)
     """Widths of the hidden layers of the discriminator."""
+    layer_norm: bool = False
+    """Whether hidden layers are ReLU after layer normalisation, in all networks; else tanh."""
 
     def __post_init__(self) -> None:
         _check_fields(self)
         if type(self.learner) not in LEARNERS.values():
             raise ValueError(f"learner is {self.learner!r}; it must be one of {', '.join(LEARNERS)}, with its sizes")
+        if isinstance(self.learner, PPO):  # off-policy none are HER, which has no discriminator
+            check_count("discriminator_minibatches", self.discriminator_minibatches)
         if self.expert_source not in EXPERT_SOURCES:
             raise ValueError(f"expert_source is {self.expert_source!r}; it must be one of {', '.join(EXPERT_SOURCES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
@@ -200,9 +232,18 @@ class Hyperparameters(struct.PyTreeNode):
     clip_ratio: jax.Array | float = 0.2
     """PPO's bound on the change of an action's probability."""
     policy_learning_rate: jax.Array | float = 3e-4
-    """Adam's step size for the policy and the value function."""
+    """Adam's step size for the policy and the value functions."""
     discriminator_learning_rate: jax.Array | float = 1e-3
     """Adam's step size for the discriminator."""
+    random_actions: jax.Array | float = 0.3
+    """Probability of a uniformly random action in a step of a roll-out to learn from (TD3)."""
+    target_rate: jax.Array | float = 0.01
+    """Rate τ at which target networks follow the networks (TD3)."""
+    target_noise: jax.Array | float = 0.2
+    """Standard deviation of the noise on target actions, which is clipped at 2.5 of it (TD3)."""
+    discriminator_steps: jax.Array | int = 2**30
+    """Steps after a sample in which its hindsight goal is achieved at most, for the discriminator's expert (TD3). Many
+    leave it to Algorithm 1; 1 makes it learn which actions reach a goal at once."""
 
     def validate(self, action_size: int | None = None) -> "Hyperparameters":
         """Returns itself.
@@ -231,7 +272,7 @@ class Hyperparameters(struct.PyTreeNode):
 
 _SHARES = (
     *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
-    *("standardize_reward", "standardize_advantage", "standardize_observation"),
+    *("standardize_reward", "standardize_advantage", "standardize_observation", "random_actions", "target_rate"),
 )
 _POSITIVE = (
     *("action_std", "final_action_std", "clip_ratio", "reward_scale"),

@@ -79,7 +79,7 @@ def fit_discriminator(
 
 def _network(config: Config) -> MLP:
     """Normalised observation and clipped action, concatenated, to the logit, `[..., 1]`."""
-    return MLP(config.discriminator_hidden, 1)
+    return MLP(config.discriminator_hidden, 1, layer_norm=config.layer_norm)
 
 
 def _optimizer() -> optax.GradientTransformation:

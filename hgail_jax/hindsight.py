@@ -84,3 +84,57 @@ def _draw_future(rng: jax.Array, first: jax.Array, kind: jax.Array, kind_share: 
     weight = jnp.where(ahead, kind_share[kind] / states_of_kind[:, kind], 0.0)
     rngs = jax.random.split(rng, len(first))
     return jax.vmap(lambda rng, weight: jax.random.choice(rng, len(kind), p=weight))(rngs, weight)
+
+
+def count_kinds(kind: jax.Array, kinds: int) -> jax.Array:
+    """Returns how many states before each one have each kind, `[..., T + 2, kinds]`, from kinds `[..., T + 1]`."""
+    before = jnp.cumsum(jax.nn.one_hot(kind, kinds, dtype=jnp.int32), axis=-2)
+    return jnp.concatenate([jnp.zeros_like(before[..., :1, :]), before], axis=-2)
+
+
+def draw_source(
+    rng: jax.Array,
+    counts: jax.Array,
+    episode: jax.Array,
+    first: jax.Array,
+    last: jax.Array,
+    share: jax.Array,
+    strategy: jax.Array | int = FUTURE,
+) -> jax.Array:
+    """Draws the states whose achieved goals replace those of single steps, `[B]`, by Algorithm 1.
+
+    The distribution is that of `relabel`: "future" draws a kind of goal among those ahead by its share, then one of its
+    states uniformly; "final" takes the last. It costs a search of log T steps where `relabel` weighs all T + 1 states.
+
+    Args:
+      rng: a PRNG key.
+      counts: `[episodes, T + 2, K]`, from `count_kinds`.
+      episode: `[B]`: the episode of each step.
+      first: `[B]`: the first state that may be drawn.
+      last: `[B]`: the last one.
+      share: `[K]`, positive: how often each kind is drawn where all lie ahead.
+      strategy: `FUTURE` or `FINAL`.
+
+    """
+    kind_uniform, state_uniform = jax.random.uniform(rng, (2, *episode.shape))
+    before = counts[episode, first]
+    ahead = counts[episode, last + 1] - before
+    cumulative = jnp.cumsum(jnp.where(ahead > 0, share, 0.0), axis=-1)
+    # Rounding may leave the sum at the number drawn; then the last kind that is ahead is taken.
+    latest = ahead.shape[-1] - 1 - jnp.argmax(ahead[:, ::-1] > 0, axis=-1)
+    kind = jnp.minimum((cumulative <= kind_uniform[:, None] * cumulative[:, -1:]).sum(axis=-1), latest)
+
+    def of_kind(array: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(array, kind[:, None], axis=-1)[:, 0]
+
+    number = of_kind(ahead)
+    rank = of_kind(before) + jnp.minimum((state_uniform * number).astype(jnp.int32), number - 1)
+
+    def halve(_: jax.Array, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = bounds  # the state is at least `low` and at most `high`
+        middle = (low + high) // 2
+        enough = counts[episode, middle + 1, kind] > rank
+        return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
+
+    drawn, _ = jax.lax.fori_loop(0, counts.shape[1].bit_length(), halve, (first, last))
+    return jnp.where(strategy == FINAL, last, drawn)

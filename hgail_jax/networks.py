@@ -1,4 +1,4 @@
-"""Networks: the tanh perceptron of the paper, and its Gaussian policy's density."""
+"""Networks: the multilayer perceptron that all are, and the Gaussian policy's density."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -11,18 +11,21 @@ _LOG_SQRT_2PI = 0.9189385332046727
 
 
 class MLP(nn.Module):
-    """A tanh multilayer perceptron: `[..., inputs]` to `[..., outputs]`."""
+    """A multilayer perceptron: `[..., inputs]` to `[..., outputs]`."""
 
     hidden: Sequence[int]
     outputs: int
     output_scale: float = 1.0
     """Factor on the initial weights of the last layer."""
+    layer_norm: bool = False
+    """Whether hidden layers are ReLU after layer normalisation; else tanh."""
 
     @nn.compact
     def __call__(self, inputs: jax.Array) -> jax.Array:
         """Applies the layers."""
         for width in self.hidden:
-            inputs = nn.tanh(nn.Dense(width)(inputs))
+            inputs = nn.Dense(width)(inputs)
+            inputs = nn.relu(nn.LayerNorm()(inputs)) if self.layer_norm else nn.tanh(inputs)
         init = nn.initializers.variance_scaling(self.output_scale, "fan_in", "truncated_normal")
         return nn.Dense(self.outputs, kernel_init=init)(inputs)
 

@@ -81,7 +81,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     a kind, samples under whose goal nothing is left to do count `hyper.solved_weight` times.
     """
     desired, weight = trajectory.desired[:-1], step_weight(trajectory)
-    share = _kind_share(env, desired, weight)
+    share = kind_share(env, desired, weight)
 
     def relabel_one(rng: jax.Array, achieved: jax.Array, desired: jax.Array) -> jax.Array:
         kind = env.goal_kind(achieved)
@@ -91,11 +91,11 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     goal = jax.vmap(relabel_one, in_axes=(0, 1, 1), out_axes=1)(rngs, trajectory.achieved, desired)
     features = trajectory.features[:-1]
     weight = weight * jnp.where(env.already_solved(features, goal), hyper.solved_weight, 1.0)
-    weight = weight * (share / _kind_share(env, goal, weight))[env.goal_kind(goal)]
+    weight = weight * (share / kind_share(env, goal, weight))[env.goal_kind(goal)]
     return flatten(Samples(env.goal_observation(features, goal), trajectory.action, weight))
 
 
-def _kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
+def kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
     """Share of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
     of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)
     return jnp.einsum("tnk,tn->k", of_kind, weight) / jnp.maximum(weight.sum(), 1.0) + _LEAST_SHARE

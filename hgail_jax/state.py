@@ -29,6 +29,8 @@ class TrainState(struct.PyTreeNode):
     rng: jax.Array
     expert: Any = None
     """Expert samples that are kept from roll-out to roll-out, see `hgail_jax.experts`; None where none are."""
+    buffer: Any = None
+    """Episodes of the last roll-outs, see `hgail_jax.buffer`; None where the learner uses each roll-out once."""
 
     def normalize(self, observation: jax.Array) -> jax.Array:
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""

@@ -16,7 +16,8 @@ from brax.training.acme import running_statistics, specs
 from flax import struct
 
 from hgail_envs import EpisodeMetrics, GoalEnv
-from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.buffer import init_buffer
+from hgail_jax.config import TD3, Config, Hyperparameters
 from hgail_jax.discriminator import init_discriminator
 from hgail_jax.evaluate import mean_outcome
 from hgail_jax.experts import init_expert
@@ -62,6 +63,7 @@ def init_state(
         hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
         rng=rng,
         expert=init_expert(env, config, demonstrations),
+        buffer=init_buffer(env, config.learner.buffer_episodes) if isinstance(config.learner, TD3) else None,
     )
 
 
@@ -221,7 +223,7 @@ def _learn(
     def branch(kind: Phase) -> Any:
         def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, Metrics, jax.Array]:
             learnt, metrics = updates[kind](env, config, state, trajectory, rng) if kind in updates else (state, {})
-            return learnt, _named(config, metrics), _is_finite((learnt, metrics))
+            return learnt, _named(config, metrics), _is_finite((learnt.replace(buffer=None), metrics))
 
         return run
 

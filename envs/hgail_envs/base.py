@@ -157,6 +157,20 @@ class GoalEnv(Env):
         """Returns whether `physics` is at the goal `desired`, `[goal_size]`: a boolean `[]`, by the achieved goal."""
         return self.success(self.achieved_goal(physics), desired)
 
+    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether states are at goals, as far as a replay buffer knows the states: booleans `[...]`.
+
+        By default it is `success` of the achieved goal.
+
+        Args:
+          features: `[..., feature_size]`.
+          achieved: `[..., goal_size]`.
+          goal: `[..., goal_size]`.
+
+        """
+        del features
+        return self.success(achieved, goal)
+
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether nothing is left to do for goals, where hindsight may weigh them less: booleans `[...]`.
 

@@ -234,6 +234,10 @@ class RandomizedEnv(GoalEnv):
         """See `GoalEnv`."""
         return self.task.goal_kind(goal)
 
+    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+        """See `GoalEnv`; of the positions that are observed."""
+        return self.task.goal_test(features[..., self._shown :], achieved, goal)
+
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """See `GoalEnv`, of what is observed."""
         return self.task.already_solved(features[..., self._shown :], goal)

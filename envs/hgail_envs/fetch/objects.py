@@ -182,10 +182,20 @@ class ObjectEnv(FetchEnv):
         position = jnp.where(_is_object(desired), self.object_position(physics), physics.gripper_position)
         return super().success(position, desired[:3])
 
+    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+        """See `GoalEnv`; like `reached`, by the position alone, whether the object has moved or not."""
+        del achieved
+        position = jnp.where(_is_object(goal)[..., None], self._object_in(features), features[..., :3])
+        return super().success(position, goal[..., :3])
+
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """See `GoalEnv`: goals of the object within 3 cm of where it already is."""
-        thing = features[..., 3:6] if self.observation == "official" else features[..., 9:12]
-        return _is_object(goal) & (jnp.linalg.norm(thing - goal[..., :3], axis=-1) <= _AT_GOAL)
+        distance = jnp.linalg.norm(self._object_in(features) - goal[..., :3], axis=-1)
+        return _is_object(goal) & (distance <= _AT_GOAL)
+
+    def _object_in(self, features: jax.Array) -> jax.Array:
+        """Returns the object's position, `[..., 3]`, of features `[..., feature_size]`."""
+        return features[..., 3:6] if self.observation == "official" else features[..., 9:12]
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         physics, desired = end.pipeline_state, end.info["desired_goal"]

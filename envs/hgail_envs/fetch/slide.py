@@ -13,6 +13,9 @@ from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
 from hgail_envs.fetch.objects import OBSERVATIONS, ObjectPhysics, gripper_goal
 from hgail_envs.fetch.push import Push
 
+ACHIEVED = ("at-rest", "passed")
+"""Values of `achieved`."""
+
 _AT_REST = 0.05  # metres per second
 _AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)  # metres from the gripper's start, along x and y: see `goal_kind`
 
@@ -56,13 +59,18 @@ class Slide(Push):
         substeps: int = REFERENCE_SUBSTEPS,
         worlds: int = 4096,
         observation: str = OBSERVATIONS[0],
+        achieved: str = ACHIEVED[0],
     ) -> None:
+        if achieved not in ACHIEVED:
+            raise ValueError(f"achieved is {achieved!r}; choose from {', '.join(ACHIEVED)}")
+        self.achieved = achieved
         if resolve_impl(impl) == "jax":
             raise ValueError("slide cannot run on impl 'jax', which collides no cylinder with a box; use 'c' or 'warp'")
         super().__init__(impl, substeps, worlds, observation)
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         moves = jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST
+        moves &= self.achieved == "at-rest"
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:

@@ -1,0 +1,132 @@
+"""A replay buffer of whole episodes, whose samples get a new goal each time they are drawn.
+
+Below, `K` is the episodes that the buffer holds, `T` the steps of an episode and `B` the samples drawn.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from hgail_envs import GoalEnv
+from hgail_jax.config import Hyperparameters
+from hgail_jax.hindsight import count_kinds, draw_source
+from hgail_jax.rollout import Trajectory
+from hgail_jax.samples import kind_share
+
+_STEPS_AHEAD = 2**30  # more than any episode has
+
+
+class EpisodeBuffer(struct.PyTreeNode):
+    """A ring of the last `K` episodes; the oldest is overwritten. Episodes come first, unlike in a trajectory."""
+
+    features: jax.Array
+    """`[K, T + 1, feature_size]`."""
+    achieved: jax.Array
+    """`[K, T + 1, goal_size]`: achieved goals."""
+    desired: jax.Array
+    """`[K, T + 1, goal_size]`: the goals pursued."""
+    action: jax.Array
+    """`[K, T, action_size]`: clipped to [-1, 1], as the environment took them."""
+    valid: jax.Array
+    """`[K]` booleans: whether the place holds an episode whose simulation stayed finite."""
+    added: jax.Array
+    """`[]` integer: episodes added so far; the next goes to place `added` modulo `K`."""
+
+
+class Transitions(struct.PyTreeNode):
+    """Samples of a buffer under the goals drawn for them."""
+
+    observation: jax.Array
+    """`[B, observation_size]`, not normalised."""
+    action: jax.Array
+    """`[B, action_size]`."""
+    next_observation: jax.Array
+    """`[B, observation_size]`: under the same goal."""
+    reached: jax.Array
+    """`[B]` booleans: whether the next state is at the goal."""
+    weight: jax.Array
+    """`[B]`: in a loss; 0 for episodes whose simulation broke down."""
+
+
+def init_buffer(env: GoalEnv, episodes: int) -> EpisodeBuffer:
+    """Returns an empty buffer for `episodes` episodes."""
+    states, steps = (episodes, env.episode_length + 1), (episodes, env.episode_length)
+    return EpisodeBuffer(
+        features=jnp.zeros((*states, env.feature_size)),
+        achieved=jnp.zeros((*states, env.goal_size)),
+        desired=jnp.zeros((*states, env.goal_size)),
+        action=jnp.zeros((*steps, env.action_size)),
+        valid=jnp.zeros(episodes, bool),
+        added=jnp.zeros((), jnp.int32),
+    )
+
+
+def add_episodes(buffer: EpisodeBuffer, trajectory: Trajectory) -> EpisodeBuffer:
+    """Returns the buffer with the episodes of a trajectory in the place of its oldest ones.
+
+    Raises:
+      ValueError: the trajectory has more episodes than the buffer holds.
+
+    """
+    held, count = buffer.valid.shape[0], trajectory.valid.shape[0]
+    if count > held:
+        raise ValueError(f"a roll-out of {count} episodes does not fit into a buffer of {held}")
+    place = (buffer.added + jnp.arange(count)) % held
+
+    def put(kept: jax.Array, new: jax.Array) -> jax.Array:
+        return kept.at[place].set(jnp.moveaxis(new, 0, 1), unique_indices=True)
+
+    return EpisodeBuffer(
+        features=put(buffer.features, trajectory.features),
+        achieved=put(buffer.achieved, trajectory.achieved),
+        desired=put(buffer.desired, trajectory.desired),
+        action=put(buffer.action, jnp.clip(trajectory.action, -1.0, 1.0)),
+        valid=buffer.valid.at[place].set(trajectory.valid, unique_indices=True),
+        added=buffer.added + count,
+    )
+
+
+def draw(
+    env: GoalEnv,
+    hyper: Hyperparameters,
+    buffer: EpisodeBuffer,
+    rng: jax.Array,
+    count: int,
+    p_ht: jax.Array | float,
+    most_ahead: jax.Array | int = _STEPS_AHEAD,
+) -> Transitions:
+    """Draws steps of the episodes so far, each uniformly and with replacement, and a goal for each of them.
+
+    With probability `p_ht` a step's goal is replaced in hindsight by one that its episode achieved later, by Algorithm
+    1; see `hgail_jax.hindsight.relabel`. Kinds of goals are drawn as often as the episodes pursue them.
+
+    Args:
+      env: the task.
+      hyper: the strategy, and the weight of samples whose goal is already solved.
+      buffer: at least one episode must have been added.
+      rng: a PRNG key.
+      count: `B`.
+      p_ht: probability that a goal is replaced.
+      most_ahead: steps by which a replaced goal is achieved after the sample's own state at most.
+
+    """
+    episode_rng, step_rng, chosen_rng, source_rng = jax.random.split(rng, 4)
+    held, length = buffer.action.shape[:2]
+    episode = jax.random.randint(episode_rng, (count,), 0, jnp.minimum(buffer.added, held))
+    step = jax.random.randint(step_rng, (count,), 0, length)
+    pursued = buffer.desired[episode, step]
+    share = kind_share(env, buffer.desired[:, :-1], jnp.broadcast_to(buffer.valid[:, None], (held, length)))
+    counts = count_kinds(env.goal_kind(buffer.achieved), env.goal_kinds)
+    last = jnp.minimum(step + most_ahead, length)
+    source = draw_source(source_rng, counts, episode, step + 1, last, share, hyper.strategy)
+    chosen = jax.random.bernoulli(chosen_rng, p_ht, (count,))
+    goal = jnp.where(chosen[:, None], buffer.achieved[episode, source], pursued)
+    features, following = buffer.features[episode, step], buffer.features[episode, step + 1]
+    solved = env.already_solved(features, goal)
+    return Transitions(
+        observation=env.goal_observation(features, goal),
+        action=buffer.action[episode, step],
+        next_observation=env.goal_observation(following, goal),
+        reached=env.goal_test(following, buffer.achieved[episode, step + 1], goal),
+        weight=buffer.valid[episode] * jnp.where(chosen & solved, hyper.solved_weight, 1.0),
+    )

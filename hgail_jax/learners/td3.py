@@ -1,0 +1,275 @@
+"""The off-policy learner: actor and critics trained on a replay buffer, each sample used many times.
+
+It is TD3 (Fujimoto et al. 2018) with hindsight: every time a sample is drawn its goal is drawn anew, and its reward is
+computed for that goal. Below, `U` is the gradient steps after a roll-out and `B` the samples in one of them.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import struct
+
+from hgail_envs import GoalEnv
+from hgail_jax.buffer import Transitions, add_episodes, draw
+from hgail_jax.config import RELABELLED, TD3, Config, Hyperparameters
+from hgail_jax.devices.sharding import local_shard
+from hgail_jax.discriminator import discriminate, fit_discriminator
+from hgail_jax.experts import expert_samples
+from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP, Learner
+from hgail_jax.networks import MLP, apply
+from hgail_jax.rollout import Policy, Trajectory
+from hgail_jax.samples import Samples, policy_samples
+from hgail_jax.state import TrainState
+
+_NOISE_CLIP = 2.5  # in deviations of the target noise, as .5 is to .2 in TD3
+_PREACTIVATION_WEIGHT = 0.01  # keeps tanh from saturating, where its gradient vanishes
+
+Metrics = dict[str, jax.Array]
+
+
+class Networks(NamedTuple):
+    """Parameters of an actor and of an ensemble of critics, whose leaves have a leading axis over the critics."""
+
+    actor: Any
+    critics: Any
+
+
+class TD3State(struct.PyTreeNode):
+    """Networks, their targets and optimisers."""
+
+    online: Networks
+    target: Networks
+    optimizer: Networks
+    """States of Adam."""
+    steps: jax.Array
+    """`[]` integer: gradient steps so far."""
+
+
+class TD3Learner(Learner):
+    """Twin delayed DDPG without the delay, on samples relabelled in hindsight."""
+
+    metrics = {  # noqa: RUF012  (a ClassVar of the base)
+        "reward": "mean reward of the samples drawn",
+        "reached": "fraction of the samples drawn whose next state is at their goal",
+        "value": "mean value of the critics",
+        "value_loss": "mean squared error of the critics",
+        "policy_loss": "loss of the actor",
+        "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
+        "discriminator_accuracy": "fraction of samples that the discriminator tells right",
+    }
+
+    def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> TD3State:
+        """See `Learner`."""
+        observation, action = jnp.zeros(env.observation_size), jnp.zeros(env.action_size)
+        critic_rngs = jax.random.split(rngs[1], _sizes(config).critics)
+        both = jnp.concatenate([observation, action])
+        networks = Networks(
+            actor=_actor_network(config, env.action_size).init(rngs[0], observation),
+            critics=jax.vmap(lambda rng: _critic_network(config).init(rng, both))(critic_rngs),
+        )
+        optimizer = Networks(*(optax.scale_by_adam().init(params) for params in networks))
+        return TD3State(networks, networks, optimizer, jnp.zeros((), jnp.int32))
+
+    def policy(
+        self, env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
+    ) -> Policy:
+        """See `Learner`; noise is Gaussian, and some actions are uniformly random, all of them before any update.
+
+        The target actor acts, an average over the last hundred steps: a single one is off by a centimetre or two.
+        """
+        hyper = state.hyperparameters
+        decay = 1.0 + (hyper.final_action_std - 1.0) * self.progress(config, state)
+        std = noise * decay * jnp.asarray(hyper.action_std)
+        random = noise * jnp.where(state.learner.steps > 0, decay * hyper.random_actions, 1.0)
+        network = _actor_network(config, env.action_size)
+
+        def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
+            mean = jnp.tanh(apply(network, state.learner.target.actor, state.normalize(observation)))
+            count = len(mean) * (1 if axis is None else jax.lax.axis_size(axis))
+            noise_rng, uniform_rng, choice_rng = jax.random.split(rng, 3)
+            gaussian = local_shard(jax.random.normal(noise_rng, (count, env.action_size)), axis)
+            uniform = local_shard(jax.random.uniform(uniform_rng, (count, env.action_size), minval=-1.0), axis)
+            chosen = local_shard(jax.random.bernoulli(choice_rng, random, (count, 1)), axis)
+            return jnp.where(chosen, uniform, jnp.clip(mean + std * gaussian, -1.0, 1.0)), jnp.zeros(len(mean))
+
+        return policy
+
+    def progress(self, config: Config, state: TrainState) -> jax.Array:
+        """See `Learner`; from the count of gradient steps."""
+        return _progress(config, state.learner)
+
+    def phase_table(self, config: Config) -> np.ndarray:
+        """See `Learner`; row 0 fills the buffer with random actions."""
+        rollouts = _sizes(config).rollouts
+        first = [PRETRAIN] + [SKIP] * (rollouts - 1) + [EVALUATE]
+        return np.array([first] + [[POLICY] * rollouts + [EVALUATE]] * config.rounds)
+
+    def layers(self, state: TrainState) -> list[tuple[jax.Array, jax.Array]]:
+        """See `Learner`."""
+        raise NotImplementedError
+
+
+def fill(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, Metrics]:
+    """Adds a roll-out to the buffer and to the statistics of observations."""
+    del config, rng
+    samples = policy_samples(env, trajectory)
+    state = state.count(samples.observation, (samples.weight > 0).astype(jnp.float32))
+    return state.replace(buffer=add_episodes(state.buffer, trajectory)), {}
+
+
+def update(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, Metrics]:
+    """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of the whole buffer."""
+    discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
+    hyper, sizes = state.hyperparameters, _sizes(config)
+    state, _ = fill(env, config, state, trajectory, rng)
+    state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
+    drawn = draw(env, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
+    batch = _Batch(
+        observation=state.normalize(drawn.observation),
+        action=drawn.action,
+        next_observation=state.normalize(drawn.next_observation),
+        reward=_reward(config, state, drawn),
+        weight=drawn.weight,
+        noise=jax.random.normal(noise_rng, drawn.action.shape),
+    )
+    minibatches = jax.tree.map(lambda leaf: leaf.reshape(sizes.updates, sizes.batch, *leaf.shape[1:]), batch)
+    learner, measured = jax.lax.scan(_make_step(env, config, hyper), state.learner, minibatches)
+    metrics |= {name: values.mean() for name, values in measured.items()}
+    metrics |= {"reward": batch.reward.mean(), "reached": drawn.reached.mean()}
+    return state.replace(learner=learner), metrics
+
+
+TD3Learner.updates = {PRETRAIN: fill, POLICY: update}
+
+
+class _Batch(NamedTuple):
+    """Samples as the networks take them, `[B, ...]`, or `[U, B, ...]` those of all steps after a roll-out."""
+
+    observation: jax.Array
+    action: jax.Array
+    next_observation: jax.Array
+    reward: jax.Array
+    weight: jax.Array
+    noise: jax.Array
+    """Standard normal, for the target actions."""
+
+
+def _update_discriminator(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, Metrics]:
+    """Trains the discriminator on expert samples against the buffer's, under the goals that it pursued."""
+    count = config.discriminator_minibatches
+    if not count:
+        return state, {}
+    expert_rng, policy_rng, fit_rng = jax.random.split(rng, 3)
+    hyper, samples = state.hyperparameters, count * config.discriminator_batch
+    if config.expert_source == RELABELLED:
+        # without hindsight at all (p_ht 0) nothing tells the two apart
+        drawn = draw(
+            env,
+            hyper,
+            state.buffer,
+            expert_rng,
+            samples,
+            jnp.where(hyper.p_ht > 0, 1.0, 0.0),
+            hyper.discriminator_steps,
+        )
+        expert = Samples(drawn.observation, drawn.action, drawn.weight)
+    else:
+        kept, expert = expert_samples(env, config, hyper, state.expert, trajectory, expert_rng)
+        state = state.replace(expert=kept)
+    pursued = draw(env, hyper, state.buffer, policy_rng, samples, 0.0)
+    policy = Samples(pursued.observation, pursued.action, pursued.weight)
+    return fit_discriminator(config, state, expert, policy, count, fit_rng)
+
+
+def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
+    """Rewards of samples, `[...]` in [-1, 0], as those of the environment are.
+
+    The discriminator's is σ(logit) - 1, the probability of an expert's sample less 1, so that the two can be mixed and
+    the critics have one bound.
+    """
+    logits = discriminate(config, state.discriminator, state.normalize(drawn.observation), drawn.action)
+    weight = state.hyperparameters.environment_reward
+    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * (drawn.reached - 1.0)
+
+
+def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
+    """Returns a gradient step: the state and a minibatch to the new state and what it measured."""
+    actor, critic = _actor_network(config, env.action_size), _critic_network(config)
+    least = -1.0 / (1.0 - hyper.discount)  # the return of -1 at every step for ever, which no value can be below
+
+    def values(critics: Any, observation: jax.Array, action: jax.Array) -> jax.Array:
+        inputs = jnp.concatenate([observation, action], axis=-1)
+        return jax.vmap(lambda params: apply(critic, params, inputs)[..., 0])(critics)
+
+    def critic_loss(critics: Any, batch: _Batch, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+        value = values(critics, batch.observation, batch.action)
+        return jnp.mean(batch.weight * jnp.square(value - target), axis=-1).sum(), value
+
+    def actor_loss(params: Any, critics: Any, batch: _Batch, value: jax.Array) -> jax.Array:
+        preactivation = apply(actor, params, batch.observation)
+        action = jnp.tanh(preactivation)
+        gained = values(critics, batch.observation, action).mean(axis=0)
+        loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
+        better = (value.mean(axis=0) > jax.lax.stop_gradient(gained)) * batch.weight
+        cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
+        return loss + hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
+
+    def step(state: TD3State, batch: _Batch) -> tuple[TD3State, Metrics]:
+        decay = 1.0 + (_sizes(config).final_learning_rate - 1.0) * _progress(config, state)
+        rate = hyper.policy_learning_rate * decay
+        noise = hyper.target_noise * jnp.clip(batch.noise, -_NOISE_CLIP, _NOISE_CLIP)
+        following = jnp.tanh(apply(actor, state.target.actor, batch.next_observation))
+        following = jnp.clip(following + noise, -1.0, 1.0)
+        bootstrap = values(state.target.critics, batch.next_observation, following).min(axis=0)
+        target = jnp.clip(batch.reward + hyper.discount * bootstrap, least, 0.0)
+        (value_loss, value), gradient = jax.value_and_grad(critic_loss, has_aux=True)(
+            state.online.critics, batch, target
+        )
+        critics, critics_optimizer = _descend(rate, state.online.critics, state.optimizer.critics, gradient)
+        policy_loss, gradient = jax.value_and_grad(actor_loss)(state.online.actor, critics, batch, value)
+        actor_params, actor_optimizer = _descend(rate, state.online.actor, state.optimizer.actor, gradient)
+        online = Networks(actor_params, critics)
+        follow = lambda kept, new: kept + hyper.target_rate * (new - kept)  # noqa: E731
+        after = TD3State(
+            online=online,
+            target=jax.tree.map(follow, state.target, online),
+            optimizer=Networks(actor_optimizer, critics_optimizer),
+            steps=state.steps + 1,
+        )
+        return after, {"value_loss": value_loss, "policy_loss": policy_loss, "value": value.mean()}
+
+    return step
+
+
+def _descend(rate: jax.Array, params: Any, optimizer: Any, gradient: Any) -> tuple[Any, Any]:
+    update, optimizer = optax.scale_by_adam().update(gradient, optimizer)
+    scaled = jax.tree.map(lambda leaf: -rate * leaf, update)
+    return optax.apply_updates(params, scaled), optimizer
+
+
+def _progress(config: Config, state: TD3State) -> jax.Array:
+    sizes = _sizes(config)
+    return jnp.minimum(state.steps / max(config.rounds * sizes.rollouts * sizes.updates, 1), 1.0)
+
+
+def _sizes(config: Config) -> TD3:
+    return config.learner
+
+
+def _actor_network(config: Config, action_size: int) -> MLP:
+    """Normalised observation to the action before tanh; starts near zero."""
+    return MLP(config.policy_hidden, action_size, output_scale=1e-2, layer_norm=config.layer_norm)
+
+
+def _critic_network(config: Config) -> MLP:
+    """Normalised observation and action, concatenated, to the expected return, `[..., 1]`."""
+    return MLP(config.policy_hidden, 1, layer_norm=config.layer_norm)
