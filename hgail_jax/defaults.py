@@ -209,7 +209,7 @@ def _own_preset(task_class: type[GoalEnv], platform: str) -> Preset:
             changes.options,
             changes.evaluate_every,
         )
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(
             f"{task_class.__name__}.training[{platform!r}] is not TrainingDefaults of fields that there are: {error}"
         ) from error

@@ -27,7 +27,7 @@ def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) ->
     Returns the means over the episodes, `[]`. It does not say whether the simulation ran out of room for contacts;
     `hgail_jax.seeds.evaluate_seeds` raises an error then.
     """
-    return evaluate_rollouts(env, policy, rng, 1, num_episodes)[0]
+    return mean_outcome(rollout(env, policy, rng, num_episodes, lift_test=True))
 
 
 def evaluate_rollouts(

@@ -78,7 +78,7 @@ EQUIVALENT = {
     ],
     "hgail_jax/learners/ppo": [
         # Of an axis of one number JAX takes that one for any index.
-        'value = apply(value_network(config), state.actor_critic["value"], observation)[..., 1]',
+        'value = apply(value_network(config), state.learner.actor_critic["value"], observation)[..., 1]',
         'predicted = apply(value_network(config), params["value"], part["observation"])[..., 1]',
         "return apply(discriminator_network(config), params, inputs)[..., 1]",
     ],

@@ -6,7 +6,7 @@ import os
 import resource
 from pathlib import Path
 
-from hgail_jax import PRESETS, Config, Hyperparameters, Preset
+from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset
 from hgail_jax.defaults import EVALUATION_EPISODES
 from hgail_jax.seeds import compile_train_step, trace_evaluation
 from hgail_jax.trainer import loop, trainer
@@ -17,14 +17,16 @@ ROOT = Path(__file__).parent.parent
 TINY = Config(
     num_envs=4,
     rounds=2,
-    policy_phases=2,
-    discriminator_phases=1,
-    minibatches=2,
+    learner=PPO(
+        policy_phases=2,
+        discriminator_phases=1,
+        minibatches=2,
+        pretrain_policy_minibatches=3,
+        pretrain_policy_batch=8,
+        pretrain_discriminator_minibatches=3,
+    ),
     discriminator_minibatches=3,
     discriminator_batch=8,
-    pretrain_policy_minibatches=3,
-    pretrain_policy_batch=8,
-    pretrain_discriminator_minibatches=3,
 )
 """Sizes that compile and run in seconds."""
 

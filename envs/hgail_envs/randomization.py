@@ -15,6 +15,7 @@ _FACTORS = ("step_size", *MODEL_FACTORS)
 _DEVIATIONS = ("robot_noise", "robot_offset", "object_noise", "object_offset", "goal_noise", "goal_offset")
 RAMPED = ("delay", "z_bias", *_FACTORS, *_DEVIATIONS)
 """Fields of `Randomization` that its `ramp` is about."""
+_OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # as files of earlier releases name these fields
 _RANGES = ("delay", "z_bias", *_FACTORS)
 _LIMITS = {
     **{name: (0, MOST_DELAY) for name in ("delay", "history")},
@@ -111,6 +112,7 @@ class Randomization:
           ValueError: there is no such field, or it cannot have such a value.
 
         """
+        content = {_OLD_NAMES.get(name, name): value for name, value in content.items()}
         unknown = set(content) - {field.name for field in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"a randomisation has no field {min(unknown)!r}")

@@ -53,9 +53,10 @@ class PPOLearner(Learner):
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> PPOState:
         """See `Learner`."""
         observation = jnp.zeros(env.observation_size)
+        policy_rng, value_rng = rngs
         actor_critic = {
-            "policy": _policy_network(config, env.action_size).init(rngs[0], observation),
-            "value": _value_network(config).init(rngs[1], observation),
+            "policy": _policy_network(config, env.action_size).init(policy_rng, observation),
+            "value": _value_network(config).init(value_rng, observation),
         }
         return PPOState(actor_critic, _optimizer(config).init(actor_critic))
 

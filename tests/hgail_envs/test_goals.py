@@ -356,7 +356,7 @@ def test_success_of_grasp_takes_position_and_holding(tasks):
     )
 
 
-def test_a_probe_goes_straight_up_and_keeps_the_hand_s_command(tasks):
+def test_a_lift_test_goes_straight_up_and_keeps_the_hand_s_command(tasks):
     np.testing.assert_allclose(tasks["grasp"].lift_test_action(jnp.array([0.3, -0.4, -0.5, 0.7])), [0.0, 0.0, 1.0, 0.7])
 
 

@@ -54,7 +54,7 @@ def test_without_a_display_mujoco_renders_with_what_is_there():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
-@pytest.mark.parametrize(("first", "chosen"), [("envs", "bogus"), ("envs", "disable"), ("mujoco, envs", "disable")])
+@pytest.mark.parametrize(("first", "chosen"), [("hgail_envs", "bogus"), ("mujoco, hgail_envs", "disable")])
 def test_physics_needs_no_renderer(first, chosen):
     lines = f"""
 import {first}

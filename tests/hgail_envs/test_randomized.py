@@ -246,6 +246,8 @@ def test_sizes_out_of_range_are_refused(name, value, allowed):
 def test_a_randomisation_comes_back_from_json(level):
     content = json.loads(json.dumps(dataclasses.asdict(LEVELS[level])))
     assert Randomization.from_json(content) == LEVELS[level]
+    content |= {"growth": content.pop("ramp"), "sag": content.pop("z_bias")}  # as older files have it
+    assert Randomization.from_json(content) == LEVELS[level]
     with pytest.raises(ValueError, match="a randomisation has no field 'wind'"):
         Randomization.from_json({"wind": 1.0})
 

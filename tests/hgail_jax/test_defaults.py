@@ -1,12 +1,17 @@
-import dataclasses
+from typing import ClassVar
 
 import pytest
 
 import hgail_envs
+from hgail_envs.base import TrainingDefaults
+from hgail_envs.fetch.reach import Reach
+from hgail_envs.point import Point
 from hgail_jax import PRESETS, TrainOptions
-from hgail_jax.defaults import AS_WRITTEN, task_preset
-from hgail_jax.seeds import evaluation_episodes
+from hgail_jax.defaults import AS_WRITTEN, DEFAULTS, task_preset
+from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.trainer.options import plan
+
+EIGHT = {"substeps": 8}
 
 
 @pytest.mark.parametrize(
@@ -23,27 +28,75 @@ def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, subs
     assert (run.config.num_envs, run.config.rounds, run.env.substeps) == (num_envs, rounds, substeps)
     assert run.evaluate_every == evaluate_every
     assert plan(TrainOptions(task=task, evaluate_every=3), platform).evaluate_every == 3
-    assert evaluation_episodes(run.config, run.evaluation_episodes) == episodes
+    assert whole_rollouts(run.evaluation_episodes, run.config.num_envs) * run.config.num_envs == episodes
     assert run.seeds == 8
 
 
 def test_a_task_changes_the_default_preset_and_no_other():
     grasp = hgail_envs.find_class("grasp")
     changed = task_preset(grasp, "cpu")
-    assert changed.config.bc_batch == 2048
+    assert changed.config.learner.bc_batch == 2048
     assert changed.hyperparameters.action_std == (0.2, 0.2, 0.2, 0.5)
     assert changed.config.discriminator_minibatches == PRESETS["parallel"].config.discriminator_minibatches
-    assert task_preset(grasp, "cpu", "paper") == PRESETS["paper"]
-    assert PRESETS["parallel"].config.bc_batch == 0  # and not in place
+    paper = task_preset(grasp, "cpu", "paper")
+    assert (paper.config, paper.hyperparameters) == (PRESETS["paper"].config, PRESETS["paper"].hyperparameters)
+    assert (paper.task_options, paper.evaluate_every) == (changed.task_options, changed.evaluate_every) == (EIGHT, 2)
+    assert PRESETS["parallel"].config.learner.bc_batch == 0  # and not in place
     with pytest.raises(ValueError, match="preset is 'tiny'; choose from parallel, paper"):
         task_preset(grasp, "cpu", "tiny")
 
 
+class Longer(Reach):
+    """Reach, which is trained as reach is."""
+
+
+class Own(Reach):
+    """Reach, with defaults of its own."""
+
+    training: ClassVar = {
+        "cpu": TrainingDefaults({"num_envs": 7, "minibatches": 2}, {"p_ht": 0.5}, EIGHT, evaluate_every=3)
+    }
+
+
+class Below(Own):
+    """A task that extends one of the user's."""
+
+
+def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwise():
+    for platform in ("cpu", "gpu"):
+        assert task_preset(Longer, platform) == DEFAULTS["reach"][platform]
+    for task in (Own, Below):
+        preset = task_preset(task, "cpu")
+        assert preset.config == PRESETS["parallel"].config.replace(num_envs=7, minibatches=2)
+        assert preset.hyperparameters == PRESETS["parallel"].hyperparameters.replace(p_ht=0.5)
+        assert (preset.task_options, preset.evaluate_every) == (EIGHT, 3)
+
+
+@pytest.mark.parametrize(
+    "training",
+    [{}, {"cpu": None}, {"cpu": TrainingDefaults({"phases": 2})}, {"cpu": TrainingDefaults({}, {"p_h": 0.2})}],
+)
+def test_defaults_that_name_no_fields_are_refused(training):
+    with pytest.raises(ValueError, match=r"Odd\.training\['cpu'\] is not TrainingDefaults of fields that there are"):
+        task_preset(type("Odd", (Point,), {"training": training}), "cpu")
+
+
+def test_every_task_of_the_package_has_defaults_on_either_platform_that_it_can_be_made_and_trained_with():
+    assert set(DEFAULTS) == set(hgail_envs.TASKS)
+    for task, presets in DEFAULTS.items():
+        assert set(presets) == {"cpu", "gpu"}
+        for preset in presets.values():
+            env = hgail_envs.make(task, **preset.task_options)
+            preset.config.validate(env)
+            preset.hyperparameters.validate(env.action_size)
+
+
 def test_the_paper_s_sizes_are_those_it_tells():
     """Section 5 of the paper: steps, learning rates, batches, covariance."""
-    config = dataclasses.replace(PRESETS["paper"].config, **AS_WRITTEN)
-    assert (config.policy_phases, config.discriminator_phases, config.final_learning_rate) == (16, 3, 1.0)
-    assert (config.num_envs * 50 / config.minibatches, config.discriminator_batch) == (128, 64)
+    config = PRESETS["paper"].config.replace(**AS_WRITTEN)
+    ppo = config.learner
+    assert (ppo.policy_phases, ppo.discriminator_phases, ppo.final_learning_rate) == (16, 3, 1.0)
+    assert (config.num_envs * 50 / ppo.minibatches, config.discriminator_batch) == (128, 64)
     numbers = PRESETS["paper"].hyperparameters
     assert (numbers.policy_learning_rate, numbers.discriminator_learning_rate) == (1e-3, 4e-4)
     assert numbers.action_std == 1.0

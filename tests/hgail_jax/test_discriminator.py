@@ -4,14 +4,23 @@ import numpy as np
 import optax
 import pytest
 
-from hgail_jax.config import Config
-from hgail_jax.discriminator import discriminator_accuracy, discriminator_loss
-from hgail_jax.networks import apply, discriminator_network
+from hgail_jax.config import REWARDS, Config
+from hgail_jax.discriminator import (
+    _network,
+    discriminator_accuracy,
+    discriminator_loss,
+    imitation_reward,
+    r1,
+    r2,
+    r3,
+    r4,
+)
+from hgail_jax.networks import apply
 
 
 def test_learns_the_log_ratio_of_two_gaussians():
     """Expert samples are N(1, 1), the policy's N(-1, 1): at the optimum the logit is 2 x."""
-    network, optimizer = discriminator_network(Config()), optax.adam(3e-3)
+    network, optimizer = _network(Config()), optax.adam(3e-3)
     params = network.init(jax.random.key(0), jnp.zeros(1))
 
     def step(carry, rng):
@@ -44,3 +53,43 @@ def test_loss_and_accuracy_at_chance_and_when_certain():
 def test_sign_expert_samples_are_pushed_up():
     slope_expert, slope_policy = jax.grad(discriminator_loss, argnums=(0, 1))(jnp.zeros(1), jnp.zeros(1))
     assert slope_expert < 0 < slope_policy
+
+
+# Rewards
+
+LOGITS = np.linspace(-8, 8, 65, dtype=np.float32)
+
+
+def sigmoid(x):
+    return 1 / (1 + np.exp(-x.astype(np.float64)))
+
+
+def test_r1_is_the_paper_s_form_and_softplus():
+    np.testing.assert_allclose(r1(LOGITS), -np.log(1 - sigmoid(LOGITS)), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(r1(LOGITS), np.logaddexp(0, LOGITS), rtol=1e-5)
+
+
+def test_r2_is_the_logarithm_of_the_clipped_logit():
+    inside = np.array([0.1, 0.5, 1.0, 3.0], np.float32)
+    np.testing.assert_allclose(r2(inside), np.log(np.minimum(inside, 1)), rtol=1e-5)
+    assert np.isfinite(r2(LOGITS)).all()
+    assert (r2(LOGITS) <= 0).all()
+
+
+def test_r4_is_r3():
+    np.testing.assert_allclose(r4(LOGITS), np.log(sigmoid(LOGITS)) - np.log(1 - sigmoid(LOGITS)), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(r4(LOGITS), r3(LOGITS), rtol=1e-5, atol=1e-6)
+
+
+def test_all_forms_grow_with_the_logit():
+    for form in REWARDS.values():
+        rewards = np.asarray(imitation_reward(form, jnp.asarray(LOGITS)))
+        assert (np.diff(rewards) >= -1e-6).all()
+        assert rewards[-1] > rewards[0]
+
+
+def test_forms_can_be_swept_in_one_program():
+    forms = jnp.array(list(REWARDS.values()))
+    swept = jax.vmap(imitation_reward, in_axes=(0, None))(forms, jnp.asarray(LOGITS))
+    for form, rewards in zip(forms, swept, strict=True):
+        np.testing.assert_allclose(rewards, (r1, r2, r3, r4)[int(form)](LOGITS), rtol=1e-6)

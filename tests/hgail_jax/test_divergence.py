@@ -9,8 +9,8 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, phase_table
+from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
-from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
 from tests.support import TINY
 
@@ -64,7 +64,7 @@ def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step):
     """The discriminator's phase is not undone with the policy's; and an evaluation is none of the updates counted."""
     after, metrics = step(start(SOUND, DIVERGES), row(POLICY, POLICY, DISCRIMINATOR, EVALUATE))
     before = one(start(SOUND, DIVERGES), 1)
-    assert_same(one(after, 1).actor_critic, before.actor_critic)
+    assert_same(one(after, 1).learner.actor_critic, before.learner.actor_critic)
     assert not np.array_equal(*(jax.tree.leaves(state.discriminator)[1] for state in (one(after, 1), before)))
     np.testing.assert_allclose(metrics.diverged, [0.0, 2 / 3], rtol=1e-6)
     assert np.isfinite(metrics.evaluation.distance_l1).all()

@@ -1,4 +1,3 @@
-import dataclasses
 import functools
 
 import jax
@@ -10,8 +9,8 @@ import hgail_envs
 from hgail_jax import METHODS, Config, Hyperparameters, Preset, init_state, rollout, train_step
 from hgail_jax.config import BEST, DEMONSTRATIONS
 from hgail_jax.experts import init_expert, keep_best
+from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.samples import Samples
-from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")
@@ -31,7 +30,7 @@ def with_returns(trajectory, returns, distance=0.0, valid=True):
     return trajectory.replace(
         reward=jnp.broadcast_to(jnp.array(returns) / length, (length, episodes)),
         action=jnp.broadcast_to(jnp.array(returns)[:, None], trajectory.action.shape),
-        valid=jnp.broadcast_to(jnp.array(sound), (episodes,)),
+        valid=jnp.broadcast_to(jnp.array(valid), (episodes,)),
         outcome=trajectory.outcome.replace(distance_l1=jnp.broadcast_to(jnp.array(distance), (episodes,))),
     )
 
@@ -42,7 +41,7 @@ def demonstrations(count=40, observation=6, action=3):
 
 def test_episodes_are_kept_under_the_goals_they_pursued():
     trajectory = roll_out(0)
-    best = init_expert(ENV, dataclasses.replace(TINY, expert_source=BEST, best_episodes=6), None)
+    best = init_expert(ENV, TINY.replace(expert_source=BEST, best_episodes=6), None)
     kept = keep_best(ENV, HYPER, best, with_returns(trajectory, np.arange(6.0)))
     np.testing.assert_array_equal(kept.samples.observation[:, 0, :3], trajectory.features[:-1, 5])
     np.testing.assert_array_equal(kept.samples.observation[:, 0, 3:], trajectory.desired[:-1, 5])
@@ -59,7 +58,7 @@ def test_episodes_are_kept_under_the_goals_they_pursued():
 )
 def test_demonstrations_must_fit(config, given, message):
     with pytest.raises(ValueError, match=message):
-        init_state(ENV, dataclasses.replace(TINY, **config), HYPER, jax.random.key(0), given)
+        init_state(ENV, TINY.replace(**config), HYPER, jax.random.key(0), given)
 
 
 def test_an_unknown_source_is_refused():
@@ -68,7 +67,7 @@ def test_an_unknown_source_is_refused():
 
 
 def test_every_roll_out_to_learn_from_can_enter_the_buffer_and_no_other():
-    config = METHODS["gasil"].apply(Preset(dataclasses.replace(TINY, best_episodes=5), HYPER)).config
+    config = METHODS["gasil"].apply(Preset(TINY.replace(best_episodes=5), HYPER)).config
     start = init_state(ENV, config, HYPER, jax.random.key(0))
     step = jax.jit(functools.partial(train_step, ENV, config))
     for phase, episodes in ((SKIP, 0), (PRETRAIN, 4), (POLICY, 4), (DISCRIMINATOR, 4), (EVALUATE, 0)):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hgail_envs.point import Point
-from hgail_jax import METHODS, Config, Hyperparameters, Preset, phase_table
+from hgail_jax import METHODS, PPO, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.defaults import FEW_UPDATES
 from hgail_jax.play.recording import record
@@ -17,10 +17,8 @@ from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_key
 SEEDS = 2
 SMALL = Config(
     num_envs=128,
+    learner=PPO(pretrain_policy_minibatches=100, pretrain_policy_batch=256, pretrain_discriminator_minibatches=100),
     discriminator_batch=256,
-    pretrain_policy_minibatches=100,
-    pretrain_policy_batch=256,
-    pretrain_discriminator_minibatches=100,
     best_episodes=100,
     policy_hidden=(32, 32),
     discriminator_hidden=(64, 64),
@@ -59,20 +57,21 @@ def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method)
         "strategy": {"strategy": STRATEGIES["final"]},
         "reward": {"reward": REWARDS["r3"]},
         "standardize_reward": {"standardize_reward": False},
-        "likelihood": {"bc_weight": 2.0},
+        "bc_weight": {"bc_weight": 2.0},
     }
-    small = dataclasses.replace(SMALL, num_envs=8, rounds=1, bc_batch=32, **FEW_UPDATES)
+    small = SMALL.replace(num_envs=8, rounds=1, bc_batch=32, **FEW_UPDATES)
     preset = METHODS[method].apply(Preset(small, HYPER))
     settings = [preset.hyperparameters.replace(**change) for change in ({}, *changes.values())]
     demonstrations = record(Line(), "line", 4).samples(Line()) if method == "gail-demo" else None
     _, states = train(preset.config, init_sweep(Line(), preset.config, settings, seed_keys(0, 1), demonstrations))
     policies = np.concatenate(
-        [np.reshape(leaf, (len(settings), -1)) for leaf in jax.tree.leaves(states.actor_critic["policy"])], axis=1
+        [np.reshape(leaf, (len(settings), -1)) for leaf in jax.tree.leaves(states.learner.actor_critic["policy"])],
+        axis=1,
     )
     unchanged = {name for name, policy in zip(changes, policies[1:], strict=True) if (policy == policies[0]).all()}
     if method == "hgail-no":  # which --p-ht changes, and then --strategy too
         unchanged.remove("strategy")
-    without = dataclasses.replace(preset, config=dataclasses.replace(small, pretrain=False))
+    without = dataclasses.replace(preset, config=small.replace(pretrain=False))
     if METHODS[method].apply(without).config == preset.config:
         unchanged.add("pretrain")
     assert unchanged == set(METHODS[method].without_effect)
@@ -82,7 +81,7 @@ def test_hindsight_is_what_teaches():
     """HGAIL and HGAIL without hindsight, from scratch, in one program: they differ in a probability alone."""
     presets = [METHODS[name].apply(Preset(SMALL, HYPER)) for name in ("hgail", "hgail-no")]
     assert presets[0].config == presets[1].config
-    config = dataclasses.replace(SMALL, pretrain=False, rounds=8)
+    config = SMALL.replace(pretrain=False, rounds=8)
     settings = [preset.hyperparameters for preset in presets]
     success, _ = train(config, init_sweep(Line(), config, settings, seed_keys(0, SEEDS)))
     with_it, without = split_sweep(success.T, 2)[:, :, -1]
@@ -95,7 +94,7 @@ def test_hindsight_is_what_teaches():
 def test_adversarial_imitation_keeps_what_demonstrations_taught():
     """GAIL from 20 demonstrations: success is 1 after the pre-training, and it stays there."""
     preset = METHODS["gail-demo"].apply(Preset(SMALL, HYPER))
-    config = dataclasses.replace(preset.config, bc_batch=0, rounds=3)
+    config = preset.config.replace(bc_batch=0, rounds=3)
     samples = record(Line(), "line", 20).samples(Line())
     success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, SEEDS), samples))
     assert success[0].min() >= 0.95
@@ -107,8 +106,8 @@ def test_adversarial_imitation_keeps_what_demonstrations_taught():
 @pytest.mark.slow
 def test_the_best_episodes_so_far_teach():
     """Not every seed finds good ones in so few rounds: 16 of them together do."""
-    preset = METHODS["gasil"].apply(Preset(dataclasses.replace(SMALL, num_envs=64), HYPER))
-    config = dataclasses.replace(preset.config, rounds=8)
+    preset = METHODS["gasil"].apply(Preset(SMALL.replace(num_envs=64), HYPER))
+    config = preset.config.replace(rounds=8)
     success, states = train(config, init_seeds(Line(), config, preset.hyperparameters, seed_keys(0, 16)))
     assert success[0].mean() <= 0.25
     assert success[-3:].mean() >= success[0].mean() + 0.1

@@ -10,8 +10,8 @@ from hgail_jax import rollout
 NUM_ENVS = 16
 
 
-class Probed(Point):
-    """The point, measured where three further steps bring it; out of room where its x is negative then."""
+class Lifted(Point):
+    """The point, measured where three further steps bring it; it overflows where its x is negative then."""
 
     lift_test_steps = 3
 
@@ -32,9 +32,9 @@ def passing(observation, rng):
     return 10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]], -jnp.square(observation).sum(axis=-1)
 
 
-@pytest.mark.parametrize("probe", [False, True, jnp.array(False), jnp.array(True)])
-def test_a_roll_out_is_the_loop_over_its_steps_and_its_probe(probe):
-    episodes = jax.jit(lambda rng: rollout(Probed(), passing, rng, NUM_ENVS, lift_test=probe))(jax.random.key(0))
+@pytest.mark.parametrize("lift_test", [False, True, jnp.array(False), jnp.array(True)])
+def test_a_roll_out_is_the_loop_over_its_steps_and_its_lift_test(lift_test):
+    episodes = jax.jit(lambda rng: rollout(Lifted(), passing, rng, NUM_ENVS, lift_test=lift_test))(jax.random.key(0))
     goal = np.asarray(episodes.desired[0], np.float64)
     assert len(np.unique(goal)) == goal.size
     position = np.zeros((NUM_ENVS, 3))
@@ -53,23 +53,23 @@ def test_a_roll_out_is_the_loop_over_its_steps_and_its_probe(probe):
     changes = np.diff(episodes.reward, axis=0)
     assert changes.max() == -changes.min() == 1.0  # goals are reached, and left again
     before = position
-    for _ in range(3 if probe else 0):
+    for _ in range(3 if lift_test else 0):
         action = 0.5 * action - 0.4
         position = position + 0.03 * np.clip(action, -1.0, 1.0)
     np.testing.assert_allclose(episodes.outcome.distance_l1, np.abs(position - goal).sum(axis=-1), atol=1e-5)
     np.testing.assert_array_equal(episodes.overflow, position[:, 0] < 0.0)
-    assert ((position[:, 0] < 0.0) != (before[:, 0] < 0.0)).any() == bool(probe)
+    assert ((position[:, 0] < 0.0) != (before[:, 0] < 0.0)).any() == bool(lift_test)
 
 
-@pytest.mark.parametrize("probe", [False, True])
-def test_seeds_side_by_side_roll_out_as_alone(probe):
-    def roll_out(rng, probe):
-        return rollout(Probed(), passing, rng, NUM_ENVS, lift_test=probe)
+@pytest.mark.parametrize("lift_test", [False, True])
+def test_seeds_side_by_side_roll_out_as_alone(lift_test):
+    def roll_out(rng, lift_test):
+        return rollout(Lifted(), passing, rng, NUM_ENVS, lift_test=lift_test)
 
     keys = jax.random.split(jax.random.key(1), 3)
-    together = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))(keys, probe)
+    together = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))(keys, lift_test)
     for seed, key in enumerate(keys):
-        alone, of_seed = jax.jit(roll_out)(key, probe), jax.tree.map(lambda leaf, seed=seed: leaf[seed], together)
+        alone, of_seed = jax.jit(roll_out)(key, lift_test), jax.tree.map(lambda leaf, seed=seed: leaf[seed], together)
         jax.tree.map(lambda *leaves: np.testing.assert_allclose(*leaves, atol=1e-5), alone, of_seed)
 
 
@@ -77,12 +77,12 @@ def test_every_step_of_every_episode_has_noise_of_its_own():
     def noise(observation, rng):
         return jax.random.normal(rng, (len(observation), 3)), jnp.zeros(len(observation))
 
-    action = np.asarray(rollout(Probed(), noise, jax.random.key(0), NUM_ENVS).action)
+    action = np.asarray(rollout(Lifted(), noise, jax.random.key(0), NUM_ENVS).action)
     assert len(np.unique(action)) > 0.999 * action.size
 
 
-class Fragile(Probed):
-    """The point, whose simulation breaks down where only the probe brings it."""
+class Fragile(Lifted):
+    """The point, whose simulation breaks down where only the lift test brings it."""
 
     def step_physics(self, physics, action):
         following = super().step_physics(physics, action)
@@ -95,14 +95,14 @@ class Fragile(Probed):
         return self.measure(end.info["achieved_goal"], end.info["desired_goal"])
 
 
-@pytest.mark.parametrize("probe", [False, True])
-def test_an_episode_whose_simulation_breaks_down_in_the_probe_is_not_sound(probe):
+@pytest.mark.parametrize("lift_test", [False, True])
+def test_an_episode_whose_simulation_breaks_down_in_the_lift_test_is_not_valid(lift_test):
     def policy(observation, rng):
         return jnp.where(observation[:, 4:5] > 0.0, jnp.array([0.0, 1.0, 0.0]), 0.0), jnp.zeros(len(observation))
 
-    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, lift_test=probe)
+    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, lift_test=lift_test)
     far = np.asarray(episodes.achieved[-1, :, 1]) > 1.0
-    if probe:
+    if lift_test:
         assert 0 < episodes.valid.sum() < NUM_ENVS
         np.testing.assert_array_equal((np.asarray(episodes.desired[0]) == 0.0).all(axis=-1), ~episodes.valid)
         assert not far.any()
@@ -122,7 +122,7 @@ class Refused(Reach):
         return super().step_physics(physics.replace(qvel=velocity), action)
 
 
-def test_an_episode_that_mujoco_warns_of_is_not_sound_and_leaves_the_others_alone():
+def test_an_episode_that_mujoco_warns_of_is_not_valid_and_leaves_the_others_alone():
     def straight(observation, rng):
         action = jnp.pad(10.0 * (observation[:, -3:] - observation[:, :3]), ((0, 0), (0, 1)))
         return action, jnp.zeros(len(action))

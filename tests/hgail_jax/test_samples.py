@@ -72,7 +72,7 @@ def trajectory(episodes=EPISODES, kind=None, valid=None, **changes):
         "action": RNG.normal(size=(LENGTH, episodes, 1)).astype(np.float32),
         "log_prob": np.zeros((LENGTH, episodes), np.float32),
         "reward": -RNG.integers(0, 2, (LENGTH, episodes)).astype(np.float32),
-        "sound": np.ones(episodes, bool) if sound is None else sound,
+        "valid": np.ones(episodes, bool) if valid is None else valid,
         "overflow": np.zeros(episodes, bool),
         "outcome": EpisodeMetrics(distance_l1=RNG.uniform(size=episodes).astype(np.float32)),
     } | changes
@@ -98,10 +98,10 @@ def relabelled_steps(trajectory, seed=0, **changes):
 
 
 def test_policy_samples_are_the_steps_under_the_goals_pursued():
-    sound = np.arange(EPISODES) % 3 != 0
-    given = trajectory(valid=sound)
+    valid = np.arange(EPISODES) % 3 != 0
+    given = trajectory(valid=valid)
     observation = np.concatenate([given.features, given.desired], axis=-1)[:-1]
-    weight = np.broadcast_to(sound, (LENGTH, EPISODES)).astype(np.float32)
+    weight = np.broadcast_to(valid, (LENGTH, EPISODES)).astype(np.float32)
     ordered, samples = pursued_samples(ENV, given), policy_samples(ENV, given)
     for found, expected in zip(jax.tree.leaves(ordered), (observation, given.action, weight), strict=True):
         np.testing.assert_array_equal(found, expected)
@@ -195,20 +195,20 @@ def test_shapes_that_do_not_fit_are_refused():
 
 def test_kinds_have_among_samples_drawn_the_share_they_have_among_goals_pursued():
     kind = (RNG.uniform(size=(LENGTH + 1, 400)) < 0.1).astype(np.float32)
-    sound = np.arange(400) % 5 != 0
-    given = trajectory(400, kind=kind, valid=sound)
-    wanted = np.asarray(given.desired[:-1, sound, 1]).mean()
+    valid = np.arange(400) % 5 != 0
+    given = trajectory(400, kind=kind, valid=valid)
+    wanted = np.asarray(given.desired[:-1, valid, 1]).mean()
     for changes in ({}, {"p_ht": 0.5}, {"strategy": FINAL}):
         goal, weight = relabelled_steps(given, **changes)
-        assert (weight[:, ~sound] == 0).all()
-        assert (weight[:, sound] > 0).all()
+        assert (weight[:, ~valid] == 0).all()
+        assert (weight[:, valid] > 0).all()
         share = (weight[..., 0] * goal[..., 1]).sum() / weight.sum()
         assert share == pytest.approx(wanted, rel=1e-3)
-        assert abs(goal[:, sound, 1].mean() - wanted) > 0.01
+        assert abs(goal[:, valid, 1].mean() - wanted) > 0.01
         for each in (0.0, 1.0):  # within a kind all samples count alike
-            of_kind = weight[:, sound][goal[:, sound, 1] == each].ravel()
+            of_kind = weight[:, valid][goal[:, valid, 1] == each].ravel()
             np.testing.assert_allclose(of_kind, of_kind[0], rtol=1e-5)
-        np.testing.assert_allclose(weight.sum(), LENGTH * sound.sum(), rtol=1e-2)
+        np.testing.assert_allclose(weight.sum(), LENGTH * valid.sum(), rtol=1e-2)
 
 
 def test_kinds_that_are_not_pursued_or_not_achieved_do_no_harm():
@@ -257,15 +257,15 @@ def episode_numbers(best):
 @pytest.mark.parametrize("ties", [False, True])
 def test_the_best_episodes_are_those_of_a_sorted_list(ties):
     hyper = Hyperparameters(ties_by_distance=jnp.array(ties))
-    sound = np.arange(EPISODES) % 7 != 0
+    valid = np.arange(EPISODES) % 7 != 0
     keep = jax.jit(lambda best, given: keep_best(ENV, hyper, best, given))
     best, listed = best_episodes(10), []
     for shift in (0, 1, 2):
-        given = trajectory(valid=sound)
+        given = trajectory(valid=valid)
         given = given.replace(features=given.features + 100 * EPISODES * shift)
         best = keep(best, given)
         returns, distance = np.asarray(given.reward).sum(axis=0), np.asarray(given.outcome.distance_l1)
-        listed += [(-returns[n], ties * distance[n], n + EPISODES * shift) for n in range(EPISODES) if sound[n]]
+        listed += [(-returns[n], ties * distance[n], n + EPISODES * shift) for n in range(EPISODES) if valid[n]]
         expected = sorted(listed)[:10]
         np.testing.assert_array_equal(episode_numbers(best), [number for *_, number in expected])
         np.testing.assert_array_equal(best.returns, [-minus for minus, *_ in expected])
@@ -277,9 +277,9 @@ def test_the_best_episodes_are_those_of_a_sorted_list(ties):
                 np.testing.assert_array_equal(best.samples.action[:, place], given.action[:, number % EPISODES])
 
 
-def test_places_that_no_sound_episode_fills_have_no_weight():
-    sound = np.arange(EPISODES) < 3
-    best = keep_best(ENV, Hyperparameters(), best_episodes(5), trajectory(valid=sound))
+def test_places_that_no_valid_episode_fills_have_no_weight():
+    valid = np.arange(EPISODES) < 3
+    best = keep_best(ENV, Hyperparameters(), best_episodes(5), trajectory(valid=valid))
     np.testing.assert_array_equal(best.samples.weight, np.broadcast_to([1, 1, 1, 0, 0], (LENGTH, 5)))
     assert (np.asarray(best.returns)[3:] == np.finfo(np.float32).min).all()
     empty = best_episodes(5)
@@ -340,7 +340,7 @@ def test_demonstrations_are_given_where_they_are_asked_for_and_nowhere_else():
 
 
 class Breaking(Line):
-    """The line, which breaks down beyond 40 and runs out of room beyond 30; its probe goes on with half the action."""
+    """The line; it breaks down beyond 40 and overflows beyond 30, and its lift test goes on with half the action."""
 
     lift_test_steps = 2
 
@@ -373,39 +373,41 @@ def steady(speeds):
 
 
 @jax.jit
-def break_down(rng, training_goals, probe):
-    return rollout(Breaking(), steady([0.1, 0.45, 0.6, 0.9, -0.9, 0.0]), rng, 6, training_goals, lift_test=probe)
+def break_down(rng, training_goals, lift_test):
+    return rollout(Breaking(), steady([0.1, 0.45, 0.6, 0.9, -0.9, 0.0]), rng, 6, training_goals, lift_test=lift_test)
 
 
 def test_episodes_that_break_down_are_blank_and_counted():
-    """The fourth breaks down, the fifth leaves the bounds, the third breaks down in the probe alone."""
-    for probe, sound in ((False, [1, 1, 1, 0, 0, 1]), (True, [1, 1, 0, 0, 0, 1])):
-        given = break_down(jax.random.key(0), False, probe)
-        sound = np.array(sound, bool)
-        np.testing.assert_array_equal(given.valid, sound)
+    """The fourth breaks down, the fifth leaves the bounds, the third breaks down in the lift test alone."""
+    for lift_test, valid in ((False, [1, 1, 1, 0, 0, 1]), (True, [1, 1, 0, 0, 0, 1])):
+        given = break_down(jax.random.key(0), False, lift_test)
+        valid = np.array(valid, bool)
+        np.testing.assert_array_equal(given.valid, valid)
         for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
             leaf = np.asarray(getattr(given, name))
-            assert (leaf[:, ~sound] == 0).all()
+            assert (leaf[:, ~valid] == 0).all()
             assert np.isfinite(leaf).all()
         start = np.asarray(given.features[0, :, 0])
-        assert len(np.unique(start[sound])) == sound.sum()
-        for episode in np.flatnonzero(sound):
+        assert len(np.unique(start[valid])) == valid.sum()
+        for episode in np.flatnonzero(valid):
             path = start[episode] + 10.0 * float(given.action[0, episode, 0]) * np.arange(LENGTH + 1)
             np.testing.assert_allclose(given.features[:, episode, 0], path, rtol=1e-4)
             np.testing.assert_allclose(given.log_prob[:, episode], path[:-1], rtol=1e-4)
-        further = np.array([0.75, 3.375, 4.5, 0, 0, 0]) * probe * sound
+        further = np.array([0.75, 3.375, 4.5, 0, 0, 0]) * lift_test * valid
         np.testing.assert_allclose(given.outcome.distance_l1, further, atol=1e-4)
-        np.testing.assert_array_equal(given.overflow, [0, probe, not probe, 0, 0, 0])  # nothing overflows once broken
+        np.testing.assert_array_equal(
+            given.overflow, [0, lift_test, not lift_test, 0, 0, 0]
+        )  # nothing overflows once broken
 
 
 @pytest.mark.parametrize("training_goals", [False, True])
-def test_only_exploring_episodes_have_goals_to_learn_from(training_goals):
+def test_only_episodes_to_learn_from_have_training_goals(training_goals):
     given = break_down(jax.random.key(1), training_goals, False)
     goal = [-1.0, 1.0] if training_goals else [1.0, 0.0]
     np.testing.assert_array_equal(given.desired[:, :3], np.broadcast_to(goal, (LENGTH + 1, 3, 2)))
 
 
-def test_a_roll_out_is_measured_without_exploring_or_probe_unless_asked():
+def test_a_roll_out_is_measured_without_training_goals_or_lift_test_unless_asked():
     given = play(Breaking(), steady([0.1]), 1)
     np.testing.assert_array_equal(given.desired[0, 0], [1.0, 0.0])
     assert given.outcome.distance_l1[0] == 0.0
@@ -502,8 +504,8 @@ def test_a_device_steps_no_more_environments_than_the_task_was_made_for():
 
 def test_means_count_broken_episodes_as_failures_and_in_no_distance():
     outcome = EpisodeMetrics(*np.float32([[1, 0, 1, 0], [1, 0, 0, 0], [1, 1, 1, 0], [1, 2, 3, 0], [4, 5, 6, 0]]))
-    sound = np.array([True, True, True, False])
-    means = mean_outcome(trajectory(4, outcome=outcome, valid=sound))
+    valid = np.array([True, True, True, False])
+    means = mean_outcome(trajectory(4, outcome=outcome, valid=valid))
     found = [
         float(getattr(means, name)) for name in ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
     ]
@@ -514,7 +516,7 @@ def test_means_count_broken_episodes_as_failures_and_in_no_distance():
     assert np.isnan([means.distance_l1, means.distance_l2]).all()
 
 
-def test_an_evaluation_probes_and_does_not_explore():
+def test_an_evaluation_tests_the_lift_and_has_no_training_goals():
     seen = []
 
     class Watched(Breaking):
@@ -570,8 +572,8 @@ def test_what_has_no_weight_is_not_drawn_even_by_the_least_number():
     np.testing.assert_array_equal(_first_above(cumulative, block, target), [2, 2, 4, 4, 0, 3, 4])
 
 
-def test_trivial_samples_count_less_and_kinds_keep_their_shares():
-    class Trivial(Line):
+def test_solved_samples_count_less_and_kinds_keep_their_shares():
+    class Solved(Line):
         def already_solved(self, features, goal):
             return goal[..., 0] - features[..., 0] < 1.0  # the goal is what the step itself achieves
 
@@ -580,19 +582,19 @@ def test_trivial_samples_count_less_and_kinds_keep_their_shares():
 
     def relabel(weight):
         hyper = jax.tree.map(jnp.asarray, Hyperparameters(solved_weight=weight))
-        return jax.jit(lambda: relabelled_samples(Trivial(), hyper, given, key))()
+        return jax.jit(lambda: relabelled_samples(Solved(), hyper, given, key))()
 
     plain, weighted = relabel(1.0), relabel(0.25)
     np.testing.assert_array_equal(plain.observation, weighted.observation)
     features, goal, of_kind = np.asarray(plain.observation).T
-    trivial = goal - features < 1.0
+    solved = goal - features < 1.0
     for each, wanted in ((0, 0.75), (1, 0.25)):  # the shares among the desired goals
         chosen = of_kind == each
         for samples in (plain, weighted):
             share = samples.weight[chosen].sum() / samples.weight.sum()
             np.testing.assert_allclose(share, wanted, rtol=1e-3)
-        assert trivial[chosen].any()
-        assert not trivial[chosen].all()
-        light, heavy = (np.unique(np.asarray(weighted.weight)[chosen & mask]) for mask in (trivial, ~trivial))
+        assert solved[chosen].any()
+        assert not solved[chosen].all()
+        light, heavy = (np.unique(np.asarray(weighted.weight)[chosen & mask]) for mask in (solved, ~solved))
         np.testing.assert_allclose(light / heavy[0], 0.25, rtol=1e-4)
         assert np.ptp(np.asarray(plain.weight)[chosen]) == 0.0

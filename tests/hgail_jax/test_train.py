@@ -1,5 +1,4 @@
 import copy
-import dataclasses
 import functools
 
 import jax
@@ -13,12 +12,14 @@ from hgail_envs import EpisodeMetrics
 from hgail_envs.point import Point
 from hgail_jax import Config, Hyperparameters, env_steps, init_state, phase_table, rollout, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.evaluate import evaluate
-from hgail_jax.learners.ppo import make_policy, pretrain, update_discriminator, update_policy
+from hgail_jax.evaluate import evaluate, whole_rollouts
+from hgail_jax.learners import find_learner
+from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
 from hgail_jax.samples import relabelled_samples
-from hgail_jax.seeds import evaluate_seeds, evaluation_episodes, init_seeds, seed_keys, trace_evaluation
+from hgail_jax.seeds import evaluate_seeds, init_seeds, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
-from hgail_jax.train import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.train import make_policy
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")
@@ -85,7 +86,7 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
 
     With one episode in a roll-out, the means over its episodes are that episode's own.
     """
-    env, config = Drawn(), dataclasses.replace(TINY, num_envs=1)
+    env, config = Drawn(), TINY.replace(num_envs=1)
     step = jax.jit(functools.partial(train_step, env, config))
     states, drawn = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1)), []
     evaluate_last = trace_evaluation(env, config, states, 1)()
@@ -101,7 +102,7 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
 
 
 def test_the_roll_outs_of_the_final_evaluation_differ():
-    env, config = Drawn(), dataclasses.replace(TINY, num_envs=1)
+    env, config = Drawn(), TINY.replace(num_envs=1)
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1))
     means = [float(evaluate_seeds(env, config, states, episodes).distance_l1[0]) for episodes in (1, 2)]
     assert 2 * means[1] - means[0] != means[0]
@@ -122,17 +123,17 @@ class Told(Still):
         return EpisodeMetrics(distance_l1=end.info["desired_goal"][0], distance_l2=1.0)
 
 
-@pytest.mark.parametrize("explore", [True, False])
-def test_learning_phases_explore_where_the_config_says_so_and_evaluations_never(explore):
-    config = dataclasses.replace(TINY, training_goals=explore)
+@pytest.mark.parametrize("training_goals", [True, False])
+def test_learning_phases_have_training_goals_where_the_config_says_so_and_evaluations_never(training_goals):
+    config = TINY.replace(training_goals=training_goals)
     step = jax.jit(functools.partial(train_step, Told(), config))
     states = init_seeds(Told(), config, Hyperparameters(), seed_keys(0, 1))
-    if explore:
+    if training_goals:
         assert evaluate_seeds(Told(), config, states, 4).distance_l1 == Told.MEASURED
     state = jax.tree.map(lambda leaf: leaf[0], states)
     for phase in (PRETRAIN, POLICY, DISCRIMINATOR):
         state, metrics = step(state, np.array([phase, EVALUATE]))
-        assert metrics.training.distance_l1 == (Told.LEARNT_FROM if explore else Told.MEASURED)
+        assert metrics.training.distance_l1 == (Told.LEARNT_FROM if training_goals else Told.MEASURED)
         assert metrics.evaluation.distance_l1 == Told.MEASURED
 
 
@@ -155,21 +156,23 @@ class Progressing(Point):
 
 @pytest.mark.parametrize("pretrained", [True, False])
 def test_a_task_that_becomes_harder_is_learnt_so_and_measured_as_it_is(pretrained):
-    env, config = Progressing(), dataclasses.replace(TINY, rounds=4, policy_phases=1, pretrain=pretrained)
+    env, config = Progressing(), TINY.replace(rounds=4, policy_phases=1, pretrain=pretrained)
     state = init_state(env, config, Hyperparameters(), jax.random.key(0))
     run = functools.partial(jax.lax.scan, functools.partial(train_step, env, config))
     metrics = jax.jit(run)(state, phase_table(config))[1]
     np.testing.assert_array_equal(metrics.evaluation.distance_l2, np.ones(5))
     # In each round one phase before the policy's update, and `discriminator_phases` after it.
     begun = np.arange(4) / 4
-    expected = begun + config.discriminator_phases / (1 + config.discriminator_phases) / 4
+    after = config.learner.discriminator_phases
+    expected = begun + after / (1 + after) / 4
     first = [0.0] if pretrained else [np.nan]
     np.testing.assert_allclose(metrics.training.distance_l2, [*first, *expected], atol=1e-5)
 
 
 def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
-    config = dataclasses.replace(TINY, policy_phases=0)
-    assert init_state(ENV, config, Hyperparameters(), jax.random.key(0)).progress(config) == 1.0
+    config = TINY.replace(policy_phases=0)
+    state = init_state(ENV, config, Hyperparameters(), jax.random.key(0))
+    assert find_learner(config).progress(config, state) == 1.0
 
 
 def test_an_evaluation_changes_nothing_in_the_training():
@@ -191,14 +194,14 @@ def test_seeds_side_by_side_equal_seeds_alone():
         )
 
 
-def test_a_scan_over_the_schedule_is_the_loop_over_it():
+def test_a_scan_over_the_phases_is_the_loop_over_them():
     looped, metrics = train_tiny(0)
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     scanned, scanned_metrics = jax.jit(
         lambda state: jax.lax.scan(functools.partial(train_step, ENV, TINY), state, PHASES)
     )(state)
     assert_equal(looped, scanned, rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(metrics.update.reward, scanned_metrics.update.reward, rtol=1e-3)
+    np.testing.assert_allclose(metrics.update["reward"], scanned_metrics.update["reward"], rtol=1e-3)
 
 
 def test_hyperparameters_can_be_swept_in_one_program():
@@ -227,8 +230,8 @@ def changed(before, after, name):
     ("phase", "learns"),
     [
         (SKIP, set()),
-        (PRETRAIN, {"actor_critic", "discriminator", "statistics"}),
-        (POLICY, {"actor_critic", "statistics"}),
+        (PRETRAIN, {"learner", "discriminator", "statistics"}),
+        (POLICY, {"learner", "statistics"}),
         (DISCRIMINATOR, {"discriminator"}),
         (EVALUATE, set()),
     ],
@@ -236,17 +239,17 @@ def changed(before, after, name):
 def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
     state = init_state(ENV, TINY, Hyperparameters(), jax.random.key(0))
     after, _ = tiny_step(state, np.array([phase] + [SKIP] * (PHASES.shape[1] - 1)))
-    for name in ("actor_critic", "discriminator", "statistics"):
+    for name in ("learner", "discriminator", "statistics"):
         assert changed(state, after, name) == (name in learns)
     assert np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(after.rng)) == (phase in (SKIP, EVALUATE))
 
 
-def test_schedule_and_its_steps():
+def test_phases_and_their_steps():
     np.testing.assert_array_equal(
-        phase_table(dataclasses.replace(TINY, rounds=1)),
+        phase_table(TINY.replace(rounds=1)),
         [[PRETRAIN, SKIP, SKIP, SKIP, EVALUATE], [SKIP, POLICY, POLICY, DISCRIMINATOR, EVALUATE]],
     )
-    assert phase_table(dataclasses.replace(TINY, pretrain=False))[0, 0] == SKIP
+    assert phase_table(TINY.replace(pretrain=False))[0, 0] == SKIP
     np.testing.assert_array_equal(env_steps(ENV, TINY, PHASES), np.array([1, 3, 3]) * 4 * 50)
 
 
@@ -267,7 +270,7 @@ class Refined(Point):
 def test_seeds_are_evaluated_as_one_roll_out_after_another_in_the_accurate_physics():
     env = Refined()
     states = init_seeds(env, TINY, Hyperparameters(), seed_keys(0, 2))
-    assert [evaluation_episodes(TINY, episodes) for episodes in (1, 4, 5)] == [4, 4, 8]
+    assert [whole_rollouts(episodes, TINY.num_envs) for episodes in (1, 4, 5)] == [1, 1, 2]
     for episodes, rollouts in ((1, 1), (5, 2)):
         measured = evaluate_seeds(env, TINY, states, episodes)
         for seed in range(2):
@@ -288,7 +291,7 @@ class Fragile(Drawn):
 
 
 def test_roll_outs_that_broke_down_are_failures_in_the_final_evaluation_and_have_no_distance():
-    env, config = Fragile(), dataclasses.replace(TINY, num_envs=1)
+    env, config = Fragile(), TINY.replace(num_envs=1)
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
     measured = evaluate_seeds(env, config, states, 16)
     np.testing.assert_array_equal(measured.distance_l2, 1.0)
@@ -296,9 +299,9 @@ def test_roll_outs_that_broke_down_are_failures_in_the_final_evaluation_and_have
         policy = make_policy(env, config, jax.tree.map(lambda leaf, i=seed: leaf[i], states), noise=0.0)
         rngs = jax.random.split(split_key(key).final_evaluation, 16)
         alone = list(map(jax.jit(lambda rng, policy=policy: rollout(env, policy, rng, 1)), rngs))
-        sound = [bool(episode.valid[0]) for episode in alone]
-        assert 0 < sum(sound) < 16
-        np.testing.assert_allclose(measured.success[seed], np.mean(sound))
+        valid = [bool(episode.valid[0]) for episode in alone]
+        assert 0 < sum(valid) < 16
+        np.testing.assert_allclose(measured.success[seed], np.mean(valid))
         starts = [float(episode.outcome.distance_l1[0]) for episode in alone if episode.valid[0]]
         np.testing.assert_allclose(measured.distance_l1[seed], np.mean(starts), rtol=1e-5)
 
@@ -325,7 +328,7 @@ def test_relabelled_samples_keep_state_and_action():
 )
 def test_bad_sizes_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        Config(**changes)
+        Config().replace(**changes)
 
 
 @pytest.mark.parametrize("changes", [{"p_ht": 1.1}, {"p_ht": float("nan")}, {"action_std": 0.0}, {"discount": -0.1}])
@@ -345,7 +348,7 @@ class Faulty(Point):
 
 
 def test_a_broken_episode_is_blank_and_leaves_the_others_as_they_are():
-    config = dataclasses.replace(TINY, num_envs=16)
+    config = TINY.replace(num_envs=16)
     exploded = type("Exploded", (Faulty,), {"fault": 1e9})()
     state = init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0))
     policy = make_policy(ENV, config, state, noise=1.0)
@@ -353,34 +356,34 @@ def test_a_broken_episode_is_blank_and_leaves_the_others_as_they_are():
         jax.jit(lambda rng, env=env: rollout(env, policy, rng, 16))(jax.random.key(3))
         for env in (ENV, Faulty(), exploded)
     )
-    sound = np.asarray(broken.valid)
-    assert 1 <= (~sound).sum() <= 15
-    np.testing.assert_array_equal(sound, np.asarray(whole.features)[:-1, :, 1].max(0) <= Faulty.border)
+    valid = np.asarray(broken.valid)
+    assert 1 <= (~valid).sum() <= 15
+    np.testing.assert_array_equal(valid, np.asarray(whole.features)[:-1, :, 1].max(0) <= Faulty.border)
     for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
         ours, theirs, others = (np.asarray(getattr(t, name)) for t in (broken, whole, large))
-        np.testing.assert_allclose(ours[:, sound], theirs[:, sound], rtol=0, atol=1e-6)  # of programs of their own
-        assert (ours[:, ~sound] == 0).all()
+        np.testing.assert_allclose(ours[:, valid], theirs[:, valid], rtol=0, atol=1e-6)  # of programs of their own
+        assert (ours[:, ~valid] == 0).all()
         np.testing.assert_allclose(ours, others, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("update", [pretrain, update_policy, update_discriminator])
 @pytest.mark.parametrize("source", [RELABELLED, BEST])
-def test_what_is_in_an_episode_that_is_not_sound_does_not_matter(update, source):
+def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source):
     """Not even where it is not blank: whatever is put there, all that is learnt is the same to the bit."""
-    config = dataclasses.replace(TINY, num_envs=8, bc_batch=16, expert_source=source, best_episodes=12)
+    config = TINY.replace(num_envs=8, bc_batch=16, expert_source=source, best_episodes=12)
     state = init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0))
     policy = make_policy(ENV, config, state, noise=1.0)
     whole, another = (rollout(ENV, policy, jax.random.key(seed), 8) for seed in (3, 4))
-    sound = jnp.array([True, False, True, True, False, True, False, True])
+    valid = jnp.array([True, False, True, True, False, True, False, True])
     steps = ("features", "achieved", "desired", "action", "log_prob", "reward")
 
     def with_broken(filling):
         """Returns the roll-out with the broken episodes of another in it."""
         mixed = {
-            name: jnp.where(sound[:, None] if getattr(whole, name).ndim == 3 else sound, getattr(whole, name), values)
+            name: jnp.where(valid[:, None] if getattr(whole, name).ndim == 3 else valid, getattr(whole, name), values)
             for name, values in filling.items()
         }
-        return whole.replace(valid=sound, **mixed)
+        return whole.replace(valid=valid, **mixed)
 
     learn = jax.jit(functools.partial(update, ENV, config))
 
@@ -397,7 +400,7 @@ def test_what_is_in_an_episode_that_is_not_sound_does_not_matter(update, source)
 
 
 def test_broken_episodes_are_counted_and_a_round_of_nothing_else_teaches_nothing():
-    config = dataclasses.replace(TINY, num_envs=16)
+    config = TINY.replace(num_envs=16)
     step = jax.jit(functools.partial(train_step, type("Hopeless", (Faulty,), {"border": -jnp.inf})(), config))
     state = init_state(ENV, config, Hyperparameters(), jax.random.key(0))
     after, metrics = step(state, PHASES[1])

@@ -98,10 +98,10 @@ def test_what_jaxgcrl_imports_and_does_not_need_may_be_absent(tmp_path, monkeypa
         del sys.modules[name]
     (tmp_path / "jaxgcrl").mkdir()
     (tmp_path / "jaxgcrl" / "agents.py").write_text(
-        "from brax.v1 import hgail_envs\n"
+        "from brax.v1 import envs\n"
         "from wandb_osh.hooks import TriggerWandbSyncHook\n"
         "class CRL:\n"
-        "    annotated = hgail_envs.Env, hgail_envs.State, hgail_envs.Wrapper\n"
+        "    annotated = envs.Env, envs.State, envs.Wrapper\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert contrastive._import_learner().annotated[1] is State

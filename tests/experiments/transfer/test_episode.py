@@ -111,7 +111,7 @@ def test_the_stride_changes_displacements_alone():
 
 
 def test_grasping_takes_a_lift():
-    """The goal says to hold; the probe goes straight up with the hand as it was."""
+    """The goal says to hold; the lift test goes straight up with the hand as it was."""
     robot = Dot("grasp")
     outcome = run(robot, lambda observation: np.array([0.0, 0.0, 0.0, -0.3]) * observation[-1])
     assert outcome.achieved == outcome.success == 1.0

@@ -13,7 +13,7 @@ import pytest
 import hgail_envs
 from hgail_envs.engines import c, make_engine
 from hgail_envs.engines.c import HostRollout
-from tests.envs.engines.scene import (
+from tests.hgail_envs.engines.scene import (
     MODEL,
     PERIOD,
     engine_control,
@@ -216,7 +216,7 @@ def test_another_number_of_steps_is_another_engine():
 
 BREAKS_DOWN = """
 import numpy as np
-from tests.envs.engines.test_c import host, random_states
+from tests.hgail_envs.engines.test_c import host, random_states
 qpos, qvel, control = random_states(4)
 qpos[0, 5], qvel[1, 5] = np.nan, 1e12
 assert np.isnan(host()(qpos, qvel, control)[0][:2]).all()
@@ -224,7 +224,7 @@ assert np.isnan(host()(qpos, qvel, control)[0][:2]).all()
 
 FORKS = """
 import os
-from tests.envs.engines.test_c import assert_same_bits, host, random_states
+from tests.hgail_envs.engines.test_c import assert_same_bits, host, random_states
 rollout, states = host(), random_states(8)
 before = rollout(*states)
 child = os.fork()

@@ -1,7 +1,5 @@
 """MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_parity`."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -36,14 +34,14 @@ def test_buffers_hold_what_mjx_jax_allots():
 @pytest.mark.slow
 def test_a_tiny_training_runs():
     env = hgail_envs.make("reach", impl="jax", substeps=4)
-    config = dataclasses.replace(TINY, rounds=1)
+    config = TINY.replace(rounds=1)
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
-    before = jax.tree.map(np.asarray, states.actor_critic)
+    before = jax.tree.map(np.asarray, states.learner.actor_critic)
     phases = phase_table(config)
     step = compile_train_step(env, config, states, phases[0])
     for row in phases:
         states, metrics = step(states, row)
-    assert all(np.isfinite(values).all() for values in jax.tree.leaves((metrics, states.actor_critic)))
-    assert not any(map(np.array_equal, jax.tree.leaves(before), jax.tree.leaves(states.actor_critic)))
+    assert all(np.isfinite(values).all() for values in jax.tree.leaves((metrics, states.learner.actor_critic)))
+    assert not any(map(np.array_equal, jax.tree.leaves(before), jax.tree.leaves(states.learner.actor_critic)))
     for share in (metrics.dropped, metrics.overflow, metrics.diverged):
         np.testing.assert_array_equal(share, 0.0)

@@ -85,14 +85,14 @@ def test_coming_from_above_grasps_every_cube_and_holds_it(above):
 
 
 def test_success_takes_a_lift(start, above):
-    """A held cube rises in the probe; one that the hand does not hold stays, and neither counts as success without."""
+    """A held cube rises in the lift test, one that is not held stays, and without the test neither is a success."""
     end = at(above, 49)
     lifted = at(play(LIFT, end), ENV.lift_test_steps - 1)
     assert outcome(end, lifted).success.all()
     assert (cube(lifted)[:, 2] - cube(end)[:, 2] > 0.2).all()
-    unprobed = outcome(end, end)
-    assert unprobed.achieved.all()
-    assert not unprobed.success.any()
+    untested = outcome(end, end)
+    assert untested.achieved.all()
+    assert not untested.success.any()
     assert not outcome(start, at(play(LIFT, start), ENV.lift_test_steps - 1)).success.any()
     np.testing.assert_allclose(
         outcome(end, lifted).distance_l1, np.abs(np.asarray(end.obs[:, :3]) - cube(end)).sum(-1), rtol=1e-4

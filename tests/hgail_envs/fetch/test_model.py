@@ -18,7 +18,7 @@ from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv
 from hgail_envs.scenes import load_scene
 from hgail_envs.variation import ModelFactors
-from tests.envs.engines.scene import MODEL, PERIOD, engine_control, engine_state, random_states
+from tests.hgail_envs.engines.scene import MODEL, PERIOD, engine_control, engine_state, random_states
 
 FACTORS = ModelFactors(friction=0.3, object_mass=0.5, object_size=0.9, finger_force=0.6, finger_speed=0.5)
 NOT_IN_A_STEP = ("light_poscom0", "actuator_acc0", "dof_M0", "dof_length")

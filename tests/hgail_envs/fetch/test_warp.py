@@ -14,7 +14,7 @@ import hgail_envs
 from hgail_envs.engines import resolve_impl
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import randomize
-from hgail_jax import Config, Hyperparameters
+from hgail_jax import PPO, Config, Hyperparameters
 from hgail_jax.play.recording import run_controller
 from hgail_jax.seeds import evaluate_seeds, init_seeds, seed_keys
 
@@ -155,7 +155,7 @@ def test_a_million_random_steps_stay_finite(task):
 
 def test_an_overflow_of_the_contact_buffers_is_an_error():
     """Buffers for a single world, and 64 cubes on the table; it is refused before, unless the limit is hidden."""
-    config = Config(num_envs=64, rounds=1, minibatches=2)
+    config = Config(num_envs=64, rounds=1, learner=PPO(minibatches=2))
     env = hgail_envs.make("grasp", substeps=8, worlds=1)
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1))
     with pytest.raises(ValueError, match="made for 1: make it with worlds=64"):

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 
 import hgail_envs
 from hgail_envs.validation import MOST
-from hgail_jax import Config, Hyperparameters, evaluate, init_state, relabel, rollout
-from hgail_jax.seeds import evaluation_episodes, seed_keys
+from hgail_jax import PPO, Config, Hyperparameters, evaluate, init_state, relabel, rollout
+from hgail_jax.evaluate import whole_rollouts
+from hgail_jax.seeds import seed_keys
 
 many = settings(max_examples=300, deadline=None, derandomize=True, database=None)
 no_number = st.one_of(st.none(), st.text(), st.lists(st.text(), min_size=1), st.just({}), st.complex_numbers())
 no_integer = st.one_of(no_number, st.floats(), st.booleans())
-COUNTS = {field.name: 1 for field in dataclasses.fields(Config) if field.type is int}
-COUNTS |= {"rounds": 0, "policy_phases": 0, "discriminator_phases": 0}
+COUNTS = {field.name: 1 for sizes in (Config, PPO) for field in dataclasses.fields(sizes) if field.type is int}
+COUNTS |= {"rounds": 0, "policy_phases": 0, "discriminator_phases": 0, "bc_batch": 0}
 SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
 POSITIVE = (
     "action_std",
@@ -57,9 +58,12 @@ no_widths = st.one_of(
 )
 def test_bad_sizes_are_refused_by_name(bad):
     name, value = bad
+    sizes = Config if name in vars(Config()) else PPO
     with pytest.raises(ValueError, match=name) as error:
-        Config(**{name: value})
+        sizes(**{name: value})
     assert len(str(error.value).splitlines()) == 1
+    with pytest.raises(ValueError, match=name):
+        Config().replace(**{name: value})
 
 
 @many
@@ -86,12 +90,11 @@ def test_bad_hyperparameters_are_refused_by_name(bad):
     widths=st.lists(st.integers(1, MOST), max_size=4).map(tuple),
 )
 def test_good_values_are_taken(counts, share, positive, widths):
-    config = Config(**counts, final_learning_rate=share, policy_hidden=widths, discriminator_hidden=widths)
-    assert dataclasses.asdict(config) == dataclasses.asdict(Config()) | counts | {
-        "final_learning_rate": share,
-        "policy_hidden": widths,
-        "discriminator_hidden": widths,
-    }
+    changes = counts | {"final_learning_rate": share, "policy_hidden": widths, "discriminator_hidden": widths}
+    config = Config().replace(**changes)
+    assert config.as_dict() == {
+        name: changes.get(name, value) for name, value in Config().as_dict().items() if name != "learner"
+    } | {"learner": {name: changes.get(name, value) for name, value in Config().as_dict()["learner"].items()}}
     for good in (Hyperparameters(p_ht=share), Hyperparameters(action_std=positive, reward=3, include_current=True)):
         assert good.validate() is good
 
@@ -106,11 +109,24 @@ def test_hyperparameters_may_be_arrays_and_tracers():
 
 def test_minibatches_must_not_outnumber_samples():
     env = hgail_envs.make("point")
-    Config(num_envs=2, minibatches=100).validate(env)
+    Config(num_envs=2, learner=PPO(minibatches=100)).validate(env)
     with pytest.raises(ValueError, match="minibatches is 101; it must be at most 100"):
-        Config(num_envs=2, minibatches=101).validate(env)
+        Config(num_envs=2, learner=PPO(minibatches=101)).validate(env)
     with pytest.raises(ValueError, match="is not a GoalEnv"):
         Config().validate("point")
+
+
+def test_a_config_is_changed_by_the_names_of_its_own_fields_and_of_its_learner_s():
+    given = Config(rounds=3, learner=PPO(epochs=5))
+    changed = Config(num_envs=8, rounds=3, learner=PPO(epochs=5, minibatches=2))
+    assert given.replace(num_envs=8, minibatches=2) == changed
+    assert given.replace(num_envs=8, learner=PPO(epochs=9), minibatches=2, epochs=5) == changed
+    assert given == Config(rounds=3, learner=PPO(epochs=5))
+    with pytest.raises(ValueError, match="Config has no field 'phases', nor has the learner ppo"):
+        given.replace(phases=2)
+    for learner in ("ppo", None, Config()):
+        with pytest.raises(ValueError, match=r"learner is .*; it must be one of ppo, with its sizes"):
+            Config(learner=learner)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +144,7 @@ def test_no_episodes_are_refused():
         lambda: evaluate(env, None, key, 0),
         lambda: rollout(env, None, key, -1),
         lambda: rollout(env, None, key, 2.5),
-        lambda: evaluation_episodes(Config(), 0),
+        lambda: whole_rollouts(0, 64),
     ):
         with pytest.raises(ValueError, match="must be"):
             call()
