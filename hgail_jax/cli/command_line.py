@@ -6,7 +6,7 @@ import os
 import sys
 import typing
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
 
@@ -17,6 +17,9 @@ from tyro import _errors as tyro_errors
 from hgail_jax.terminal.signals import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
+
+RENAMED = {"--likelihood": "--bc-weight"}
+"""New names of the options that still have their old name, for one release."""
 
 
 class _RefusedError(Exception):
@@ -33,13 +36,27 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
       arguments: the words of the command line; None are the process's own.
 
     """
-    # What is forked here only starts another program: ffmpeg, git, another run.
+    words = sys.argv[1:] if arguments is None else arguments
+    for old, new in RENAMED.items():
+        if any(word.partition("=")[0] == old for word in words):
+            print(f"{program}: {old} is {new} now; the old name goes with the next release", file=sys.stderr)
+    # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
     try:
         with tyro_errors.on_parse_error(_refuse):
-            return tyro.cli(options, prog=program, args=arguments, description=description)
+            return tyro.cli(options, prog=program, args=with_new_names(words), description=description)
     except _RefusedError as refused:
         fail(program, refused, 2)
+
+
+def with_new_names(words: Iterable[str]) -> list[str]:
+    """Returns a command line's words with the new names of renamed options.
+
+    >>> with_new_names(["--likelihood=1", "--task", "reach"])
+    ['--bc-weight=1', '--task', 'reach']
+    """
+    options = (word.partition("=") for word in words)
+    return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]
 
 
 def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
@@ -133,4 +150,4 @@ def prepare_process() -> None:
         if name not in os.environ:  # which JAX has read
             jax.config.update(name.lower(), value)
     gc.freeze()  # no search for garbage looks at what was imported again, 200,000 objects that all stay
-    sys.path.append(os.getcwd())  # as `python -m` does; a console command has its own folder there instead
+    sys.path.insert(0, os.getcwd())  # as `python -m` does; a console command has its own folder there instead

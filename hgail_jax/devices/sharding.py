@@ -117,7 +117,7 @@ def check_replicas(tree: Any) -> None:
       ReplicaError: they differ by more than rounding; the message names the array.
 
     """
-    for path, leaf in jax.tree_util.tree_flatten_with_path(_without_keys(tree))[0]:
+    for path, leaf in jax.tree_util.tree_flatten_with_path(without_keys(tree))[0]:
         first: dict[str, np.ndarray] = {}
         for part in leaf.addressable_shards if len(leaf.sharding.device_set) > 1 else ():
             values = np.asarray(part.data)
@@ -127,12 +127,13 @@ def check_replicas(tree: Any) -> None:
                 raise ReplicaError(f"the devices disagree: {name} differs by {np.abs(values - known).max():.3g}")
 
 
-def _without_keys(tree: Any) -> Any:
+def without_keys(tree: Any) -> Any:
     """Returns a tree with PRNG keys replaced by their numbers."""
-    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if is_key(leaf) else leaf, tree)
 
 
-def _is_key(leaf: Any) -> bool:
+def is_key(leaf: Any) -> bool:
+    """Returns whether an array's elements are PRNG keys."""
     return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
@@ -154,9 +155,9 @@ def json_from_first_process(content: Any) -> Any:
 
 def _on_numbers(function: Callable[[Any], Any], tree: Any) -> Any:
     """Applies a function of trees of arrays to a tree that holds PRNG keys as well."""
-    keys = jax.tree.map(_is_key, tree)
+    keys = jax.tree.map(is_key, tree)
     return jax.tree.map(
-        lambda leaf, is_key: jax.random.wrap_key_data(leaf) if is_key else leaf, function(_without_keys(tree)), keys
+        lambda leaf, key: jax.random.wrap_key_data(leaf) if key else leaf, function(without_keys(tree)), keys
     )
 
 

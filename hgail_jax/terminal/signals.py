@@ -6,12 +6,14 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ONE_SIGNAL = 1.0  # seconds within which signals count as one: timeout(1) signals its child, then the child's group
 _GRACE = 3.0  # seconds in which what is open can be closed; a compilation would go on for minutes
 
 _unfinished: set[Path] = set()  # files that are being written under a temporary name
@@ -82,7 +84,9 @@ def _say(line: str) -> None:
 def watch_signals(
     note: Callable[[int], None], handler: Callable[[int, FrameType | None], None] = lambda *_: None
 ) -> Iterator[None]:
-    """Calls `note` with the number of each signal, in a thread of its own, and `handler` in the main thread.
+    """Calls `note` with the number of a signal, in a thread of its own, and `handler` in the main thread.
+
+    Signals that come within a second of one that was noted are not noted again.
 
     Python runs handlers of signals only between two of its own instructions, which a compilation keeps waiting for
     minutes; a thread that reads the numbers of arriving signals does not wait. Enter it in the main thread.
@@ -91,8 +95,10 @@ def watch_signals(
     sender.setblocking(False)
 
     def watch() -> None:
+        noted = -_ONE_SIGNAL
         while received := receiver.recv(1):
-            if received[0] in SIGNALS:
+            if received[0] in SIGNALS and time.monotonic() - noted >= _ONE_SIGNAL:
+                noted = time.monotonic()
                 note(received[0])
 
     watcher = threading.Thread(target=watch, daemon=True)

@@ -206,7 +206,7 @@ def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) 
         "training_achieved_rate": metrics.training.achieved,
         "dropped_rate": metrics.dropped,
         "diverged_rate": metrics.diverged,
-        **vars(metrics.update),
+        **metrics.update,
     }
     return {"round": index, "env_steps": steps, "seconds": round(seconds, 3)} | {
         name: [float(value) if np.isfinite(value) else None for value in np.asarray(values)]

@@ -1,6 +1,7 @@
 """Options of a training, and the run that they ask for on a platform."""
 
 import dataclasses
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -112,6 +113,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
       ValueError: an option has a value that it cannot have.
 
     """
+    started = time.perf_counter()
     _check(options)
     preset = _with_sizes(options, task_preset(_find(options.task), platform, options.preset))
     preset = _with_hyperparameters(options, METHODS[options.method].apply(preset))
@@ -140,6 +142,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
         mesh=mesh,
         demonstrations=demonstrations,
         loggers=check_loggers(options.logger),
+        options=dataclasses.asdict(options),
+        started=started,
     )
 
 

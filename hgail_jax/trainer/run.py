@@ -1,6 +1,7 @@
 """A run: everything that decides what a training computes, checked and worked out."""
 
 import dataclasses
+import time
 from typing import Any
 
 from jax.sharding import Mesh
@@ -36,6 +37,10 @@ class Run:
     """Rounds from one evaluation to the next."""
     loggers: tuple[str, ...] = ("csv",)
     """Where measurements go: names of `hgail_jax.trainer.loggers.LOGGERS`."""
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """The options as they were given."""
+    started: float = dataclasses.field(default_factory=time.perf_counter)
+    """Reading of `time.perf_counter` from which the run's total time counts."""
 
     def identity(self) -> dict[str, Any]:
         """Returns what a run that resumes another must share with it."""
