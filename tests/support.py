@@ -1,15 +1,16 @@
 """What several test modules share."""
 
 import contextlib
+import dataclasses
 import functools
 import os
 import resource
 from pathlib import Path
 
-from hgail_jax import PRESETS, Config, Hyperparameters, Preset
-from hgail_jax.defaults import EVALUATION_EPISODES
+from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset
+from hgail_jax.defaults import DEFAULTS, EVALUATION_EPISODES
 from hgail_jax.seeds import compile_train_step, trace_evaluation
-from hgail_jax.trainer import loop, trainer
+from hgail_jax.trainer import loop, training
 
 ROOT = Path(__file__).parent.parent
 """The project's folder."""
@@ -17,24 +18,31 @@ ROOT = Path(__file__).parent.parent
 TINY = Config(
     num_envs=4,
     rounds=2,
-    policy_phases=2,
-    discriminator_phases=1,
-    minibatches=2,
+    learner=PPO(
+        policy_phases=2,
+        discriminator_phases=1,
+        minibatches=2,
+        pretrain_policy_minibatches=3,
+        pretrain_policy_batch=8,
+        pretrain_discriminator_minibatches=3,
+    ),
     discriminator_minibatches=3,
     discriminator_batch=8,
-    pretrain_policy_minibatches=3,
-    pretrain_policy_batch=8,
-    pretrain_discriminator_minibatches=3,
 )
 """Sizes that compile and run in seconds."""
 
 
 def make_runs_tiny(monkeypatch=None):
     """Gives runs that ask for no others these sizes; in a process of its own for good."""
-    for mapping, name, value in (
-        (PRESETS, "parallel", Preset(TINY, Hyperparameters())),
-        (EVALUATION_EPISODES, "cpu", 8),
-    ):
+    tiny = Preset(TINY, Hyperparameters())
+    changes = [(PRESETS, "parallel", tiny), (EVALUATION_EPISODES, "cpu", 8)]
+    for task, presets in DEFAULTS.items():
+        physics = {
+            platform: dataclasses.replace(tiny, task_options=preset.task_options)
+            for platform, preset in presets.items()
+        }
+        changes.append((DEFAULTS, task, physics))
+    for mapping, name, value in changes:
         if monkeypatch is None:
             mapping[name] = value
         else:
@@ -63,7 +71,7 @@ def compile_once(monkeypatch):
         return compile_or_find
 
     monkeypatch.setattr(loop, "compile_train_step", once(compile_train_step))
-    monkeypatch.setattr(trainer, "trace_evaluation", once(_trace_evaluation))
+    monkeypatch.setattr(training, "trace_evaluation", once(_trace_evaluation))
 
 
 TINY_RUN = """
