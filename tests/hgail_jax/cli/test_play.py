@@ -17,7 +17,7 @@ from hgail_envs.randomized import randomize
 from hgail_jax.cli import play
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import Playback, film
-from tests.hgail_jax.trainer.test_status import Terminal
+from tests.hgail_jax.terminal.test_status import Terminal
 from tests.support import ROOT
 
 
@@ -75,7 +75,7 @@ def test_the_policy_s_file_and_the_disturbances_are_told(trained, level, told, i
 
 def test_the_file_of_a_policy_from_elsewhere_is_told_as_it_is(in_folder, shipped_policy, capsys):
     play._load("reach", None, None)
-    assert capsys.readouterr().out == f"policy {shipped_policy}, undisturbed\n"
+    assert capsys.readouterr().out == f"policy {shipped_policy}, nominal\n"
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
@@ -223,7 +223,7 @@ def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkey
     policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
     save_policy("near.npz", policy)
     play.main(["--task", "my_reach:Near", "--policy", "near.npz", "--episodes", "1", "--out", "near.webp"])
-    assert capsys.readouterr().out.splitlines()[:2] == ["policy near.npz, undisturbed", "near.webp"]
+    assert capsys.readouterr().out.splitlines()[:2] == ["policy near.npz, nominal", "near.webp"]
     with Image.open(in_folder / "near.webp") as written:
         assert written.size == (64, 48)
         assert written.n_frames > 1

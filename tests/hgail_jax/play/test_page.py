@@ -108,7 +108,7 @@ def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
     )
     lines = [process.stdout.readline() for _ in range(3)]
     policy = ROOT / "assets" / "policies" / "reach.npz"
-    assert lines[1] == f"policy {policy}, undisturbed\n"
+    assert lines[1] == f"policy {policy}, nominal\n"
     assert lines[::2] == ["compiling reach ...\n", f"http://127.0.0.1:{port} shows reach; Ctrl-C stops\n"]
     with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
         assert answer.status == 200

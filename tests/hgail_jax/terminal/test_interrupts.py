@@ -8,21 +8,23 @@ from pathlib import Path
 
 import pytest
 
-from hgail_jax.terminal import signals as interrupts
+from hgail_jax.cli.command_line import one_line_errors
+from tests.hgail_jax.forks import run_scripts
 from tests.support import ROOT
 
 BEGIN = """
-import os, signal, sys, time
+import os, signal, sys, threading, time
 from pathlib import Path
 from hgail_jax.cli.command_line import one_line_errors
 from hgail_jax.io.files import replace_file
+from hgail_jax.terminal import signals
 def interrupt(name="SIGINT"):
     os.kill(os.getpid(), getattr(signal, name))
 """
 
 WHILE_WRITING = """
 with one_line_errors("it"), replace_file("file") as file:
-    interrupt(sys.argv[1])
+    interrupt("{}")
     time.sleep(60)
 """
 
@@ -50,9 +52,8 @@ with one_line_errors("it"):
 """
 
 NOTED_LATE = """
-from hgail_jax.terminal import signals as interrupts
-say = interrupts._say
-interrupts._say = lambda line: (time.sleep(0.5), say(line))
+say = signals._say
+signals._say = lambda line: (time.sleep(0.5), say(line))
 with one_line_errors("it"):
     try:
         interrupt()
@@ -63,9 +64,7 @@ with one_line_errors("it"):
 """
 
 STUCK = """
-from hgail_jax.terminal import signals as interrupts
-interrupts._GRACE = 0.1
-import threading
+signals._GRACE = 0.1
 with one_line_errors("it"), replace_file("file") as file:
     interrupt()
     try:
@@ -74,37 +73,7 @@ with one_line_errors("it"), replace_file("file") as file:
         threading.Event().wait()
 """
 
-
-def ended(tmp_path, code, *arguments):
-    return subprocess.run(
-        [sys.executable, "-c", BEGIN + code, *arguments],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-
-
-@pytest.mark.parametrize(
-    ("code", "name"),
-    [
-        (WHILE_WRITING, "SIGINT"),
-        (WHILE_WRITING, "SIGTERM"),
-        (SWALLOWED, "SIGINT"),
-        (IN_A_CALLBACK, "SIGINT"),
-        (NOTED_LATE, "SIGINT"),
-        (STUCK, "SIGINT"),
-    ],
-    ids=["writing", "terminated", "swallowed", "callback", "late", "stuck"],
-)
-def test_a_signal_is_one_line_and_leaves_no_file(tmp_path, code, name):
-    process = ended(tmp_path, code, name)
-    assert process.returncode == 128 + getattr(signal, name)
-    assert process.stderr == f"it: stopped by {name}\n"
-    assert not list(tmp_path.iterdir())
-
-
+# Threads of XLA call the C engine's functions until the very end, so Python is not to be taken away from them.
 AT_THE_END = """
 import atexit
 atexit.register(Path("late").touch)
@@ -114,81 +83,77 @@ with one_line_errors("it"):
     time.sleep(60)
 """
 
-
-def test_a_stopped_process_does_not_take_python_away_from_what_still_computes(tmp_path):
-    """Threads of XLA call the C engine's functions until the very end."""
-    process = ended(tmp_path, AT_THE_END)
-    assert process.returncode == 130
-    assert process.stdout == "before\n"
-    assert not list(tmp_path.iterdir())
-
-
-OUT_OF_MEMORY = """
-with one_line_errors("it"):
-    raise MemoryError
+# timeout(1) signals its child and then the group that the child is in.
+BY_TIMEOUT = """
+with signals.stop_on_signal() as stop:
+    interrupt("SIGTERM")
+    os.killpg(0, signal.SIGTERM)
+    stop.wait()
+    time.sleep(0.3)
+print("saved")
 """
 
-
-def test_a_lack_of_memory_is_one_line(tmp_path):
-    process = ended(tmp_path, OUT_OF_MEMORY)
-    assert process.returncode == 1
-    assert process.stderr.startswith("it: out of memory")
-    assert process.stderr.count("\n") == 1
-
-
-# jax is imported first of all that takes time; here it is the user who comes in between, and it swallows what is raised
-IMPATIENT = """
-import os, signal
-try:
-    os.kill(os.getpid(), signal.SIGINT)
-    while True:
-        pass
-except BaseException:
-    pass
+TWICE = """
+signals._ONE_SIGNAL = 0.1
+with signals.stop_on_signal() as stop:
+    interrupt()
+    stop.wait()
+    time.sleep(0.2)
+    print("once", flush=True)
+    interrupt("{}")
+    time.sleep(60)
+    print("never")
 """
 
-
-@pytest.mark.parametrize(
-    "module",
-    [
-        "hgail_jax.cli.demos",
-        "hgail_jax.cli.train",
-        "experiments.bench",
-        "experiments.paper",
-        "experiments.parity",
-        "experiments.transfer",
-    ],
-)
-def test_an_interrupt_during_imports_is_one_line(tmp_path, module):
-    (tmp_path / "jax.py").write_text(IMPATIENT)
-    process = subprocess.run(
-        [sys.executable, "-m", module],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert process.returncode == 130
-    assert process.stderr == f"{module}: stopped by SIGINT\n"
-    assert [path.name for path in tmp_path.iterdir() if path.name != "__pycache__"] == ["jax.py"]
+SCRIPTS = {
+    "writing": WHILE_WRITING.format("SIGINT"),
+    "terminated": WHILE_WRITING.format("SIGTERM"),
+    "swallowed": SWALLOWED,
+    "callback": IN_A_CALLBACK,
+    "late": NOTED_LATE,
+    "stuck": STUCK,
+    "end": AT_THE_END,
+    "timeout": BY_TIMEOUT,
+    "SIGINT": TWICE.format("SIGINT"),
+    "SIGTERM": TWICE.format("SIGTERM"),
+}
 
 
-@pytest.mark.parametrize(
-    ("words", "program"),
-    [
-        (["python", "/venv/bin/hgail", "train"], "hgail"),
-        (["python", str(ROOT / "experiments" / "run.py")], "run"),
-        (["python", "-m", "hgail_jax.cli.train"], "hgail_jax.cli.train"),
-        (["python", "-m", "pytest", "hgail_jax"], None),
-        (["python", "-c", "import hgail_jax"], None),
-        (["python", "my_script.py"], None),
-    ],
-)
-def test_only_commands_of_this_project_are_meant(monkeypatch, words, program):
-    monkeypatch.setattr(sys, "orig_argv", words)
-    monkeypatch.setattr(sys, "argv", words[1:])
-    assert interrupts._program() == program
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory):
+    return run_scripts(tmp_path_factory.mktemp("scripts"), {name: BEGIN + code for name, code in SCRIPTS.items()})
+
+
+@pytest.mark.parametrize("name", ["writing", "terminated", "swallowed", "callback", "late", "stuck", "end"])
+def test_a_signal_is_one_line_and_leaves_no_file(ended, name):
+    signalled = "SIGTERM" if name == "terminated" else "SIGINT"
+    assert ended[name].returncode == 128 + getattr(signal, signalled)
+    assert ended[name].stderr == f"it: stopped by {signalled}\n"
+    assert ended[name].stdout == ("before\n" if name == "end" else "")
+    assert not list(ended[name].folder.iterdir())
+
+
+def test_signals_that_come_together_are_one(ended):
+    assert ended["timeout"].returncode == 0
+    assert ended["timeout"].stdout == "saved\n"
+    assert ended["timeout"].stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_second_signal_exits_at_once(ended, name):
+    assert ended[name].returncode == 128 + getattr(signal, name)
+    assert ended[name].stdout == "once\n"
+    assert [line for line in ended[name].stderr.splitlines() if line] == [
+        "SIGINT: stopping after this round; once more stops at once",
+        f"{name}: stopped at once; what was done since the last checkpoint is lost",
+    ]
+
+
+def test_a_lack_of_memory_is_one_line(capsys):
+    with pytest.raises(SystemExit) as ending, one_line_errors("it"):
+        raise MemoryError
+    assert ending.value.code == 1
+    assert capsys.readouterr().err == "it: out of memory; take fewer or smaller of what runs at once\n"
 
 
 PARENT = """

@@ -38,7 +38,7 @@ def resume(level, capsys):
 
 def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
     run.main([*SIZES, "--randomize", "probe"])
-    assert "undisturbed: success" in capsys.readouterr().out
+    assert "nominal: success" in capsys.readouterr().out
     config, summary = (json.loads((Path("run") / f"{name}.json").read_text()) for name in ("config", "summary"))
     assert config["options"]["randomize"] == "probe"
     assert Randomization.from_json(config["physics"]["randomization"]) == PROBE
