@@ -158,8 +158,15 @@ DAMAGE = {
 
 
 def record_of(path):
+    """The record of a checkpoint, which NumPy alone reads."""
     with np.load(path) as file:
         return str(file["record"])
+
+
+def saved_in(folder):
+    """The rounds of a run's checkpoints."""
+    names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").exists() else []
+    return sorted(int(name.removesuffix(".npz")) for name in names if not name.startswith("."))
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
