@@ -14,6 +14,8 @@ from hgail_jax.trainer import loop, training
 
 ROOT = Path(__file__).parent.parent
 """The project's folder."""
+SOURCES = f"{ROOT}:{ROOT / 'envs'}"
+"""PYTHONPATH of a process that imports this checkout, whichever is installed."""
 
 TINY = Config(
     num_envs=4,
@@ -87,7 +89,7 @@ main(sys.argv[1:])
 def four_devices():
     """Returns the environment of a process in which XLA makes four devices of one processor."""
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"
-    return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
+    return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": SOURCES}
 
 
 @contextlib.contextmanager

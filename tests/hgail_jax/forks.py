@@ -8,7 +8,7 @@ import traceback
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.support import ROOT
+from tests.support import ROOT, SOURCES
 
 
 class Ended(NamedTuple):
@@ -26,7 +26,7 @@ def run_scripts(folder, scripts):
     for name in scripts:
         (folder / name).mkdir()
     command = [sys.executable, "-m", "tests.hgail_jax.forks", folder]
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}", "XDG_CACHE_HOME": str(folder / "cache")}
+    environment = os.environ | {"PYTHONPATH": SOURCES, "XDG_CACHE_HOME": str(folder / "cache")}
     environment.pop("DISPLAY", None)
     subprocess.run(command, input=json.dumps(scripts), env=environment, cwd=ROOT, text=True, check=True, timeout=300)
     ended = json.loads((folder / "ended.json").read_text())

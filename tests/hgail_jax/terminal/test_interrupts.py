@@ -1,6 +1,7 @@
 """Commands that a signal ends: in processes of their own, at points that are the same each time."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import pytest
 
 from hgail_jax.cli.command_line import one_line_errors
 from tests.hgail_jax.forks import run_scripts
-from tests.support import ROOT
+from tests.support import SOURCES
 
 BEGIN = """
 import os, signal, sys, threading, time
@@ -105,6 +106,60 @@ with signals.stop_on_signal() as stop:
     print("never")
 """
 
+TRAIN = """
+from hgail_jax.cli import main
+from hgail_jax.trainer import training
+from hgail_jax.trainer.loop import Program
+signals._ONE_SIGNAL = 0.1
+{}
+main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
+"""
+
+WHILE_COMPILING = """
+Program.compile = lambda program: (interrupt(), time.sleep(60))
+"""
+
+WHILE_THE_EVALUATION_COMPILES = """
+stopped, over = threading.Event(), threading.Event()
+train_rounds = training.train_rounds
+def train(program, step, progress, checkpoints, saving, stop, after_round):
+    interrupt()
+    stop.wait()
+    stopped.set()
+def train_and_tell(*arguments):
+    train_rounds(*arguments)
+    over.set()
+def compile_evaluation():
+    stopped.wait()
+    over.wait()
+    time.sleep(0.5)
+    interrupt()
+    time.sleep(60)
+Program.compile = lambda program: None
+training.train, training.train_rounds = train, train_and_tell
+training.trace_evaluations = lambda run: dict(final=compile_evaluation)
+"""
+
+PLAY = """
+import hgail_jax.cli, hgail_jax.play.playback
+import numpy as np
+def frames(*_):
+    yield np.zeros((48, 64, 3), np.uint8)
+    interrupt()
+    time.sleep(60)
+hgail_jax.play.playback.frames = frames
+hgail_jax.cli.main(["play", "--task", "reach"])
+"""
+
+# As `head` does once it has its lines.
+READER_LEAVES = """
+from hgail_jax.cli import main
+reading, writing = os.pipe()
+os.close(reading)
+os.dup2(writing, 1)
+main(["train", "--help"])
+"""
+
 SCRIPTS = {
     "writing": WHILE_WRITING.format("SIGINT"),
     "terminated": WHILE_WRITING.format("SIGTERM"),
@@ -116,6 +171,10 @@ SCRIPTS = {
     "timeout": BY_TIMEOUT,
     "SIGINT": TWICE.format("SIGINT"),
     "SIGTERM": TWICE.format("SIGTERM"),
+    "compiling": TRAIN.format(WHILE_COMPILING),
+    "evaluation": TRAIN.format(WHILE_THE_EVALUATION_COMPILES),
+    "play": PLAY,
+    "reader": READER_LEAVES,
 }
 
 
@@ -149,6 +208,29 @@ def test_a_second_signal_exits_at_once(ended, name):
     ]
 
 
+@pytest.mark.parametrize("name", ["compiling", "evaluation"])
+def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(ended, name):
+    """While the program is compiled; or the second, while a run that was stopped waits for the compiler."""
+    ended = ended[name]
+    assert ended.returncode == 130
+    begun, _, command = ended.stderr.splitlines()[-1].partition("; go on with: ")
+    assert begun == "hgail train: stopped before round 0"
+    assert shlex.split(command)[1:] == ["train", "--task", "point", "--num-envs", "4", "--resume", "run"]
+    assert ("SIGINT: stopping after this round; once more stops at once" in ended.stderr) == (name == "evaluation")
+    assert "Traceback" not in ended.stderr
+    left = {path.name for path in (ended.folder / "run").iterdir()}
+    assert left == {"config.json", *(["metrics.csv"] if name == "evaluation" else [])}
+
+
+def test_an_interruption_leaves_no_film(ended):
+    assert (ended["play"].returncode, ended["play"].stderr.splitlines()[-1]) == (130, "hgail play: stopped by SIGINT")
+    assert not list(ended["play"].folder.iterdir())
+
+
+def test_a_reader_who_leaves_ends_the_command_silently(ended):
+    assert (ended["reader"].returncode, ended["reader"].stderr) == (1, "")
+
+
 def test_a_lack_of_memory_is_one_line(capsys):
     with pytest.raises(SystemExit) as ending, one_line_errors("it"):
         raise MemoryError
@@ -168,7 +250,7 @@ time.sleep(100)
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux alone ends a child with its parent")
 def test_what_bench_starts_ends_with_it(tmp_path):
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": SOURCES}
     )
     assert parent.stdout is not None
     child = int(parent.stdout.readline())

@@ -23,7 +23,7 @@ from hgail_jax.trainer import loop
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import sole_user
 from tests.hgail_jax.trainer.test_checkpoint import record_of, saved_in
-from tests.support import ROOT, TINY_RUN, compile_once, make_runs_tiny, small_files_only
+from tests.support import SOURCES, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
 ROUNDS = 4  # and the pre-training
 
@@ -374,7 +374,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
 
     def launch(*arguments):
         with (tmp_path / "output").open("w") as output:
-            environment = os.environ | {"PYTHONPATH": str(ROOT)}
+            environment = os.environ | {"PYTHONPATH": SOURCES}
             return subprocess.Popen([*command, *arguments], cwd=tmp_path, env=environment, stdout=output, stderr=output)
 
     def finish(*arguments):
