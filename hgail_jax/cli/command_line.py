@@ -1,4 +1,4 @@
-"""What the command lines share: options by tyro, mistakes in one line, compiled programs in a cache."""
+"""Command lines: options by tyro, mistakes in one line, compiled programs in a cache."""
 
 import contextlib
 import gc
@@ -27,7 +27,7 @@ class _RefusedError(Exception):
 
 
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
-    """Reads a command line into `options`; what it cannot read is said in one line, with exit code 2.
+    """Reads a command line into `options`; a mistake in it ends the process with one line and exit code 2.
 
     Args:
       options: a dataclass, or a union of them, which makes subcommands.
@@ -64,7 +64,7 @@ def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
 
 
 def _reason(event: tyro_errors.ParseErrorEvent) -> str:
-    known = cast(Any, event)  # tyro's own classes of options, which it keeps to itself
+    known = cast(Any, event)  # tyro's private classes of options
     match event:
         case tyro_errors.UnrecognizedArgs():
             return f"unrecognized options: {' '.join(event.tokens)}"
@@ -87,7 +87,7 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
 
 
 def _in_plain_words(why: str) -> str:
-    """Returns what Python says of a word that is no number, in other words than its own.
+    """Returns Python's message about a word that is no number, in plain words.
 
     >>> _in_plain_words("invalid literal for int() with base 10: 'two'")
     "'two' is not a whole number"
@@ -102,20 +102,22 @@ def _flag(argument: Any) -> str:
 
 
 def _choices(event: Any) -> list[str]:
-    """Returns the choices in their own order, which tyro loses where None is one more; that is for nobody to type."""
+    """Returns the choices in their own order, which tyro loses if None is one of them, and without None."""
     members = typing.get_args(event.argument.field.type_stripped)  # of a union
     return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
 
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.terminal.signals`."""
+    """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal.signals`."""
     with stop_in_one_line(program):
         try:
             yield
             sys.stdout.flush()
-        except BrokenPipeError:  # whoever read the output has gone, as `head` does
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
+        except BrokenPipeError:  # the reader of the output is gone, as `head` once it has its lines
+            os.dup2(
+                os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+            )  # where Python flushes its buffers at the end
             raise SystemExit(1) from None
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             if not is_out_of_memory(error):
@@ -140,14 +142,14 @@ def fail(program: str, message: object, code: int) -> NoReturn:
 
 
 def prepare_process() -> None:
-    """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before.
+    """Lets a user's process find the tasks in its working folder, and the programs that it compiled before.
 
-    JAX would keep what took a second to compile; a run has more programs that take just less.
+    JAX keeps programs that took a second to compile; most programs of a run take less.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
     wanted = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.1}
     for name, value in wanted.items():
         if name not in os.environ:  # which JAX has read
             jax.config.update(name.lower(), value)
-    gc.freeze()  # no search for garbage looks at what was imported again, 200,000 objects that all stay
+    gc.freeze()  # the collector need not search the 200,000 objects of the imports again and again
     sys.path.insert(0, os.getcwd())  # as `python -m` does; a console command has its own folder there instead

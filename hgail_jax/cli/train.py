@@ -1,4 +1,4 @@
-"""Trains several seeds of a method on a task, side by side, and writes what came of it to a folder."""
+"""Trains several seeds of a method on a task, side by side, and writes the results to a folder."""
 
 import argparse
 import contextlib
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
         except (ValueError, OSError) as error:
             fail(PROGRAM, error, 2)
         size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
-        if not (folder.path / "summary.json").exists():  # else it is complete, and was told so
+        if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
             print(f"{command.method} on {command.task}, {size} -> {folder.path}")
         go_on = _go_on(words, folder.path)
         summary = _train(run, folder, go_on)
@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _description(words: list[str]) -> str:
-    """Returns what stands above the options: in the help also the numbers of the task that is named."""
+    """Returns the text above the options; for the help with the numbers of the task that is named."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("task", "method", "preset"):
         parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
@@ -104,7 +104,7 @@ def _description(words: list[str]) -> str:
 
 
 def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
-    """Trains; ends the process with one line if the training diverges or something cannot be written."""
+    """Trains; ends the process with one line if the training diverges or a file cannot be written."""
 
     def nothing_to_save() -> str | None:
         if folder.in_rounds.is_set() or jax.process_count() > 1:  # the others would wait for this one
@@ -130,13 +130,13 @@ def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
 
 
 def _stopped(run: Run, folder: RunFolder) -> str:
-    """Says after which round a run was stopped, by its last checkpoint."""
+    """Returns a line with the round of a stopped run's last checkpoint."""
     done = folder.checkpoints.saved  # with round 0
     return f"stopped after round {done - 1} of {run.config.rounds}" if done else "stopped before round 0"
 
 
 def _go_on(words: list[str], folder: Path) -> str:
-    """Says by which command a run goes on in its folder: the one with these words, without another folder."""
+    """Returns a line with the command that resumes a run: the words of its own, less another folder."""
     pairs = itertools.pairwise(["", *with_new_names(words)])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
     script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated

@@ -182,14 +182,15 @@ class Checkpoints:
 
     def _write(self, rounds: int, arrays: dict[str, np.ndarray], body: dict) -> None:
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
-        record = np.array(json.dumps({"body": body, "sha256": _hash_json(body)}))
+        content = {_STATE + name: array for name, array in arrays.items()}
+        content[_RECORD] = np.array(json.dumps({"body": body, "sha256": _hash_json(body)}))
         with replace_path(self.path(rounds)) as temporary:
             with temporary.open("wb") as file:
-                np.savez(file, **{_RECORD: record}, **{_STATE + name: array for name, array in arrays.items()})
+                np.savez(file, **content)  # type: ignore[arg-type]
                 file.flush()
                 os.fsync(file.fileno())  # a name can reach the disk before the content does
             with np.load(temporary, allow_pickle=False) as written:
-                if set(written.files) != {_RECORD, *(_STATE + name for name in arrays)} or _read_body(written) != body:
+                if set(written.files) != set(content) or _read_body(written) != body:
                     raise OSError("it is not there as it was written")
         on_disk, scores = self._rounds_on_disk(), body["scores"]
         best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
@@ -219,6 +220,7 @@ def _named(tree: Any) -> list[tuple[str, Any]]:
 
 def _from_arrays(arrays: dict[str, np.ndarray], template: Any) -> Any:
     def place(leaf: Any, array: np.ndarray) -> jax.Array:
+        # Copied: a step donates its states, so that XLA would write into NumPy's memory.
         value = jax.random.wrap_key_data(jnp.asarray(array)) if is_key(leaf) else array
         return jax.device_put(value, getattr(leaf, "sharding", None), may_alias=False)
 
@@ -228,7 +230,7 @@ def _from_arrays(arrays: dict[str, np.ndarray], template: Any) -> Any:
 
 
 def _describe(array: np.ndarray) -> dict:
-    digest = hashlib.sha256(np.ascontiguousarray(array)).hexdigest()
+    digest = hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
     return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
 
 

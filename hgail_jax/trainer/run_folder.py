@@ -81,8 +81,13 @@ def _open(run: Run, path: Path, goes_on: bool, held: contextlib.ExitStack) -> Ru
         restored = checkpoints.restore(jax.eval_shape(run.program().init))
         _announce(path, restored, run.config.rounds)
     folder = RunFolder(path, checkpoints, restored)
-    held.callback(lambda: [logger.close() for logger in folder.loggers])
+    held.callback(_close, folder.loggers)
     return folder
+
+
+def _close(loggers: list[Logger]) -> None:
+    for logger in loggers:
+        logger.close()
 
 
 def _announce(path: Path, restored: Checkpoint | None, rounds: int) -> None:

@@ -54,15 +54,15 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
     ("trained", "level", "told"),
     [
         (LEVELS["none"], None, "nominal"),
-        (LEVELS["none"], "mild", "disturbances mild"),
-        (LEVELS["full-history"], None, "disturbances full-history"),
+        (LEVELS["none"], "mild", "randomised: mild"),
+        (LEVELS["full-history"], None, "randomised: full-history"),
         (LEVELS["full-history"], "none", "nominal"),
-        (LEVELS["mild-history"], "full", "disturbances full-history"),  # the policy sees as much as in its training
-        (OF_ITS_OWN, None, "disturbances as in its training"),
-        (OF_ITS_OWN, "full", "disturbances full"),
+        (LEVELS["mild-history"], "full", "randomised: full-history"),  # the policy sees as much as in its training
+        (OF_ITS_OWN, None, "randomised: as in its training"),
+        (OF_ITS_OWN, "full", "randomised: full"),
     ],
 )
-def test_the_policy_s_file_and_the_disturbances_are_told(trained, level, told, in_folder, shipped_policy, capsys):
+def test_the_policy_s_file_and_the_randomisation_are_told(trained, level, told, in_folder, shipped_policy, capsys):
     policy, size = load_policy(shipped_policy), randomize(hgail_envs.make("reach"), trained).observation_size
     first, *others = policy.layers
     layers = ((np.zeros((size, first[1].size), np.float32), first[1]), *others)
@@ -256,7 +256,7 @@ def test_without_a_task_a_policy_is_played_on_its_own(shipped_policy, in_folder,
 def test_help_says_which_task_is_played(capsys):
     with pytest.raises(SystemExit):
         play.main(["--help"])
-    assert "(default: what --policy was trained on, or grasp)" in " ".join(capsys.readouterr().out.split())
+    assert "(default: the task of --policy, or grasp)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
@@ -297,7 +297,7 @@ def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder)
         ((), "mild", None),
     ],
 )
-def test_disturbed_episodes_are_played_with_the_robust_policy_where_there_is_one(
+def test_randomised_episodes_are_played_with_the_robust_policy_if_there_is_one(
     files, level, expected, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(play, "assets_directory", lambda: tmp_path)

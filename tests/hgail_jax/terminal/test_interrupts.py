@@ -204,7 +204,7 @@ def test_a_second_signal_exits_at_once(ended, name):
     assert ended[name].stdout == "once\n"
     assert [line for line in ended[name].stderr.splitlines() if line] == [
         "SIGINT: stopping after this round; once more stops at once",
-        f"{name}: stopped at once; what was done since the last checkpoint is lost",
+        f"{name}: stopped at once; the rounds since the last checkpoint are lost",
     ]
 
 
