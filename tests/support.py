@@ -1,18 +1,21 @@
 """What several test modules share."""
 
 import contextlib
+import dataclasses
 import functools
 import os
 import resource
 from pathlib import Path
 
 from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset
-from hgail_jax.defaults import EVALUATION_EPISODES
+from hgail_jax.defaults import DEFAULTS, EVALUATION_EPISODES
 from hgail_jax.seeds import compile_train_step, trace_evaluation
-from hgail_jax.trainer import loop, trainer
+from hgail_jax.trainer import loop, training
 
 ROOT = Path(__file__).parent.parent
 """The project's folder."""
+SOURCES = f"{ROOT}:{ROOT / 'envs'}"
+"""PYTHONPATH of a process that imports this checkout, whichever is installed."""
 
 TINY = Config(
     num_envs=4,
@@ -33,10 +36,15 @@ TINY = Config(
 
 def make_runs_tiny(monkeypatch=None):
     """Gives runs that ask for no others these sizes; in a process of its own for good."""
-    for mapping, name, value in (
-        (PRESETS, "parallel", Preset(TINY, Hyperparameters())),
-        (EVALUATION_EPISODES, "cpu", 8),
-    ):
+    tiny = Preset(TINY, Hyperparameters())
+    changes = [(PRESETS, "parallel", tiny), (EVALUATION_EPISODES, "cpu", 8)]
+    for task, presets in DEFAULTS.items():
+        physics = {
+            platform: dataclasses.replace(tiny, task_options=preset.task_options)
+            for platform, preset in presets.items()
+        }
+        changes.append((DEFAULTS, task, physics))
+    for mapping, name, value in changes:
         if monkeypatch is None:
             mapping[name] = value
         else:
@@ -65,7 +73,7 @@ def compile_once(monkeypatch):
         return compile_or_find
 
     monkeypatch.setattr(loop, "compile_train_step", once(compile_train_step))
-    monkeypatch.setattr(trainer, "trace_evaluation", once(_trace_evaluation))
+    monkeypatch.setattr(training, "trace_evaluation", once(_trace_evaluation))
 
 
 TINY_RUN = """
@@ -81,7 +89,7 @@ main(sys.argv[1:])
 def four_devices():
     """Returns the environment of a process in which XLA makes four devices of one processor."""
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"
-    return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
+    return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": SOURCES}
 
 
 @contextlib.contextmanager

@@ -4,11 +4,11 @@ import importlib
 import sys
 
 COMMANDS = {
-    "train": "trains seeds of a method on a task and writes what came of it to a folder",
+    "train": "trains seeds of a method on a task and writes the results to a folder",
     "play": "rolls out a trained policy, in the browser, in a viewer or as a film",
     "demos": "records demonstrations by a scripted controller",
 }
-"""What each command does; its module has its name."""
+"""Help of each command; its module has its name."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     if name in ("-h", "--help"):
         width = max(map(len, COMMANDS))
         print("usage: hgail COMMAND [OPTIONS]\n")
-        print("\n".join(f"  {command:{width}}  {what}" for command, what in COMMANDS.items()))
+        print("\n".join(f"  {command:{width}}  {text}" for command, text in COMMANDS.items()))
         print("\nhgail COMMAND --help lists the options of a command.")
         return
     if name not in COMMANDS:

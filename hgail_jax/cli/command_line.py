@@ -1,4 +1,4 @@
-"""What the command lines share: options by tyro, mistakes in one line, compiled programs in a cache."""
+"""Command lines: options by tyro, mistakes in one line, compiled programs in a cache."""
 
 import contextlib
 import gc
@@ -6,7 +6,7 @@ import os
 import sys
 import typing
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
 
@@ -18,13 +18,16 @@ from hgail_jax.terminal.signals import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
+RENAMED = {"--likelihood": "--bc-weight"}
+"""New names of the options that still have their old name, for one release."""
+
 
 class _RefusedError(Exception):
     """The command line cannot be read; the message says why."""
 
 
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
-    """Reads a command line into `options`; what it cannot read is said in one line, with exit code 2.
+    """Reads a command line into `options`; a mistake in it ends the process with one line and exit code 2.
 
     Args:
       options: a dataclass, or a union of them, which makes subcommands.
@@ -33,13 +36,27 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
       arguments: the words of the command line; None are the process's own.
 
     """
-    # What is forked here only starts another program: ffmpeg, git, another run.
+    words = sys.argv[1:] if arguments is None else arguments
+    for old, new in RENAMED.items():
+        if any(word.partition("=")[0] == old for word in words):
+            print(f"{program}: {old} is {new} now; the old name goes with the next release", file=sys.stderr)
+    # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
     try:
         with tyro_errors.on_parse_error(_refuse):
-            return tyro.cli(options, prog=program, args=arguments, description=description)
+            return tyro.cli(options, prog=program, args=with_new_names(words), description=description)
     except _RefusedError as refused:
         fail(program, refused, 2)
+
+
+def with_new_names(words: Iterable[str]) -> list[str]:
+    """Returns a command line's words with the new names of renamed options.
+
+    >>> with_new_names(["--likelihood=1", "--task", "reach"])
+    ['--bc-weight=1', '--task', 'reach']
+    """
+    options = (word.partition("=") for word in words)
+    return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]
 
 
 def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
@@ -47,7 +64,7 @@ def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
 
 
 def _reason(event: tyro_errors.ParseErrorEvent) -> str:
-    known = cast(Any, event)  # tyro's own classes of options, which it keeps to itself
+    known = cast(Any, event)  # tyro's private classes of options
     match event:
         case tyro_errors.UnrecognizedArgs():
             return f"unrecognized options: {' '.join(event.tokens)}"
@@ -70,7 +87,7 @@ def _reason(event: tyro_errors.ParseErrorEvent) -> str:
 
 
 def _in_plain_words(why: str) -> str:
-    """Returns what Python says of a word that is no number, in other words than its own.
+    """Returns Python's message about a word that is no number, in plain words.
 
     >>> _in_plain_words("invalid literal for int() with base 10: 'two'")
     "'two' is not a whole number"
@@ -85,20 +102,22 @@ def _flag(argument: Any) -> str:
 
 
 def _choices(event: Any) -> list[str]:
-    """Returns the choices in their own order, which tyro loses where None is one more; that is for nobody to type."""
+    """Returns the choices in their own order, which tyro loses if None is one of them, and without None."""
     members = typing.get_args(event.argument.field.type_stripped)  # of a union
     return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
 
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Runs a command: a signal, or a lack of memory, ends it with one line; see `hgail_jax.terminal.signals`."""
+    """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal.signals`."""
     with stop_in_one_line(program):
         try:
             yield
             sys.stdout.flush()
-        except BrokenPipeError:  # whoever read the output has gone, as `head` does
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
+        except BrokenPipeError:  # the reader of the output is gone, as `head` once it has its lines
+            os.dup2(
+                os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+            )  # where Python flushes its buffers at the end
             raise SystemExit(1) from None
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             if not is_out_of_memory(error):
@@ -123,14 +142,14 @@ def fail(program: str, message: object, code: int) -> NoReturn:
 
 
 def prepare_process() -> None:
-    """Lets a process that a user started find the tasks in its folder, and the programs that it compiled before.
+    """Lets a user's process find the tasks in its working folder, and the programs that it compiled before.
 
-    JAX would keep what took a second to compile; a run has more programs that take just less.
+    JAX keeps programs that took a second to compile; most programs of a run take less.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
     wanted = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.1}
     for name, value in wanted.items():
         if name not in os.environ:  # which JAX has read
             jax.config.update(name.lower(), value)
-    gc.freeze()  # no search for garbage looks at what was imported again, 200,000 objects that all stay
-    sys.path.append(os.getcwd())  # as `python -m` does; a console command has its own folder there instead
+    gc.freeze()  # the collector need not search the 200,000 objects of the imports again and again
+    sys.path.insert(0, os.getcwd())  # as `python -m` does; a console command has its own folder there instead

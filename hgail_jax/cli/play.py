@@ -31,13 +31,13 @@ _FIRST_PORT, _MOST_PORT = 8080, 65535
 class Options:
     """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
 
-    task: Annotated[str | None, unless_given(f"what --policy was trained on, or {_TASK}", "STR")] = None
+    task: Annotated[str | None, unless_given(f"the task of --policy, or {_TASK}", "STR")] = None
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE")] = None
-    """The policy's file. Of those that come with the package it is the plain one, or the robust one, where there
-    is one, if --randomize names disturbances."""
+    """The policy's file. Of those that come with the package the plain one, or with --randomize the robust one, if
+    there is one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
-    """How much each episode is disturbed; see docs/robust.md."""
+    """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 3
     """Episodes to play; the page goes on until it is stopped."""
     seed: int = 0
@@ -94,13 +94,13 @@ def _check(options: Options) -> None:
 
 
 def _free_name(stem: str) -> Path:
-    """Returns a name for a film that no file has: the stem's or, with a number from 2 on, the first that is free."""
+    """Returns the first free name for a film: the stem's, or the stem's with a number from 2 on."""
     numbered = (Path(f"{stem}-{number}.mp4") for number in itertools.count(2))
     return next(path for path in itertools.chain([Path(f"{stem}.mp4")], numbered) if not os.path.lexists(path))
 
 
 def _default_task(path: Path | None) -> str:
-    """Returns the task to play where none is named, given the policy's file, if there is one.
+    """Returns the task to play if none is named: the policy's, or the default one.
 
     Raises:
       ValueError: the policy's task is none of this package. To load it would run code that the file names, and the
@@ -119,12 +119,12 @@ def _default_task(path: Path | None) -> str:
 
 
 def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
-    """Returns the task and the policy, and prints the policy's file and what the episodes are disturbed by.
+    """Returns the task and the policy, and prints the policy's file and the level of the randomisation.
 
     Args:
       task: its name.
       path: the policy's file; None is one that comes with the package, see `_shipped`.
-      level: of the disturbances; None is what the policy was trained under.
+      level: of the randomisation; None is that of the policy's training.
       **physics: options of the task, where it takes them.
 
     Raises:
@@ -156,18 +156,18 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
 
 
 def _disturbances(randomization: Randomization, level: str | None) -> str:
-    """Names the level of the disturbances, which need not be the `level` asked for: the policy has its own history."""
+    """Names the level of the randomisation; it differs from the `level` asked for by the policy's own history."""
     if randomization == randomization.nominal():
         return "nominal"
     name = next((name for name, sizes in LEVELS.items() if sizes == randomization), level)
-    return f"disturbances {name or 'as in its training'}"
+    return f"randomised: {name or 'as in its training'}"
 
 
 def _shipped(task: str, level: str | None = None) -> Path | None:
-    """Returns the policy that comes with the package, for episodes that are disturbed if a level of that is named."""
+    """Returns the file of the policy that comes with the package, for randomised episodes if a level is named."""
     folder = assets_directory() / "policies"
-    disturbed = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
-    return next((path for path in (*disturbed, folder / f"{task}.npz") if path.exists()), None)
+    robust = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
+    return next((path for path in (*robust, folder / f"{task}.npz") if path.exists()), None)
 
 
 def _serve(options: Options, shown: str) -> None:

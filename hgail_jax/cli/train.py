@@ -1,4 +1,4 @@
-"""Trains several seeds of a method on a task, side by side, and writes what came of it to a folder."""
+"""Trains several seeds of a method on a task, side by side, and writes the results to a folder."""
 
 import argparse
 import contextlib
@@ -14,16 +14,26 @@ import jax
 import numpy as np
 
 from hgail_envs.validation import counted
-from hgail_jax.cli.command_line import fail, is_out_of_memory, one_line_errors, parse, prepare_process
+from hgail_jax.cli.command_line import (
+    fail,
+    is_out_of_memory,
+    one_line_errors,
+    parse,
+    prepare_process,
+    with_new_names,
+)
 from hgail_jax.defaults import platform_name
 from hgail_jax.devices.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
-from hgail_jax.devices.sharding import ReplicaError
+from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
+from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.terminal.signals import stop_on_signal
-from hgail_jax.trainer import Trainer, TrainOptions
-from hgail_jax.trainer.options import task_defaults, unless_given
+from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
+from hgail_jax.trainer.run import Run
+from hgail_jax.trainer.run_folder import RunFolder, open_run_folder
 from hgail_jax.trainer.statistics import confidence_interval
+from hgail_jax.trainer.training import train_run
 
 PROGRAM = "hgail train"
 
@@ -56,30 +66,29 @@ def main(arguments: list[str] | None = None) -> None:
             numbers = (command.coordinator, command.num_processes, command.process_id)
             join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
             options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
-            trainer = held.enter_context(Trainer(**options))
-            if command.video and trainer.run.env.scene is None:
+            run = plan(TrainOptions(**options), platform_name())
+            if command.video and run.env.scene is None:
                 raise ValueError(f"task {command.task!r} has no scene to film; leave out --video")
-            trainer.open()
+            folder = held.enter_context(open_run_folder(run, command.out, command.resume))
         except (ValueError, OSError) as error:
             fail(PROGRAM, error, 2)
-        config = trainer.run.config
-        size = f"{counted(command.seeds, 'seed')} × {counted(config.num_envs, 'env')}"
-        if not (trainer.folder / "summary.json").exists():  # else it is complete, and was told so
-            print(f"{command.method} on {command.task}, {size} -> {trainer.folder}")
-        go_on = _go_on(words, trainer.folder)
-        summary = _train(trainer, go_on)
-        if not trainer.writes:
+        size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
+        if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
+            print(f"{command.method} on {command.task}, {size} -> {folder.path}")
+        go_on = _go_on(words, folder.path)
+        summary = _train(run, folder, go_on)
+        if not is_first_process():
             return
         if summary is None:
-            print(f"{_stopped(trainer)}; {go_on}")
+            print(f"{_stopped(run, folder)}; {go_on}")
             return
-        _report(summary, trainer)
+        _report(summary, folder.path)
         if command.video:
-            _film(trainer)
+            _film(run, folder)
 
 
 def _description(words: list[str]) -> str:
-    """Returns what stands above the options: in the help also the numbers of the task that is named."""
+    """Returns the text above the options; for the help with the numbers of the task that is named."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("task", "method", "preset"):
         parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
@@ -94,59 +103,60 @@ def _description(words: list[str]) -> str:
     return f"{__doc__}\n\n{named.method} on {named.task} has {said}."
 
 
-def _train(trainer: Trainer, go_on: str) -> dict[str, Any] | None:
-    """Trains; ends the process with one line if the training diverges or something cannot be written."""
+def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
+    """Trains; ends the process with one line if the training diverges or a file cannot be written."""
 
     def nothing_to_save() -> str | None:
-        if trainer.in_rounds or jax.process_count() > 1:  # the others would wait for this one
+        if folder.in_rounds.is_set() or jax.process_count() > 1:  # the others would wait for this one
             return None
-        return f"\n{PROGRAM}: {_stopped(trainer)}; {go_on}"
+        return f"\n{PROGRAM}: {_stopped(run, folder)}; {go_on}"
 
     try:
         with stop_on_signal(nothing_to_save) as stop:
-            return trainer.train(stop)
+            return train_run(run, folder, stop)
     except (FloatingPointError, OverflowError, ReplicaError) as error:
-        checkpoints = trainer.checkpoints
-        last = "none" if checkpoints.saved is None else checkpoints.folder / str(checkpoints.saved)
+        saved = folder.checkpoints.saved
+        last = "none" if saved is None else folder.checkpoints.path(saved)
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
         fail(PROGRAM, f"the run stops: {error}; {go_on}", 1)
     except (MemoryError, jax.errors.JaxRuntimeError, ValueError) as error:
         if is_out_of_memory(error):
-            fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {trainer.folder}", 1)
+            fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {folder.path}", 1)
         if jax.process_count() == 1:
             raise
-        # What an exchange with a process that died raises
+        # An exchange with a process that died raises errors of these types.
         end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
 
 
-def _stopped(trainer: Trainer) -> str:
-    """Says how far a run is that was stopped, by its last checkpoint."""
-    done = trainer.checkpoints.saved  # with round 0
-    return f"stopped after round {done - 1} of {trainer.run.config.rounds}" if done else "stopped before round 0"
+def _stopped(run: Run, folder: RunFolder) -> str:
+    """Returns a line with the round of a stopped run's last checkpoint."""
+    done = folder.checkpoints.saved  # with round 0
+    return f"stopped after round {done - 1} of {run.config.rounds}" if done else "stopped before round 0"
 
 
 def _go_on(words: list[str], folder: Path) -> str:
-    """Says by which command a run goes on in its folder: the one with these words, without another folder."""
-    pairs = itertools.pairwise(["", *words])
+    """Returns a line with the command that resumes a run: the words of its own, less another folder."""
+    pairs = itertools.pairwise(["", *with_new_names(words)])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
     script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated
     hgail = from_here(script) if script.exists() and shutil.which("hgail") != str(script) else "hgail"
     return f"go on with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
 
 
-def _film(trainer: Trainer) -> None:
+def _film(run: Run, folder: RunFolder) -> None:
     """Writes rollout.mp4, or says in one line why it cannot."""
+    path = folder.path / "rollout.mp4"
     try:
-        env, policy = trainer.run.env.reference_physics(), trainer.policy(trainer.options.first_seed)
-        film(trainer.folder / "rollout.mp4", env, policy)
-        print(trainer.folder / "rollout.mp4")
-        trainer.log_film(trainer.folder / "rollout.mp4")
-    except Exception as error:  # whatever rendering or encoding raises, the results are written
+        film(path, run.env.reference_physics(), load_policy(folder.path / "policies" / f"seed-{run.first_seed}.npz"))
+        print(path)
+        for logger in folder.loggers:
+            logger.film(path)
+    except Exception as error:  # rendering and encoding raise errors of many types, and the results are written
         print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
 
 
-def _report(summary: dict[str, Any], trainer: Trainer) -> None:
+def _report(summary: dict[str, Any], folder: Path) -> None:
     """Prints the outcome."""
     success, distance, seconds = summary["success_rate"], summary["distance_l1"], summary["wall_seconds"]
     worst = f" (worst seed {min(success['per_seed']):.3f})" if summary["seeds"] > 1 else ""
@@ -155,10 +165,10 @@ def _report(summary: dict[str, Any], trainer: Trainer) -> None:
         f"{summary['env_steps_per_seed']:,} env steps per seed\n"
         f"compile {seconds['compile']:.1f} s, train {seconds['train']:.1f} s at "
         f"{summary['env_steps_per_second']:,.0f} env steps/s, evaluate {seconds['evaluation']:.1f} s, "
-        f"total {seconds['total']:.1f} s -> {trainer.folder}"
+        f"total {seconds['total']:.1f} s -> {folder}"
     )
     if "nominal_success_rate" in summary:
-        print(f"undisturbed: success {_mean(summary['nominal_success_rate'])}")
+        print(f"nominal: success {_mean(summary['nominal_success_rate'])}")
     if summary["diverged_seeds"]:
         print(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", file=sys.stderr)
 

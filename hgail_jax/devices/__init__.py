@@ -1,1 +1,1 @@
-"""The ground: devices, the processes that share them, and how arrays are laid out over them."""
+"""Devices, the processes that train on them together, and the layout of arrays over them."""

@@ -5,13 +5,13 @@ import subprocess
 
 
 def visible_gpus() -> list[str]:
-    """Returns the GPUs that a program may use, as CUDA_VISIBLE_DEVICES names them; none where there is no driver."""
+    """Returns the GPUs that a program may use, as CUDA_VISIBLE_DEVICES names them; none without a driver."""
     chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
     return [name for name in chosen.split(",") if name] if chosen is not None else _ask("index")
 
 
 def driver_version() -> str | None:
-    """Returns the version of the GPUs' driver; None where there is none."""
+    """Returns the version of the GPUs' driver; None without one."""
     return next(iter(_ask("driver_version")), None)
 
 

@@ -24,7 +24,7 @@ _OF_A_CLUSTER = "that Slurm, Open MPI or Kubernetes started, if any did"
 HEARTBEAT_TIMEOUT = 100
 """Seconds after which a process that is silent counts as dead; JAX's own default."""
 GO_ON = "the same command with --resume FOLDER goes on, with as many processes as are left"
-"""What to do once a process of several died."""
+"""Advice once a process of several died."""
 
 
 def join(
@@ -44,7 +44,7 @@ def join(
       heartbeat_timeout: seconds after which the others end if a process is silent.
 
     Raises:
-      ValueError: the numbers do not fit, nobody answers, or there is nothing to be found.
+      ValueError: the numbers do not fit, the first process does not answer, or no cluster is found.
 
     """
     check_count("num_processes", num_processes)
@@ -67,7 +67,7 @@ def join(
 
 
 def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
-    """Starts `jax.distributed` by these numbers, or by what it finds."""
+    """Starts `jax.distributed` with these numbers, or with those of the cluster."""
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         jax.distributed.initialize(**numbers, heartbeat_timeout_seconds=heartbeat_timeout)
@@ -77,19 +77,19 @@ def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
 
 
 def _wait_for(host: str, port: int) -> None:
-    """Returns once the first process answers; JAX itself ends the process with a dump where nobody does."""
+    """Returns once the first process answers; without an answer JAX itself would end the process with a dump."""
     end = time.monotonic() + _PATIENCE
     while True:
         try:
             return socket.create_connection((host, port), timeout=5.0).close()
         except OSError as error:
             if time.monotonic() > end:
-                raise ValueError(f"nobody answers at {host}:{port}: {error.strerror or error}") from None
+                raise ValueError(f"no process answers at {host}:{port}: {error.strerror or error}") from None
             time.sleep(0.5)
 
 
 def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
-    """Returns the mesh over `devices` devices; by default one, or all that there are where several processes train.
+    """Returns the mesh over `devices` devices; by default one, or all that several processes have.
 
     Raises:
       ValueError: there are not so many, or they do not divide, or some process would be left without.
@@ -112,7 +112,7 @@ def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
 
 @contextlib.contextmanager
 def silent_but_first() -> Iterator[Path | None]:
-    """Yields None in the first process; in another, whose output is dropped, a folder whose content nobody wants."""
+    """Yields None in the first process; in another drops the output and yields a temporary folder for its run."""
     if is_first_process():
         yield None
         return

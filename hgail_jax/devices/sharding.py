@@ -1,9 +1,9 @@
 """Spreads seeds, and the environments of a roll-out, over devices.
 
 A mesh has two axes. Along `SEEDS` each device trains seeds of its own and talks to no other. Along `ENVS` the devices
-share their seeds: each steps a part of the environments, then all gather the whole trajectories and make the same
-update of them. Gathering is cheap, as a trajectory is small beside the physics that made it, and so is the update;
-what is computed does not depend on the devices but for the order in which matrix products sum.
+work on the same seeds: each steps a part of the environments, then all gather the whole trajectories and make the same
+update of them. Gathering is cheap, as a trajectory is small beside the physics that made it, and so is the update.
+Results depend on the devices only through the order in which matrix products sum.
 
 Physics engines that XLA calls as a black box cannot be split by its partitioner. A program per device, by
 `jax.shard_map`, leaves nothing to split.
@@ -107,8 +107,8 @@ def replicate(tree: Any) -> Any:
 def check_replicas(tree: Any) -> None:
     """Checks that the devices that hold one part of an array hold the same numbers.
 
-    Devices that share seeds make the same update of the same trajectories; nothing else keeps them alike, as a program
-    per device is compiled without a check of what varies between devices.
+    Devices with the same seeds make the same update of the same trajectories. Nothing else keeps them alike: a program
+    per device is compiled without a check of values that vary between devices.
 
     Args:
       tree: arrays and PRNG keys, as a step of several devices returned them.
@@ -117,7 +117,7 @@ def check_replicas(tree: Any) -> None:
       ReplicaError: they differ by more than rounding; the message names the array.
 
     """
-    for path, leaf in jax.tree_util.tree_flatten_with_path(_without_keys(tree))[0]:
+    for path, leaf in jax.tree_util.tree_flatten_with_path(without_keys(tree))[0]:
         first: dict[str, np.ndarray] = {}
         for part in leaf.addressable_shards if len(leaf.sharding.device_set) > 1 else ():
             values = np.asarray(part.data)
@@ -127,24 +127,25 @@ def check_replicas(tree: Any) -> None:
                 raise ReplicaError(f"the devices disagree: {name} differs by {np.abs(values - known).max():.3g}")
 
 
-def _without_keys(tree: Any) -> Any:
+def without_keys(tree: Any) -> Any:
     """Returns a tree with PRNG keys replaced by their numbers."""
-    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if is_key(leaf) else leaf, tree)
 
 
-def _is_key(leaf: Any) -> bool:
+def is_key(leaf: Any) -> bool:
+    """Returns whether an array's elements are PRNG keys."""
     return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def from_first_process(tree: Any) -> Any:
-    """Returns the first process's arrays and PRNG keys to every process; all of them must call it."""
+    """Returns the first process's arrays and PRNG keys in every process; all must call it."""
     if jax.process_count() == 1:
         return tree
     return _on_numbers(multihost_utils.broadcast_one_to_all, tree)
 
 
 def json_from_first_process(content: Any) -> Any:
-    """Returns what the first process has, anything that JSON can hold, to every process; all of them must call it."""
+    """Returns the first process's content, anything that JSON can hold, in every process; all must call it."""
     if jax.process_count() == 1:
         return content
     text = np.frombuffer(json.dumps(content).encode(), np.uint8)
@@ -154,9 +155,9 @@ def json_from_first_process(content: Any) -> Any:
 
 def _on_numbers(function: Callable[[Any], Any], tree: Any) -> Any:
     """Applies a function of trees of arrays to a tree that holds PRNG keys as well."""
-    keys = jax.tree.map(_is_key, tree)
+    keys = jax.tree.map(is_key, tree)
     return jax.tree.map(
-        lambda leaf, is_key: jax.random.wrap_key_data(leaf) if is_key else leaf, function(_without_keys(tree)), keys
+        lambda leaf, key: jax.random.wrap_key_data(leaf) if key else leaf, function(without_keys(tree)), keys
     )
 
 

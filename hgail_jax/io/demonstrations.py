@@ -1,4 +1,4 @@
-"""Demonstrations as a file: whole episodes of somebody who knows the task.
+"""Demonstrations as a file: whole episodes of an expert.
 
 The file is an npz of float32 arrays, not compressed, with a header in JSON; NumPy alone reads it and nothing in it is
 code. Of `K` episodes of `T` steps it holds `features` `[K, T, feature_size]` and `goal` `[K, T, goal_size]`, from
@@ -45,7 +45,7 @@ class Demonstrations:
     returns: np.ndarray
     distance_l1: np.ndarray
     made_by: dict = dataclasses.field(default_factory=dict)
-    """What else the header says: controller, seed, physics, versions."""
+    """Further entries of the header: controller, seed, physics, versions."""
 
     def __post_init__(self) -> None:
         for name in _STEPS + _EPISODES:
@@ -61,12 +61,12 @@ class Demonstrations:
 
     @property
     def episodes(self) -> int:
-        """`K`."""
+        """Number of episodes, `K`."""
         return len(self.action)
 
     @property
     def sha256(self) -> str:
-        """Identifies what is demonstrated, whoever made it."""
+        """Hash of features, goals and actions, whichever controller made them."""
         arrays = [np.ascontiguousarray(getattr(self, name)) for name in _STEPS]
         return hashlib.sha256(b"".join(str(array.shape).encode() + array.tobytes() for array in arrays)).hexdigest()
 
@@ -96,7 +96,7 @@ class Demonstrations:
         return self
 
     def samples(self, env: GoalEnv) -> Samples:
-        """Returns all steps as expert samples, leaves `[K * T, ...]`, each as likely to be drawn.
+        """Returns all steps as expert samples of equal weight, leaves `[K * T, ...]`.
 
         Raises:
           ValueError: see `validate`.

@@ -1,4 +1,4 @@
-"""Writes files, JSON and CSV among them, so that a name never stands for half a file."""
+"""Writes files, JSON and CSV among them, under a name that they get once they are whole."""
 
 import contextlib
 import csv
@@ -26,7 +26,7 @@ def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
 
 @contextlib.contextmanager
 def replace_path(path: Path | str) -> Iterator[Path]:
-    """Names a temporary file for somebody else to write; see `replace_file`."""
+    """Yields the name of a temporary file for a writer that opens files itself; see `replace_file`."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
     try:
@@ -39,7 +39,7 @@ def replace_path(path: Path | str) -> Iterator[Path]:
 
 
 def check_writable(path: Path) -> None:
-    """Refuses a file that could not be written once it is needed, with the folders that are missing.
+    """Refuses a file that could not be written later, with the folders that are missing.
 
     Raises:
       OSError: it is a folder, or the nearest folder above it that exists is none, or cannot be written to.
@@ -67,7 +67,7 @@ def remove_partial_files(folder: Path) -> None:
 
 
 def write_json(path: Path, content: dict) -> None:
-    """Writes a JSON file; what is not a number becomes null."""
+    """Writes a JSON file; NaN and infinities become null."""
     with replace_file(path) as file:
         json.dump(_plain(content), file, indent=2)
         file.write("\n")

@@ -9,30 +9,30 @@ import numpy as np
 
 ContentT = TypeVar("ContentT")
 
-_LARGEST_FILE = 2**30  # bytes
+_LARGEST_FILE = 2**30  # bytes, far above any policy or set of demonstrations
 
 
-def load_npz(path: Path | str, what: str, read: Callable[[Mapping[str, np.ndarray]], ContentT]) -> ContentT:
-    """Opens an npz archive and returns what `read` makes of its arrays.
+def load_npz(path: Path | str, kind: str, read: Callable[[Mapping[str, np.ndarray]], ContentT]) -> ContentT:
+    """Opens an npz archive and returns its content, as `read` makes it of the arrays.
 
     Nothing in the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that
     fills the memory.
 
     Args:
       path: the file.
-      what: what it should hold, for the error, e.g. `"a policy"`.
-      read: takes the arrays by name; whatever it raises says that the file does not hold `what`.
+      kind: of its content, for the error, e.g. `"a policy"`.
+      read: takes the arrays by name; any error that it raises says that the file does not hold this content.
 
     Raises:
       FileNotFoundError: there is no such file.
-      ValueError: it does not hold `what`.
+      ValueError: it does not hold this content.
 
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}")
-    if not path.is_file():  # to open a pipe would wait for somebody to write to it
-        raise ValueError(f"{path} does not hold {what}: it is no regular file")
+    if not path.is_file():  # opening a pipe would wait for a writer
+        raise ValueError(f"{path} does not hold {kind}: it is no regular file")
     try:
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
@@ -43,5 +43,5 @@ def load_npz(path: Path | str, what: str, read: Callable[[Mapping[str, np.ndarra
             return read(arrays)
     except FileNotFoundError:
         raise
-    except Exception as error:  # zipfile, numpy, json and `read` raise what they like
-        raise ValueError(f"{path} does not hold {what}: {error}") from error
+    except Exception as error:  # zipfile, numpy, json and `read` raise errors of many types
+        raise ValueError(f"{path} does not hold {kind}: {error}") from error

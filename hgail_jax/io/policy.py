@@ -7,7 +7,7 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "observation": {"features": 6, "goal": 3, "clip": 5.0},   # features first, then the goal; clipped once normalised
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
      "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
-     "randomization": {},                                      # what it was trained under: fields of `Randomization`
+     "randomization": {},                                      # of its training: fields of `Randomization`
      "task_options": {},                                       # of the task's class, as --task-options gave them
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
@@ -49,17 +49,17 @@ class MeanPolicy:
 
     task: str
     goal_size: int
-    """The last numbers of an observation, which are the desired goal."""
+    """Size of the desired goal, the last numbers of an observation."""
     mean: np.ndarray = dataclasses.field(repr=False)
-    """`[observation_size]`: what is taken off an observation."""
+    """Mean of the observations, `[observation_size]`, for normalisation."""
     std: np.ndarray = dataclasses.field(repr=False)
-    """`[observation_size]`: what it is then divided by."""
+    """Their standard deviation, `[observation_size]`."""
     layers: tuple[tuple[np.ndarray, np.ndarray], ...] = dataclasses.field(repr=False)
     """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""
     randomization: Randomization = Randomization()  # noqa: RUF009  (frozen)
-    """What its episodes were disturbed by in training."""
+    """Randomisation of its training episodes."""
     task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's class that it was trained with, e.g. `observation`."""
 
@@ -104,7 +104,7 @@ class MeanPolicy:
 
 
 def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np) -> Any:
-    """Returns what `MeanPolicy` does, of its arrays, which JAX may trace or batch."""
+    """Returns the actions of a `MeanPolicy`, from its arrays, which JAX may trace or batch."""
     hidden = xp.clip((observation - mean) / std, -_CLIP, _CLIP)
     for weights, biases in layers[:-1]:
         hidden = xp.tanh(hidden @ weights + biases)

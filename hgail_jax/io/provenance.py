@@ -1,4 +1,4 @@
-"""What made a result: command, commit, device, processor cores and versions."""
+"""Provenance of a result: command, commit, device, processor cores and versions."""
 
 import functools
 import importlib.metadata
@@ -23,7 +23,6 @@ _PACKAGES = (
     "brax",
     "flax",
     "optax",
-    "orbax-checkpoint",
     "numpy",
     "warp-lang",
 )
@@ -53,7 +52,7 @@ def command_of(words: list[str]) -> str:
 
 @functools.cache
 def _commit() -> str | None:
-    """Returns the commit of this checkout, "-dirty" behind it where files differ; None where there is none."""
+    """Returns the commit of this checkout, with "-dirty" if files differ; None without git."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
@@ -62,12 +61,12 @@ def _commit() -> str | None:
 
 
 def provenance(*packages: str) -> dict:
-    """Returns what made a result: command, commit, device, processor cores that it could use, and versions.
+    """Returns command, commit, device, usable processor cores and versions of this process.
 
-    Among these is the GPU's driver, None where the device is no GPU.
+    Among the versions is the GPU's driver, None on a CPU.
 
     Args:
-      *packages: further ones whose versions are told, where they are installed.
+      *packages: further distributions to name the versions of.
 
     """
     device = jax.devices()[0]
@@ -84,7 +83,7 @@ def provenance(*packages: str) -> dict:
 
 
 def installed(*packages: str) -> dict[str, str | None]:
-    """Returns the version of each distribution, None where it is not installed; this one may be a bare checkout.
+    """Returns the version of each distribution, None if it is not installed; this one may be a bare checkout.
 
     >>> installed("no-such-package")
     {'no-such-package': None}

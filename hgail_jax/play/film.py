@@ -12,10 +12,10 @@ from PIL import Image
 from hgail_jax.io.files import replace_path
 
 Append = Callable[[np.ndarray], None]
-"""Takes the next picture, `[height, width, 3]`, uint8."""
+"""Adds the next picture, `[height, width, 3]`, uint8."""
 
 FORMATS = (".mp4", ".gif", ".webp")
-"""What a film's name may end in."""
+"""Endings of a film's name."""
 
 _COLOURS = 256  # of a GIF
 _PALETTE_SAMPLES = 12  # pictures that they are taken from
@@ -42,7 +42,7 @@ def check_film(path: Path) -> None:
 
 @contextlib.contextmanager
 def open_film(path: Path, frame_period: float) -> Iterator[Append]:
-    """Opens a film, which takes its name once it is whole; what fails leaves nothing behind.
+    """Opens a film, which takes its name once it is whole; a failure leaves no file.
 
     Args:
       path: ends in one of `FORMATS`.

@@ -17,7 +17,7 @@ from hgail_envs.validation import MOST_SEED
 from hgail_jax.play.session import Phase, Session, Status
 
 _FRAME_PERIOD = 0.02  # seconds
-_IDLE_PERIOD = 0.2  # seconds between two looks whether somebody watches
+_IDLE_PERIOD = 0.2  # seconds between two looks for visitors
 _STATUS_PERIOD = 0.1  # seconds
 _MOST_BEHIND = 0.25  # seconds that the physics may fall behind before it lets time go
 _SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
@@ -35,7 +35,7 @@ _COLOURS = {"blue": "#166bb8", "green": "#1e8e4e", "red": "#c0392b", "grey": "#6
 
 
 def free_port(host: str, port: int | None, first: int) -> int:
-    """Returns `port` if it is free, or without one the first free port from `first` on.
+    """Returns `port` if it is free; if it is None, the first free port from `first` on.
 
     Raises:
       ValueError: it is taken, none is free, or the host has no such address.
@@ -55,7 +55,7 @@ def free_port(host: str, port: int | None, first: int) -> int:
 class Page:
     """A page that shows a session and lets visitors take part; all of them see the same.
 
-    The session runs in the thread of `run`. What visitors do reaches it through a queue, between two actions.
+    The session runs in the thread of `run`. Visitors' requests reach it through a queue, between two actions.
 
     Args:
       open_session: makes the session of a task, given its name and the seed.
@@ -111,7 +111,7 @@ class Page:
         self._closed.set()
 
     def advance(self, seconds: float) -> None:
-        """Lets so much time pass, at the speed that is chosen, and shows the scene as it then is."""
+        """Runs the session for so many seconds, at the speed that is chosen, and shows the scene."""
         period = self.session.env.control_period
         if not self._paused:
             self._due = min(self._due + self._speed * seconds, self._speed * _MOST_BEHIND + period)
@@ -172,7 +172,7 @@ class Page:
         self._show_scene()
 
     def _drag(self, phase: str, position: np.ndarray) -> None:
-        """Takes part in a drag of the handle, which starts, goes on or ends."""
+        """Follows a drag of the handle, which starts, goes on or ends."""
         self._dragged = phase != "end"
         if phase == "update":
             self.session.move_target(position)
@@ -199,8 +199,8 @@ class Page:
         )
         if session.env.target_body is None:
             scene.add_icosphere("/target/mark", radius=_MARK_RADIUS, color=_RED)
-        what = session.env.target_body or "red ball"
-        self._instruction.content = f"**Drag the {what}** by its arrows: the policy follows."
+        target = session.env.target_body or "red ball"
+        self._instruction.content = f"**Drag the {target}** by its arrows: the policy follows."
         self._handle.on_update(
             lambda event: self._requests.put(lambda: self._drag(event.phase, np.array(event.target.position)))
         )
@@ -211,7 +211,7 @@ class Page:
     def _light(self) -> None:
         """Lights the scene and lays a floor."""
         scene = self.server.scene
-        # mjviser's meshes are of metal, which shows what surrounds it.
+        # mjviser's meshes are of metal, which reflects its surroundings.
         scene.configure_environment_map("warehouse", environment_intensity=0.65)
         scene.configure_default_lights(enabled=False)
         scene.add_light_directional("/light", intensity=1.2, cast_shadow=True, position=(1.9, 0.2, 3.0))
@@ -241,10 +241,10 @@ def _status_html(status: Status, paused: bool) -> str:
 
 
 def _standing(status: Status) -> tuple[str, str]:
-    """Returns the colour and the words for how a session stands."""
+    """Returns the colour and the words of the status badge."""
     return {
         Phase.ACTING: ("green", "At the target") if status.reached else ("blue", "On its way"),
-        Phase.PROBING: ("green", "Holding on") if status.success else ("blue", "Put to the test"),
+        Phase.LIFT_TEST: ("green", "Holding on") if status.success else ("blue", "Put to the test"),
         Phase.STAYING: ("green", "Success"),
         Phase.RESTING: ("green", "Success") if status.success else ("red", "Failed; once more"),
     }[status.phase]

@@ -1,4 +1,4 @@
-"""Shows a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
+"""Plays a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
 
 import os
 import sys
@@ -26,11 +26,11 @@ _CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture whe
 
 
 class Playback:
-    """The scene with its pictures, posed frame by frame.
+    """Episodes of a policy, posed in the task's scene frame by frame.
 
     Args:
       env: the task.
-      policy: what acts.
+      policy: the policy.
       seed: of the episodes.
 
     Raises:
@@ -50,7 +50,7 @@ class Playback:
         self._env, self._policy, self._seed = env, policy, seed
 
     def play(self, episodes: int) -> Iterator[bool]:
-        """Poses `data` for each frame of some episodes, probe included, with the target's site at the goal.
+        """Poses `data` for each frame of some episodes, lift test included, with the target's site at the goal.
 
         Yields whether the frame is the first of an episode.
         """
@@ -80,7 +80,7 @@ class Playback:
 
 
 def frames(playback: Playback, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
-    """Renders every so-many-th frame of a playback as a picture, `[height, width, 3]`, uint8.
+    """Renders every `every`-th frame of a playback as a picture, `[height, width, 3]`, uint8.
 
     One episode fades into the next, so that nothing jumps.
 
@@ -99,13 +99,13 @@ def frames(playback: Playback, episodes: int, height: int, width: int, every: in
             renderer.update_scene(playback.data, camera)
             before, picture = picture, renderer.render()
             if first and before is not None:
-                for share in np.linspace(0.0, 1.0, _FADE // every + 2)[1:-1]:
-                    yield ((1.0 - share) * before + share * picture).astype(np.uint8)
+                for fraction in np.linspace(0.0, 1.0, _FADE // every + 2)[1:-1]:
+                    yield ((1.0 - fraction) * before + fraction * picture).astype(np.uint8)
             yield picture
 
 
 def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
-    """Writes a film of a few episodes in real time, in one of `io.film.FORMATS`; returns which were successes.
+    """Writes a film of a few episodes in real time, in one of `play.film.FORMATS`; returns whether each succeeded.
 
     The target is a red ball, or the body that the task names.
 
@@ -145,7 +145,7 @@ def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[boo
 
 
 def _check_display() -> None:
-    """Refuses a display that does not answer, for which MuJoCo's viewer would end the process."""
+    """Refuses a display that does not answer; MuJoCo's viewer would end the process."""
     import glfw  # comes with MuJoCo
 
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Records what a scripted controller does as demonstrations."""
+"""Records demonstrations by a scripted controller."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from hgail_jax.rollout import Trajectory, rollout
 
 
 def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:
-    """Runs a task's controller of some name, on the goals that the task is measured by, with its probe.
+    """Rolls out a task's controller of that name, on evaluation goals, with the lift test.
 
     Raises:
       ValueError: the task has no such controller.
@@ -34,7 +34,7 @@ def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int)
 
 
 def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
-    """Makes a task with the physics that it is trained in, to record so many demonstrations.
+    """Makes a task with its training physics, to record so many demonstrations.
 
     Raises:
       ValueError: there is no such task, or no controller demonstrates it.
@@ -49,7 +49,7 @@ def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
 
 
 def _attempts(episodes: int) -> int:
-    """Returns how many episodes are run for so many successes."""
+    """Returns the number of episodes to run for so many successes."""
     return episodes + episodes // 4 + 4
 
 
@@ -71,7 +71,7 @@ def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> 
         )
 
     def in_order(values: jax.Array, steps: int) -> np.ndarray:
-        """Time comes first in a trajectory; the last state has no action."""
+        """Puts episodes before time, and drops the last state, which has no action."""
         return np.moveaxis(np.asarray(values, np.float32), 0, 1)[succeeded, :steps]
 
     steps = env.episode_length
@@ -93,7 +93,7 @@ def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> 
 
 
 def load_or_record(path: Path, env: hgail_envs.GoalEnv, task: str, episodes: int) -> Demonstrations:
-    """Returns `episodes` demonstrations out of a file; where there is no such file, they are recorded into it.
+    """Returns `episodes` demonstrations of a file; if there is no such file, records them into it.
 
     Raises:
       ValueError: see `load_demonstrations`, `record` and `Demonstrations.first`.

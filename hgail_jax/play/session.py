@@ -1,4 +1,4 @@
-"""Plays a policy for as long as somebody watches, who may move the target at any time."""
+"""A policy at work, action by action, on a target that can be moved at any time."""
 
 import dataclasses
 import enum
@@ -13,17 +13,17 @@ from hgail_envs import GoalEnv
 from hgail_envs.scenes import load_scene
 from hgail_jax.io.policy import MeanPolicy
 
-_REST = 1.0  # seconds that an episode's end is left to be looked at
+_REST = 1.0  # seconds that the scene stands still after an episode
 _SAMPLED_GOALS = 1024  # from which the bounds of the target are taken
 
 
 class Phase(enum.Enum):
-    """What a session is doing."""
+    """Phase of a session."""
 
     ACTING = "acting"
     """The policy acts, with its episode's time running."""
-    PROBING = "probing"
-    """The policy's time is over, and the task tests what it ended with."""
+    LIFT_TEST = "lift test"
+    """The policy's time is over, and the task tests its grasp."""
     STAYING = "staying"
     """The episode was a success, and the policy goes on at the same target, because it was moved there by hand."""
     RESTING = "resting"
@@ -32,11 +32,11 @@ class Phase(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """How a session stands."""
+    """Status of a session."""
 
     phase: Phase
     distance: float
-    """Metres between where the task's achieved goal, or its hand, is and where it should be."""
+    """Distance between the achieved goal, or the hand, and the target, metres."""
     reached: bool
     """Whether the last step satisfies the goal."""
     success: bool
@@ -52,13 +52,13 @@ class Session:
 
     Until the target is moved, episodes follow one another as the task starts them. Once it is moved, the target stays
     where it was put, and the time of the episode starts anew: after a success the policy goes on there, and after
-    a failure, or in a task that ends with a probe, the next episode starts with the target in that place.
+    a failure, or in a task that ends with a lift test, the next episode starts with the target in that place.
 
     For use in one thread.
 
     Args:
       env: the task.
-      policy: what acts.
+      policy: the policy.
       seed: of the starts.
 
     Raises:
@@ -79,7 +79,7 @@ class Session:
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
         self.bounds = self._bounds()
-        """`[2, 3]`: the lowest and the highest position of the target, metres, world frame."""
+        """Lowest and highest position of the target, `[2, 3]`, metres, world frame."""
         self.restart(seed)
 
     def restart(self, seed: int | None = None) -> None:
@@ -91,16 +91,16 @@ class Session:
         self._begin()
 
     def move_target(self, position: np.ndarray) -> None:
-        """Takes the target to a position, `[3]`, metres, world frame, or as near to it as the bounds allow."""
+        """Moves the target to a position, `[3]`, metres, world frame, or as near to it as the bounds allow."""
         self._held = np.clip(position, *self.bounds)
-        if self.env.lift_test_steps and self._phase in (Phase.PROBING, Phase.RESTING):
-            self._begin()  # a probe leaves the arm where no episode takes it
+        if self.env.lift_test_steps and self._phase in (Phase.LIFT_TEST, Phase.RESTING):
+            self._begin()  # a lift test leaves the arm where no episode takes it
         else:
             self._place_target()
             self._phase, self._clock = Phase.ACTING, 0
 
     def step(self) -> None:
-        """Goes on by one action, `env.control_period` seconds; starts the next episode where one is over."""
+        """Takes one action, `env.control_period` seconds; starts the next episode if one is over."""
         self._before = self._state
         match self._phase:
             case Phase.RESTING:
@@ -111,15 +111,15 @@ class Session:
                 self._advance(self._policy(np.asarray(self._state.obs)))
                 self._end = self._state
                 if self._phase is Phase.ACTING and self._clock == self.env.episode_length:
-                    self._phase, self._clock = Phase.PROBING, 0
-            case Phase.PROBING:
+                    self._phase, self._clock = Phase.LIFT_TEST, 0
+            case Phase.LIFT_TEST:
                 self._advance(np.asarray(self.env.lift_test_action(jnp.asarray(self._action))))
-        if self._phase is Phase.PROBING and self._clock == self.env.lift_test_steps:
+        if self._phase is Phase.LIFT_TEST and self._clock == self.env.lift_test_steps:
             self._conclude()
 
     @property
     def status(self) -> Status:
-        """How the session stands."""
+        """Status after the last action."""
         outcome = self._outcome(self._end, self._state)
         return Status(
             phase=self._phase,
@@ -132,7 +132,7 @@ class Session:
 
     @property
     def target(self) -> np.ndarray:
-        """`[3]`: where the target is, metres, world frame."""
+        """Position of the target, `[3]`, metres, world frame."""
         return np.asarray(self._state.info["desired_goal"])[:3]
 
     def pose(self, fraction: float = 1.0) -> None:
@@ -146,7 +146,7 @@ class Session:
         mujoco.mj_kinematics(self.model, self.data)
 
     def _bounds(self) -> np.ndarray:
-        """Returns the box of the targets that the task draws; an axis along which they do not differ has no width."""
+        """Returns the box of the task's goals; an axis along which they do not differ has no width."""
         keys = jax.random.split(jax.random.key(0), _SAMPLED_GOALS)
         goals = np.asarray(jax.jit(jax.vmap(self.env.reset))(keys).info["desired_goal"])[:, :3]
         return np.stack([goals.min(axis=0), goals.max(axis=0)])

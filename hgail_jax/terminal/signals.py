@@ -6,20 +6,22 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_GRACE = 3.0  # seconds in which what is open can be closed; a compilation would go on for minutes
+_ONE_SIGNAL = 1.0  # seconds within which signals count as one: timeout(1) signals its child, then the child's group
+_GRACE = 3.0  # seconds to close files in; a compilation would go on for minutes
 
 _unfinished: set[Path] = set()  # files that are being written under a temporary name
 
 
 @contextlib.contextmanager
 def unfinished(path: Path) -> Iterator[None]:
-    """Has a file removed if the process is ended at once within the block."""
+    """Removes a file if the process is ended at once within the block."""
     _unfinished.add(path)
     try:
         yield
@@ -28,7 +30,7 @@ def unfinished(path: Path) -> Iterator[None]:
 
 
 def exit_at_once(number: int) -> NoReturn:
-    """Ends the process with 128 + the number of a signal, whatever it is doing; no file is left half written."""
+    """Ends the process at once with 128 + the number of a signal; no file is left half written."""
     for path in list(_unfinished):
         path.unlink(missing_ok=True)
     os._exit(128 + number)
@@ -36,10 +38,10 @@ def exit_at_once(number: int) -> NoReturn:
 
 @contextlib.contextmanager
 def stop_in_one_line(program: str) -> Iterator[None]:
-    """Lets a signal end the block and the process: one line, what is open is closed, exit code 128 + its number.
+    """Ends the block and the process on a signal: one line, open files are closed, exit code 128 + its number.
 
-    What does not end within seconds, as a compilation, is ended at once, as by a second signal. Enter it in the main
-    thread.
+    A block that goes on for seconds, e.g. in a compilation, is ended at once, as by a second signal. Enter it in the
+    main thread.
     """
     received: list[int] = []
     quiet = threading.Event()
@@ -49,7 +51,7 @@ def stop_in_one_line(program: str) -> Iterator[None]:
             exit_at_once(number)
         received.append(number)
         _say(f"{program}: stopped by {signal.Signals(number).name}")
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what is cut short complains, over hundreds of lines
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries that are cut short complain, over hundreds of lines
         quiet.set()
         timer = threading.Timer(_GRACE, exit_at_once, [number])
         timer.daemon = True
@@ -82,7 +84,9 @@ def _say(line: str) -> None:
 def watch_signals(
     note: Callable[[int], None], handler: Callable[[int, FrameType | None], None] = lambda *_: None
 ) -> Iterator[None]:
-    """Calls `note` with the number of each signal, in a thread of its own, and `handler` in the main thread.
+    """Calls `note` with the number of a signal, in a thread of its own, and `handler` in the main thread.
+
+    Signals that come within a second of one that was noted are not noted again.
 
     Python runs handlers of signals only between two of its own instructions, which a compilation keeps waiting for
     minutes; a thread that reads the numbers of arriving signals does not wait. Enter it in the main thread.
@@ -91,8 +95,10 @@ def watch_signals(
     sender.setblocking(False)
 
     def watch() -> None:
+        noted = -_ONE_SIGNAL
         while received := receiver.recv(1):
-            if received[0] in SIGNALS:
+            if received[0] in SIGNALS and time.monotonic() - noted >= _ONE_SIGNAL:
+                noted = time.monotonic()
                 note(received[0])
 
     watcher = threading.Thread(target=watch, daemon=True)
@@ -126,7 +132,7 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
         name = signal.Signals(number).name
         line = refusal()
         if line is None and stop.is_set():
-            line = f"\n{name}: stopped at once; what was done since the last checkpoint is lost"
+            line = f"\n{name}: stopped at once; the rounds since the last checkpoint are lost"
         if line is not None:
             print(line, file=sys.stderr, flush=True)
             exit_at_once(number)

@@ -1,4 +1,4 @@
-"""Says what a run is doing: on a terminal one line that is rewritten each second, in a log file plain lines."""
+"""The status of a run: on a terminal one line that is rewritten each second, in a log file plain lines."""
 
 import contextlib
 import os
@@ -16,19 +16,19 @@ _WIDTH, _HEIGHT = 80, 24  # of a terminal that does not tell
 
 
 class StatusLine:
-    """What happens within a `with` block, and for how long.
+    """Shows the activity within a `with` block, and its time so far.
 
-    A terminal shows one line, `what, 0:12 elapsed`, which never wraps; elsewhere, as in a log file, what happens is a
-    line of its own when it begins. Of several processes only the first says anything.
+    A terminal shows one line, `activity, 0:12 elapsed`, which never wraps; elsewhere, as in a log file, an activity is
+    a line of its own when it begins. Of several processes only the first shows it.
 
     Args:
-      what: happens, e.g. `"compiling the training program"`.
-      stream: where to; None is stderr.
+      text: the activity, e.g. `"compiling the training program"`.
+      stream: None is stderr.
 
     """
 
-    def __init__(self, what: str, stream: TextIO | None = None) -> None:
-        self._text = what
+    def __init__(self, text: str, stream: TextIO | None = None) -> None:
+        self._text = text
         self._stream = stream or sys.stderr
         self._silent = not is_first_process()
         self._bar: tqdm | None = None
@@ -55,12 +55,12 @@ class StatusLine:
             self._bar.close()
 
     def show(self, text: str, left: float | None = None, log: bool = True) -> None:
-        """Shows something else.
+        """Shows another activity.
 
         Args:
-          text: what happens.
-          left: seconds that it is going to take, if that can be told.
-          log: whether it is worth a line in a log file.
+          text: the activity.
+          left: seconds that it is going to take, if known.
+          log: whether a log file gets a line.
 
         """
         self._text, self._left, self._shown = text, left, time.monotonic()
@@ -87,11 +87,11 @@ class StatusLine:
 
 
 def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) -> tqdm:
-    """Returns tqdm's bar, as wide as the terminal; 79 columns where there is none, or none that tells its size.
+    """Returns tqdm's bar, as wide as the terminal; 79 columns if its width is not known.
 
     Args:
       *arguments: tqdm's.
-      file: where to; None is stderr.
+      file: None is stderr.
       **options: tqdm's.
 
     """

@@ -5,8 +5,8 @@
     trainer = Trainer(task="reach", seeds=2)
     summary = trainer.train()
 
-The parts: `options` (what may be asked for), `run` (what that comes to), `loop` (the rounds), `checkpoint`,
-`run_folder`, `results`, `curves`, `provenance` (what made a result) and `signals`.
+A run goes through these modules: `options` (plans it), `run_folder` (opens its folder), `training` (one run), `loop`
+(the rounds, with `checkpoint` and `loggers`), `results` (policies, `curves` and the summary).
 """
 
 from hgail_jax.trainer.options import TrainOptions

@@ -17,18 +17,19 @@ def next_folder(parent: Path, stem: str) -> Path:
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
-    """Returns the `parent/stem-N` of the run that was saved, or begun, last; None where there is no run."""
+    """Returns the `parent/stem-N` of the run that was saved, or begun, last; None if there is no run."""
     folders = [parent / f"{stem}-{number}" for number in sorted(_numbers(parent, stem), reverse=True)]
     return max(filter(_last_saved, folders), key=_last_saved, default=None)
 
 
 def _numbers(parent: Path, stem: str) -> list[int]:
-    endings = [path.name.removeprefix(f"{stem}-") for path in parent.glob(f"{stem}-*")]
+    names = [path.name for path in parent.iterdir()] if parent.is_dir() else []
+    endings = [name.removeprefix(f"{stem}-") for name in names if name.startswith(f"{stem}-")]
     return [int(ending) for ending in endings if ending.isdecimal()]
 
 
 def _last_saved(folder: Path) -> int:
-    """Returns the time of a run's last checkpoint, or of its beginning, in nanoseconds; 0 for a folder of no run."""
+    """Returns the time of a run's last checkpoint, else of its start, in nanoseconds; 0 if it is no run's folder."""
     config, checkpoints = folder / "config.json", folder / "checkpoints"
     if config.exists():
         return (checkpoints if checkpoints.exists() else config).stat().st_mtime_ns
@@ -36,7 +37,7 @@ def _last_saved(folder: Path) -> int:
 
 
 def _is_empty(folder: Path) -> bool:
-    """Returns whether a run can begin in a folder that is there: nothing is in it, or what a killed process left."""
+    """Returns whether a run can begin in an existing folder: it is empty but for a killed process's partial files."""
     return all(path.name.startswith(".") for path in folder.iterdir())
 
 
@@ -58,7 +59,7 @@ def create_folder(path: Path) -> None:
 
 
 def reopen_folder(path: Path, identity: dict) -> None:
-    """Checks that a folder is that of the run which has this identity, or empty; writes nothing.
+    """Checks that a folder is empty, or that of the run with this identity; writes nothing.
 
     Raises:
       ValueError: it is neither.
@@ -100,7 +101,7 @@ def sole_user(path: Path) -> Iterator[None]:
 
 
 class AnotherRunError(ValueError):
-    """What is there belongs to another run; the message says in what they differ."""
+    """A folder or checkpoint belongs to another run; the message names the first difference."""
 
 
 def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:

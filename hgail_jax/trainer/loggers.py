@@ -1,4 +1,4 @@
-"""Where a run's measurements go: a table, TensorBoard, Weights & Biases; each is a class and an entry of `LOGGERS`."""
+"""Loggers of a run's measurements: a table, TensorBoard, Weights & Biases; each is a class in `LOGGERS`."""
 
 import abc
 import importlib
@@ -18,20 +18,20 @@ from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
 
 _PROJECT = "hgail_jax"
-_FILM_STEP = 4  # of a film's frames, and of its rows and columns, TensorBoard is given one in so many
+_FILM_STEP = 4  # TensorBoard is given every fourth frame of a film, and every fourth row and column of it
 
 Record = dict[str, Any]
-"""What a round measured, see `hgail_jax.trainer.loop.round_record`."""
+"""Measurements of a round, see `hgail_jax.trainer.loop.round_record`."""
 
 
 class Logger(abc.ABC):
-    """Takes what a run measures to one place.
+    """Writes a run's measurements to one place.
 
     Args:
       folder: the run's folder.
-      run: what is trained.
-      settings: what else is to be known of it: config.json's content.
-      history: the records of the rounds that are done already, where a run goes on.
+      run: the run.
+      settings: its settings, as config.json has them.
+      history: records of the rounds done before, if the run goes on from a checkpoint.
 
     Raises:
       OSError: it cannot be opened.
@@ -39,7 +39,7 @@ class Logger(abc.ABC):
     """
 
     library: ClassVar[str | None] = None
-    """The module that it needs; the extra which installs it has the logger's name."""
+    """Module that it needs; the extra which installs it has the logger's name."""
 
     def __init__(self, folder: Path, run: Run, settings: dict[str, Any], history: list[Record]) -> None:
         del settings, history
@@ -47,27 +47,27 @@ class Logger(abc.ABC):
 
     @classmethod  # noqa: B027  (not all have something to do, here and below)
     def check(cls) -> None:
-        """Raises a ValueError if it cannot be used here, apart from what it needs as a library."""
+        """Raises a ValueError if it cannot be used here although its library is installed."""
 
     @abc.abstractmethod
     def rounds(self, history: list[Record]) -> None:
-        """Takes the records of all rounds so far, after each round."""
+        """Writes the records of all rounds so far; called after each round."""
 
     def finish(self, summary: dict[str, Any], curves: Path) -> None:  # noqa: B027
-        """Takes what came of the run: summary.json's content, and the picture of its curves."""
+        """Writes the results: summary.json's content and the picture of the learning curves."""
 
     def film(self, path: Path) -> None:  # noqa: B027
-        """Takes a film of the trained policy."""
+        """Adds a film of the trained policy."""
 
     def close(self) -> None:  # noqa: B027
         """Ends the log, for this process."""
 
 
 class CsvLogger(Logger):
-    """metrics.csv, a row per round and seed; what a round did not measure is left empty."""
+    """metrics.csv, a row per round and seed; a cell is empty if the round did not measure it."""
 
     def rounds(self, history: list[Record]) -> None:
-        """See `Logger`; the table is written anew, so that it has each round once."""
+        """See `Logger`; the table is written anew, as a resumed run repeats the rounds after its checkpoint."""
         rows = [
             {"seed": self.run.first_seed + seed}
             | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
@@ -88,7 +88,7 @@ class TensorboardLogger(Logger):
         super().__init__(folder, run, settings, history)
         goes_on = (folder / "tensorboard").is_dir()
         self._done = len(history) if goes_on else 0
-        # What was measured after the checkpoint that a run goes on from is measured again.
+        # Rounds after the checkpoint that a run goes on from are run, and logged, again.
         purge = (history[-1]["env_steps"] + 1 if history else 0) if goes_on else None
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge)
         if not goes_on:
@@ -156,7 +156,7 @@ class WandbLogger(Logger):
                 config=json.loads(json.dumps(settings, default=str)),
                 settings=wandb.Settings(console="off", silent=True),
             )
-        except Exception as error:  # wandb raises what it likes
+        except Exception as error:  # wandb raises errors of many types
             raise OSError(f"wandb cannot begin: {error}") from error
         self._run.define_metric("env_steps")
         self._run.define_metric("*", step_metric="env_steps")
@@ -218,9 +218,9 @@ def check_loggers(names: str) -> tuple[str, ...]:
 
 
 def scalars(record: Record, first_seed: int) -> dict[str, float]:
-    """Returns the numbers of a round by name, as dashboards group them: what was not measured is absent.
+    """Returns the measurements of a round by name, as dashboards group them.
 
-    What there is of each seed is `name/seed-0` and so on, with `name/mean` and, of several seeds, `name/interval_low`
+    A value of each seed becomes `name/seed-0` and so on, with `name/mean` and, of several seeds, `name/interval_low`
     and `name/interval_high`: the 95 % interval of the mean by Student's t.
     """
     found: dict[str, float] = {}
@@ -240,7 +240,7 @@ def scalars(record: Record, first_seed: int) -> dict[str, float]:
 
 
 def _final(summary: dict[str, Any]) -> dict[str, float]:
-    """Returns the means over the seeds of what the final evaluation measured."""
+    """Returns the means over the seeds in the final evaluation."""
     measured = {name: value["mean"] for name, value in summary.items() if isinstance(value, dict) and "mean" in value}
     return {f"final/{name}": float(value) for name, value in measured.items() if np.isfinite(value)}
 

@@ -1,4 +1,4 @@
-"""The training loop: one compiled program, round by round, with checkpoints; runs and sweeps share it."""
+"""The training loop of runs and sweeps: one compiled program, round by round, with checkpoints."""
 
 import dataclasses
 import threading
@@ -33,7 +33,7 @@ from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 class Program:
     """Settings of the hyperparameters and seeds that one compiled program trains side by side.
 
-    What it returns has an axis over settings times seeds, the seeds within a setting; see `split_sweep`.
+    Its states and metrics have an axis over settings times seeds, the seeds within a setting; see `split_sweep`.
     """
 
     env: hgail_envs.GoalEnv
@@ -43,12 +43,12 @@ class Program:
     first_seed: int = 0
     demonstrations: Samples | None = None
     mesh: Mesh | None = None
-    """The devices to train on; None is one."""
+    """Devices to train on; None is one."""
     evaluate_every: int = 1
     """Rounds from one evaluation to the next; the last round always has one."""
 
     def phases(self) -> np.ndarray:
-        """Returns the schedule, `[rounds + 1, phases]`."""
+        """Returns the phases of each round, `[rounds + 1, phases]`, without the evaluations that are left out."""
         rows = phase_table(self.config)
         rows[np.arange(len(rows)) % self.evaluate_every > 0, -1] = SKIP
         rows[-1, -1] = EVALUATE
@@ -64,7 +64,7 @@ class Program:
         return init_sweep(self.env, self.config, self.settings, keys, self.demonstrations)
 
     def compile(self) -> SeedsStep:
-        """Compiles the training step, from shapes alone: a run that goes on compiles what one that begins does."""
+        """Compiles the training step, from shapes alone, so that a resumed run compiles the same program."""
         return compile_train_step(self.env, self.config, jax.eval_shape(self.init), self.phases()[0], self.mesh)
 
     def label(self, index: int) -> str:
@@ -80,7 +80,7 @@ class Progress:
 
     states: TrainState
     history: list[dict[str, Any]] = dataclasses.field(default_factory=list)
-    """A record of each round done, see `round_record`."""
+    """Record of each round done, see `round_record`."""
     seconds: float = 0.0
     """Time spent in them."""
     saved: int = 0
@@ -92,7 +92,7 @@ class Progress:
         return len(self.history)
 
     def score(self) -> tuple[float, float] | None:
-        """Returns success rate and negative distance in the last round; None where nothing was measured."""
+        """Returns success rate and negative distance in the last round; None if it had no evaluation."""
         last = self.history[-1]
         success, distance = (_mean(last[name]) for name in ("success_rate", "distance_l1"))
         return None if success is None or distance is None else (success, -distance)
@@ -100,7 +100,7 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class SavingPolicy:
-    """When a checkpoint is due: both must have passed since the last one."""
+    """Rounds and seconds that must both have passed since the last checkpoint before the next."""
 
     rounds: int = 1
     seconds: float = 0.0
@@ -115,16 +115,16 @@ def train(
     stop: threading.Event | None = None,
     after_round: Callable[[Progress], None] = lambda progress: None,
 ) -> None:
-    """Takes `progress` through the rounds left, or until `stop` is set; it ends with a checkpoint.
+    """Runs the rounds that are left, or until `stop` is set, and saves a checkpoint.
 
     A seed whose update is not finite is left as it was before that update, and goes on; the round's record counts it.
 
     Args:
-      program: what to train.
+      program: the program.
       step: from `Program.compile`.
       progress: from `begin`; it is changed.
       checkpoints: where states are saved; None saves nothing.
-      saving: when; by default after each round.
+      saving: their spacing; by default one after each round.
       stop: once it is set in any process, the training ends with the round that it is in.
       after_round: called once a round is recorded, before it is saved.
 
@@ -137,7 +137,7 @@ def train(
     """
     phases, steps, saving = program.phases(), program.env_steps(), saving or SavingPolicy()
     stop = stop or threading.Event()
-    if progress.rounds == len(phases):  # there is no round to tell of
+    if progress.rounds == len(phases):  # no round is left, so that no status line is shown
         return
     begun, done = time.perf_counter(), progress.rounds
     started, saved = begun - progress.seconds, begun
@@ -160,12 +160,12 @@ def train(
 
 
 def begin(program: Program, untrained: TrainState, restored: Checkpoint | None = None) -> Progress:
-    """Returns where a training starts, on the devices. Of several processes the first alone may have a checkpoint.
+    """Returns the progress that a training starts from, on its devices.
 
     Args:
-      program: what to train.
+      program: the program.
       untrained: from `Program.init`.
-      restored: what to go on from; None begins anew.
+      restored: checkpoint to go on from, which the first of several processes has for all; None begins anew.
 
     """
     progress = Progress(untrained)
@@ -189,14 +189,14 @@ def save(checkpoints: Checkpoints | None, progress: Progress) -> None:
 
 
 def is_stopped(stop: threading.Event) -> bool:
-    """Returns whether any process is to stop, and sets `stop` then, so that all of them do."""
+    """Returns whether `stop` is set in any process, and sets it in all of them then."""
     if any_process(stop.is_set()):
         stop.set()
     return stop.is_set()
 
 
 def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) -> dict[str, Any]:
-    """Returns what a round measured: numbers, and lists over settings times seeds; None is what was not measured."""
+    """Returns the measurements of a round: numbers, and lists over settings times seeds; None if not measured."""
     columns = {
         "success_rate": metrics.evaluation.success,
         "achieved_rate": metrics.evaluation.achieved,
@@ -215,7 +215,7 @@ def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) 
 
 
 def diverged_seeds(program: Program, progress: Progress) -> list[str]:
-    """Returns the names of the seeds of which some update was not finite."""
+    """Returns the names of the seeds with an update that was not finite."""
     rates = np.array([row["diverged_rate"] for row in progress.history], float)
     return [program.label(int(index)) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
 
@@ -228,7 +228,7 @@ def _refuse(metrics: RoundMetrics, index: int) -> None:
 
 
 def _beginning(program: Program, progress: Progress) -> str:
-    """Says what happens before the first round is through; round 0 is the pre-training."""
+    """Returns the status until the first round is done; round 0 is the pre-training."""
     count = len(program.settings)
     settings = f" of {count} settings × {counted(program.seeds, 'seed')}" if count > 1 else ""
     kernels = ", which builds physics kernels" if getattr(program.env, "impl", None) == "warp" else ""
@@ -236,7 +236,7 @@ def _beginning(program: Program, progress: Progress) -> str:
 
 
 def _status(program: Program, progress: Progress) -> str:
-    """Says what came of the last round, in a few words: with the time, and in hours, they fit a terminal's line."""
+    """Returns the status after a round: with the time, even in hours, it fits a terminal's line."""
     last = progress.history[-1]
     success, diverged = _mean(last["success_rate"]), diverged_seeds(program, progress)
     rate = last["env_steps"] * program.seeds * len(program.settings) / progress.seconds

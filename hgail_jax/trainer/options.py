@@ -1,6 +1,7 @@
 """Options of a training, and the run that they ask for on a platform."""
 
 import dataclasses
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,7 @@ from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
 
 _PHYSICS = ("impl", "substeps", "worlds")
-"""Options of a task that `TrainOptions` has options of its own for."""
+"""Options of a task that are options of `TrainOptions`, or follow from them."""
 
 
 def _choices(text: str, names: Any) -> Any:
@@ -30,7 +31,7 @@ def _choices(text: str, names: Any) -> Any:
 
 
 def unless_given(default: str, metavar: str) -> Any:
-    """Has the help of an option that is None by default say what that stands for."""
+    """Returns the marker of an option that is None by default, for which its help shows `default`."""
     return tyro.conf.arg(help_behavior_hint=f"(default: {default})", metavar=metavar)
 
 
@@ -40,7 +41,7 @@ class TrainOptions:
 
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
-    method: Annotated[str, _choices("What to train", METHODS)] = "hgail"
+    method: Annotated[str, _choices("Method to train", METHODS)] = "hgail"
     demos: Annotated[Path | None, unless_given("none", "FILE")] = None
     """Demonstrations of the task, from the command demos; gail-demo needs them."""
     seeds: int = 8
@@ -57,7 +58,7 @@ class TrainOptions:
     impl: Annotated[str, _choices("Physics engine of the Fetch tasks", ["auto", *ENGINES])] = "auto"
     substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
     """Physics steps per action in training, 4 to 20. The final evaluation has 20."""
-    randomize: Annotated[str, _choices("How much each episode is disturbed, see docs/robust.md", LEVELS)] = "none"
+    randomize: Annotated[str, _choices("How much each episode is randomised, see docs/robust.md", LEVELS)] = "none"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
@@ -80,12 +81,12 @@ class TrainOptions:
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next."""
     evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
-    """Rounds from one evaluation to the next; the last round always has one. What is learnt does not depend on it."""
+    """Rounds from one evaluation to the next; the last round always has one. Training does not depend on it."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
 def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[str, Any]:
-    """Returns the values of the options that are None by default because a task, or a method, has its own.
+    """Returns the task's, or the method's, values of the options that are None by default.
 
     Raises:
       ValueError: there is no such task, method or preset.
@@ -106,12 +107,13 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
-    """Works out what the options ask for on `platform`, `"cpu"` or `"gpu"`.
+    """Returns the run that the options ask for on `platform`, `"cpu"` or `"gpu"`.
 
     Raises:
       ValueError: an option has a value that it cannot have.
 
     """
+    started = time.perf_counter()
     _check(options)
     preset = _with_sizes(options, task_preset(_find(options.task), platform, options.preset))
     preset = _with_hyperparameters(options, METHODS[options.method].apply(preset))
@@ -140,6 +142,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
         mesh=mesh,
         demonstrations=demonstrations,
         loggers=check_loggers(options.logger),
+        options=dataclasses.asdict(options),
+        started=started,
     )
 
 
@@ -193,7 +197,7 @@ def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
         standardize_reward=options.standardize_reward,
         **{name: value for name, value in given.items() if value is not None},
     )
-    # a weight of 0 leaves the BC loss out, even for a method that has it by default
+    # A weight of 0 leaves the BC loss out of the program, even for a method that has it by default.
     config = preset.config.replace(bc_batch=0) if options.bc_weight == 0 else preset.config
     return dataclasses.replace(preset, config=config, hyperparameters=hyperparameters)
 
@@ -203,7 +207,7 @@ def _find(task: str) -> type[hgail_envs.GoalEnv]:
         return hgail_envs.find_class(task)
     except ValueError:
         raise
-    except Exception as error:  # a module of the user's own raises what it likes
+    except Exception as error:  # a user's module raises errors of any type
         raise ValueError(f"cannot load task {task!r}: {error}") from error
 
 

@@ -1,4 +1,4 @@
-"""What a run leaves behind once it is trained: curves, policies and a summary."""
+"""Results of a trained run: policies, learning curves and a summary."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ from hgail_jax.trainer.run import Run
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
     """Writes the policies and the curves."""
     (folder / "policies").mkdir(exist_ok=True)
-    on_host = jax.device_get(states.replace(rng=None, expert=None))  # a device would compile the taking apart
+    on_host = jax.device_get(states.replace(rng=None, expert=None))  # on a device each slice would be compiled
     for index in range(run.seeds):
         state = jax.tree.map(lambda leaf, i=index: leaf[i], on_host)
         policy = from_state(run.task, run.env, run.config, state, run.task_options)
@@ -38,13 +38,13 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
 def summarize(
     run: Run, progress: Progress, evaluations: Mapping[str, EpisodeMetrics], timing: dict[str, float]
 ) -> dict[str, Any]:
-    """Returns summary.json's content, less what made it and the total time.
+    """Returns summary.json's content without provenance and total time.
 
     Args:
-      run: what was trained.
+      run: the run.
       progress: after its last round.
-      evaluations: of the final evaluation, `"final"`, and of one without disturbances, `"nominal"`, where the task
-        is randomised; leaves `[seeds]`.
+      evaluations: `"final"` and, of a randomised task, `"nominal"`, that of the task without randomisation; leaves
+        `[seeds]`.
       timing: seconds of `compile`, `train` and `evaluation`.
 
     """
@@ -55,16 +55,14 @@ def summarize(
 
     rollouts = whole_rollouts(run.evaluation_episodes, run.config.num_envs)
     final, steps = evaluations["final"], progress.history[-1]["env_steps"]
-    undisturbed = (
-        {"nominal_success_rate": over_seeds(evaluations["nominal"].success)} if "nominal" in evaluations else {}
-    )
+    nominal = {"nominal_success_rate": over_seeds(evaluations["nominal"].success)} if "nominal" in evaluations else {}
     return {
         "task": run.task,
         "method": run.method,
         "seeds": run.seeds,
         "mesh": dict(run.mesh.shape),
         "success_rate": over_seeds(final.success),
-        **undisturbed,
+        **nominal,
         "achieved_rate": over_seeds(final.achieved),
         "success_rate_l1": over_seeds(final.success_l1),
         "distance_l1": over_seeds(final.distance_l1),

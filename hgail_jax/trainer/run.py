@@ -1,6 +1,7 @@
-"""A run: everything that decides what a training computes, checked and worked out."""
+"""A run: all settings of a training, checked."""
 
 import dataclasses
+import time
 from typing import Any
 
 from jax.sharding import Mesh
@@ -21,24 +22,28 @@ class Run:
     first_seed: int
     env: hgail_envs.GoalEnv
     task_options: dict[str, Any]
-    """The options of its own that the task was given."""
+    """Options of the task's class, as given."""
     config: Config
     hyperparameters: Hyperparameters
     evaluation_episodes: int
-    """Episodes per seed that the final evaluation has at least."""
+    """Least number of episodes per seed in the final evaluation."""
     checkpoint_every: int
     """Rounds from one checkpoint to the next."""
     mesh: Mesh
-    """The devices to train on; what is computed does not depend on them."""
+    """Devices to train on; results do not depend on them."""
     demonstrations: Demonstrations | None = None
-    """Where the method learns from any."""
+    """Demonstrations that the method learns from, if it does."""
     evaluate_every: int = 1
     """Rounds from one evaluation to the next."""
     loggers: tuple[str, ...] = ("csv",)
-    """Where measurements go: names of `hgail_jax.trainer.loggers.LOGGERS`."""
+    """Names of `hgail_jax.trainer.loggers.LOGGERS`."""
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """The options as they were given."""
+    started: float = dataclasses.field(default_factory=time.perf_counter)
+    """Reading of `time.perf_counter` from which the run's total time counts."""
 
     def identity(self) -> dict[str, Any]:
-        """Returns what a run that resumes another must share with it."""
+        """Returns the settings that a run must have in common with one that it resumes."""
         return {
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
             "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")} | self._randomization(),
@@ -49,12 +54,12 @@ class Run:
         }
 
     def _randomization(self) -> dict[str, Any]:
-        """Returns the sizes of the disturbances; nothing where there are none, as before there could be any."""
+        """Returns the sizes of the randomisation; nothing if there is none, as older runs have it."""
         randomization = getattr(self.env, "randomization", None)
         return {} if randomization is None else {"randomization": dataclasses.asdict(randomization)}
 
     def program(self) -> Program:
-        """Returns what is to be compiled."""
+        """Returns the program to compile."""
         return Program(
             env=self.env,
             config=self.config,

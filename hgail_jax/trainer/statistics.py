@@ -11,7 +11,7 @@ _TRIMMED = 0.25  # off either end
 
 
 class Estimate(NamedTuple):
-    """A number and the 95 % interval around it; the bounds are not numbers where there is one seed."""
+    """A number and the 95 % interval around it; the bounds are NaN with one seed."""
 
     value: float
     low: float
@@ -19,7 +19,7 @@ class Estimate(NamedTuple):
 
 
 def confidence_interval(values: np.ndarray, axis: int = -1) -> np.ndarray:
-    """Returns half the width of the 95 % interval of the mean by Student's t; not a number where n is 1.
+    """Returns half the width of the 95 % interval of the mean by Student's t; NaN where n is 1.
 
     >>> round(float(confidence_interval(np.array([1.0, 2.0, 3.0]))), 3)
     2.484
@@ -54,7 +54,7 @@ def interquartile_mean(*strata: np.ndarray) -> Estimate:
 
 
 def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Estimate:
-    """Returns how probably a seed of the first is better than one of the second, P(X > Y), where ties count half.
+    """Returns the probability that a seed of the first is better than one of the second, P(X > Y); ties count half.
 
     The interval is a bootstrap's, which draws the seeds of either again.
 
@@ -75,7 +75,7 @@ def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Estimat
 
 
 def _bootstrap(statistic: Callable[..., Any], samples: tuple[np.ndarray, ...]) -> Estimate:
-    """Returns the statistic of samples `[seeds]`, and its interval over samples each drawn again; always the same."""
+    """Returns the statistic of samples `[seeds]`, and its bootstrap interval, always with the same draws."""
     from scipy import stats
 
     samples = tuple(np.asarray(sample, float) for sample in samples)

@@ -78,7 +78,7 @@ def closed_folder(tmp_path, monkeypatch):
         raise AssertionError("bad input was taken")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run.Trainer, "train", refuse)
+    monkeypatch.setattr(run, "train_run", refuse)
     (tmp_path / "file").write_text("")
     return tmp_path
 

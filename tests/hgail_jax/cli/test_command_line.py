@@ -1,6 +1,7 @@
 """What is said of a command line that cannot be read."""
 
 import dataclasses
+import os
 import sys
 from typing import Annotated, Literal
 
@@ -71,6 +72,7 @@ def test_what_the_user_says_of_jax_s_cache_holds(monkeypatch, of_user, set_here)
         monkeypatch.setenv(name, value)
     changed = {}
     monkeypatch.setattr(jax.config, "update", changed.__setitem__)
-    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.setattr(sys, "path", ["elsewhere"])
     prepare_process()
     assert changed == set_here
+    assert sys.path == [os.getcwd(), "elsewhere"]

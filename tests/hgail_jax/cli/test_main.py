@@ -9,7 +9,7 @@ import pytest
 
 from hgail_jax import cli
 from hgail_jax.cli import COMMANDS, main
-from tests.support import ROOT
+from tests.support import SOURCES
 
 
 @pytest.fixture
@@ -73,6 +73,7 @@ def test_a_command_has_help_of_its_own(capsys, prepared):
         assert "None" not in shown
 
 
+# Python has a module of that name, too.
 TASK_OF_ONE_S_OWN = """
 from hgail_envs.point import Point
 
@@ -81,22 +82,17 @@ class Near(Point):
 """
 
 
-@pytest.mark.parametrize(
-    ("named", "cache"),
-    [({}, "cache/hgail_jax"), ({"JAX_COMPILATION_CACHE_DIR": "programs"}, "programs")],
-)
-def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache(tmp_path, named, cache):
-    (tmp_path / "my_tasks.py").write_text(TASK_OF_ONE_S_OWN)
+def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the_cache(tmp_path):
+    (tmp_path / "test.py").write_text(TASK_OF_ONE_S_OWN)
     kept = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     environment = kept | {
-        "PYTHONPATH": str(ROOT),
+        "PYTHONPATH": SOURCES,
         "PYTHONSAFEPATH": "1",  # as of a console command, whose own folder Python looks in, not the user's
         "XDG_CACHE_HOME": str(tmp_path / "cache"),
-        **{name: str(tmp_path / folder) for name, folder in named.items()},
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
     command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
-    options = ["--task", "my_tasks:Near", "--episodes", "3", "--out", "near.npz"]
+    options = ["--task", "test:Near", "--episodes", "3", "--out", "near.npz"]
     done = subprocess.run(
         [sys.executable, "-c", command, "demos", *options],
         cwd=tmp_path,
@@ -105,17 +101,21 @@ def test_a_task_in_the_user_s_folder_is_found_and_programs_are_kept_in_the_cache
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("3 episodes of my_tasks:Near: return 0.0")  # wherever it is, it is near enough
+    assert done.stdout.startswith("3 episodes of test:Near: return 0.0")  # wherever it is, it is near enough
     assert (tmp_path / "near.npz").exists()
-    assert [folder for folder in ("cache/hgail_jax", "programs") if (tmp_path / folder).exists()] == [cache]
-    assert list((tmp_path / cache).iterdir())
+    assert list((tmp_path / "cache" / "hgail_jax").iterdir())
 
 
-def test_a_reader_who_leaves_ends_the_command_silently():
-    """As `head` does."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    command = [sys.executable, "-c", "from hgail_jax.cli import main; main()", "train", "--help"]
-    ended = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, cwd=ROOT, text=True, check=False)
-    os.close(writing)
-    assert (ended.returncode, ended.stderr) == (1, "")
+@pytest.mark.parametrize(
+    ("arguments", "numbers"),
+    [
+        (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
+        (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
+        (["--preset", "paper"], ["reach", "--action-std 1.0"]),
+    ],
+)
+def test_help_has_the_numbers_of_the_task(capsys, prepared, arguments, numbers):
+    with pytest.raises(SystemExit):
+        main(["train", *arguments, "--help"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
+    assert all(number in line for number in numbers)

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +15,8 @@ from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.run_folder import RunFolder
+from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.support import ROOT, compile_once, make_runs_tiny
 
 TINY = ["--seeds", "2", "--num-envs", "2", "--iterations", "1"]
@@ -52,7 +53,7 @@ def test_a_run_writes_everything(reach_run):
     assert names == {"config.json", "metrics.csv", "summary.json", "curves.png", "rollout.mp4"} | policies
     assert (reach_run / "rollout.mp4").read_text() == "['Reach', 'MeanPolicy']"
     assert (reach_run / "curves.png").read_bytes().startswith(b"\x89PNG")
-    assert {path.name for path in (reach_run / "checkpoints").iterdir()} == {"1", "2"}
+    assert saved_in(reach_run) == [1, 2]
 
 
 def test_summary_says_what_was_reached_and_what_made_it(reach_run):
@@ -89,24 +90,22 @@ def test_metrics_have_a_row_per_seed_and_round(reach_run):
     assert {row["diverged_rate"] for row in rows} == {row["dropped_rate"] for row in rows} == {"0.0"}
 
 
-def test_the_same_command_writes_the_same_numbers(reach_run, tmp_path):
-    run.main([*TINY, "--out", str(tmp_path / "again")])
+def test_the_same_command_writes_the_same_numbers_and_a_film_that_cannot_be_made_costs_no_result(
+    reach_run, in_folder, capsys, monkeypatch
+):
+    def refuse(*arguments):
+        raise RuntimeError("MuJoCo cannot render here")
+
+    monkeypatch.setattr(run, "film", refuse)
+    run.main([*TINY, "--video", "--out", "again"])
+    assert capsys.readouterr().err.splitlines()[-1] == "no video: MuJoCo cannot render here"
+    assert Path("again/summary.json").exists()
 
     def rows(folder):
         with (folder / "metrics.csv").open() as file:
             return [row | {"seconds": ""} for row in csv.DictReader(file)]
 
-    assert rows(tmp_path / "again") == rows(reach_run)
-
-
-def test_a_film_that_cannot_be_made_costs_no_result(in_folder, capsys, monkeypatch):
-    def refuse(*arguments):
-        raise RuntimeError("MuJoCo cannot render here")
-
-    monkeypatch.setattr(run, "film", refuse)
-    run.main([*TINY, "--video", "--out", "run"])
-    assert capsys.readouterr().err.splitlines()[-1] == "no video: MuJoCo cannot render here"
-    assert Path("run/summary.json").exists()
+    assert rows(Path("again")) == rows(reach_run)
 
 
 def test_policies_can_be_loaded(reach_run):
@@ -115,12 +114,12 @@ def test_policies_can_be_loaded(reach_run):
     assert (np.abs(action) <= 1).all()
 
 
-def test_seeds_are_named_as_asked_and_folders_are_numbered(in_folder):
-    run.main(["--task", "point", "--first-seed", "5", *TINY])
+def test_folders_are_numbered(in_folder, monkeypatch):
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
+    run.main(["--task", "point", *TINY])
     run.main(["--task", "point", "--method", "hgail-no", *TINY])
     run.main(["--task", "point", *TINY])
     assert {path.name for path in Path("runs").iterdir()} == {"point-hgail-1", "point-hgail-no-1", "point-hgail-2"}
-    assert {path.name for path in Path("runs/point-hgail-1/policies").iterdir()} == {"seed-5.npz", "seed-6.npz"}
 
 
 @pytest.mark.parametrize(
@@ -202,17 +201,28 @@ def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
 
 @pytest.mark.parametrize(("seeds", "envs", "said"), [(1, 1, "1 seed × 1 env"), (8, 2, "8 seeds × 2 envs")])
 def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs, said):
-    monkeypatch.setattr(run.Trainer, "train", lambda *_: None)
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main(["--task", "point", "--seeds", str(seeds), "--num-envs", str(envs), "--out", "run"])
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
 
 
-@pytest.mark.parametrize("likelihood, batch", [(None, 512), (0.5, 512), (0.0, 0)])
-def test_no_likelihood_costs_none(likelihood, batch):
+@pytest.mark.parametrize(("weight", "batch"), [(None, 512), (0.5, 512), (0.0, 0)])
+def test_a_bc_weight_of_0_leaves_the_bc_loss_out(weight, batch):
     """Also of a method that has it by default."""
-    prepared = plan(TrainOptions(task="point", method="gcsl", likelihood=likelihood), "cpu")
-    assert prepared.config.bc_batch == batch
-    assert prepared.hyperparameters.bc_weight == (1.0 if likelihood is None else likelihood)
+    prepared = plan(TrainOptions(task="point", method="gcsl", bc_weight=weight), "cpu")
+    assert prepared.config.learner.bc_batch == batch
+    assert prepared.hyperparameters.bc_weight == (1.0 if weight is None else weight)
+
+
+def test_an_option_by_its_old_name_is_taken_with_a_line(in_folder, capsys, monkeypatch):
+    planned = []
+    monkeypatch.setattr(run, "plan", lambda options, platform: planned.append(options) or plan(options, platform))
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
+    run.main(["--task", "point", "--likelihood", "0.5", "--out", "run"])
+    assert planned[0].bc_weight == 0.5
+    shown = capsys.readouterr()
+    assert shown.err == "hgail train: --likelihood is --bc-weight now; the old name goes with the next release\n"
+    assert shown.out.endswith("train --task point --bc-weight 0.5 --resume run\n")
 
 
 def test_every_option_has_a_help_line(capsys):
@@ -224,21 +234,6 @@ def test_every_option_has_a_help_line(capsys):
     assert "(default: reach)" in shown
     assert "None" not in shown
     assert "(default: the task's)" in shown
-
-
-@pytest.mark.parametrize(
-    ("arguments", "numbers"),
-    [
-        (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
-        (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
-        (["--preset", "paper"], ["reach", "--action-std 1.0"]),
-    ],
-)
-def test_help_has_the_numbers_of_the_task(capsys, arguments, numbers):
-    with pytest.raises(SystemExit):
-        run.main([*arguments, "--help"])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
-    assert all(number in line for number in numbers)
 
 
 def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
@@ -342,35 +337,6 @@ def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
     assert run._go_on([], Path("run")) == f"go on with: {program} train --resume run"
 
 
-def is_told_to_go_on(done, said):
-    """Whether the last line says that, and has the command of the processes below with the folder of their run."""
-    begun, _, command = done.stderr.splitlines()[-1].partition("; go on with: ")
-    options = ["--task", "point", "--num-envs", "4", "--resume", "run"]
-    return begun == f"hgail train: {said}" and shlex.split(command)[1:] == ["train", *options]
-
-
-WHILE_COMPILING = """
-import os, signal, sys, time
-from hgail_jax.cli import main
-from hgail_jax.trainer.loop import Program
-def compile(program):
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(60)
-Program.compile = compile
-main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
-"""
-
-
-def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-c", WHILE_COMPILING]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 130
-    assert is_told_to_go_on(done, "stopped before round 0")
-    assert "Traceback" not in done.stderr
-    assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
-
-
 @pytest.mark.parametrize(
     ("saved", "said"),
     [
@@ -380,46 +346,10 @@ def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(tmp_path):
     ],
 )
 def test_a_stopped_run_says_how_far_it_is(saved, said):
-    trainer = run.Trainer(task="point", iterations=4)
-    trainer._checkpoints = Checkpoints("checkpoints", {})
-    trainer.checkpoints.saved = saved
-    assert run._stopped(trainer) == said
-
-
-WHILE_THE_EVALUATION_COMPILES = """
-import os, signal, sys, threading, time
-from hgail_jax.cli import main
-from hgail_jax.trainer import trainer
-from hgail_jax.trainer.loop import Program
-stopped = threading.Event()
-def train(program, step, progress, checkpoints, saving, stop, after_round):
-    os.kill(os.getpid(), signal.SIGINT)
-    stop.wait()
-    stopped.set()
-def trace_evaluations(self):
-    return {"final": lambda: compile_evaluation(self)}
-def compile_evaluation(run):
-    stopped.wait()
-    while run.in_rounds:
-        time.sleep(0.01)
-    time.sleep(2.0)
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(60)
-Program.compile = lambda program: None
-trainer.train = train
-trainer.Trainer._trace_evaluations = trace_evaluations
-main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
-"""
-
-
-def test_a_second_interrupt_ends_a_stopped_run_that_waits_for_the_compiler(tmp_path):
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-c", WHILE_THE_EVALUATION_COMPILES]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 130
-    assert "SIGINT: stopping after this round; once more stops at once" in done.stderr
-    assert is_told_to_go_on(done, "stopped before round 0")
-    assert "Traceback" not in done.stderr
+    checkpoints = Checkpoints("checkpoints", {})
+    checkpoints.saved = saved
+    stopped = plan(TrainOptions(task="point", iterations=4), "cpu")
+    assert run._stopped(stopped, RunFolder(Path("run"), checkpoints, None)) == said
 
 
 @pytest.mark.parametrize(
@@ -437,5 +367,5 @@ def test_one_seed_has_neither_an_interval_nor_a_worst(per_seed, said, tmp_path, 
         "env_steps_per_second": 100.0,
         "diverged_seeds": [],
     }
-    run._report(summary, SimpleNamespace(folder=tmp_path))
+    run._report(summary, tmp_path)
     assert capsys.readouterr().out.startswith(said)

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import jax
 import pytest
 
-from hgail_jax.trainer import provenance
+from hgail_jax.io import provenance
 
 
 @pytest.mark.parametrize(("platform", "driver"), [("gpu", "580.1"), ("cpu", None)])

@@ -18,7 +18,7 @@ import pytest
 import hgail_envs
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.session import Phase, Session
-from tests.support import ROOT
+from tests.support import ROOT, SOURCES
 
 pytest.importorskip("mjviser", reason="the extra web is not installed")
 
@@ -101,14 +101,14 @@ def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", command, "play", "--web", "--task", "reach", "--port", str(port)],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+        env=os.environ | {"PYTHONPATH": SOURCES, "PYTHONUNBUFFERED": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     lines = [process.stdout.readline() for _ in range(3)]
     policy = ROOT / "assets" / "policies" / "reach.npz"
-    assert lines[1] == f"policy {policy}, undisturbed\n"
+    assert lines[1] == f"policy {policy}, nominal\n"
     assert lines[::2] == ["compiling reach ...\n", f"http://127.0.0.1:{port} shows reach; Ctrl-C stops\n"]
     with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
         assert answer.status == 200

@@ -1,6 +1,7 @@
 """Commands that a signal ends: in processes of their own, at points that are the same each time."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -8,21 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from hgail_jax.terminal import signals as interrupts
-from tests.support import ROOT
+from hgail_jax.cli.command_line import one_line_errors
+from tests.hgail_jax.forks import run_scripts
+from tests.support import SOURCES
 
 BEGIN = """
-import os, signal, sys, time
+import os, signal, sys, threading, time
 from pathlib import Path
 from hgail_jax.cli.command_line import one_line_errors
 from hgail_jax.io.files import replace_file
+from hgail_jax.terminal import signals
 def interrupt(name="SIGINT"):
     os.kill(os.getpid(), getattr(signal, name))
 """
 
 WHILE_WRITING = """
 with one_line_errors("it"), replace_file("file") as file:
-    interrupt(sys.argv[1])
+    interrupt("{}")
     time.sleep(60)
 """
 
@@ -50,9 +53,8 @@ with one_line_errors("it"):
 """
 
 NOTED_LATE = """
-from hgail_jax.terminal import signals as interrupts
-say = interrupts._say
-interrupts._say = lambda line: (time.sleep(0.5), say(line))
+say = signals._say
+signals._say = lambda line: (time.sleep(0.5), say(line))
 with one_line_errors("it"):
     try:
         interrupt()
@@ -63,9 +65,7 @@ with one_line_errors("it"):
 """
 
 STUCK = """
-from hgail_jax.terminal import signals as interrupts
-interrupts._GRACE = 0.1
-import threading
+signals._GRACE = 0.1
 with one_line_errors("it"), replace_file("file") as file:
     interrupt()
     try:
@@ -74,37 +74,7 @@ with one_line_errors("it"), replace_file("file") as file:
         threading.Event().wait()
 """
 
-
-def ended(tmp_path, code, *arguments):
-    return subprocess.run(
-        [sys.executable, "-c", BEGIN + code, *arguments],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-
-
-@pytest.mark.parametrize(
-    ("code", "name"),
-    [
-        (WHILE_WRITING, "SIGINT"),
-        (WHILE_WRITING, "SIGTERM"),
-        (SWALLOWED, "SIGINT"),
-        (IN_A_CALLBACK, "SIGINT"),
-        (NOTED_LATE, "SIGINT"),
-        (STUCK, "SIGINT"),
-    ],
-    ids=["writing", "terminated", "swallowed", "callback", "late", "stuck"],
-)
-def test_a_signal_is_one_line_and_leaves_no_file(tmp_path, code, name):
-    process = ended(tmp_path, code, name)
-    assert process.returncode == 128 + getattr(signal, name)
-    assert process.stderr == f"it: stopped by {name}\n"
-    assert not list(tmp_path.iterdir())
-
-
+# Threads of XLA call the C engine's functions until the very end, so Python is not to be taken away from them.
 AT_THE_END = """
 import atexit
 atexit.register(Path("late").touch)
@@ -114,81 +84,158 @@ with one_line_errors("it"):
     time.sleep(60)
 """
 
-
-def test_a_stopped_process_does_not_take_python_away_from_what_still_computes(tmp_path):
-    """Threads of XLA call the C engine's functions until the very end."""
-    process = ended(tmp_path, AT_THE_END)
-    assert process.returncode == 130
-    assert process.stdout == "before\n"
-    assert not list(tmp_path.iterdir())
-
-
-OUT_OF_MEMORY = """
-with one_line_errors("it"):
-    raise MemoryError
+# timeout(1) signals its child and then the group that the child is in.
+BY_TIMEOUT = """
+with signals.stop_on_signal() as stop:
+    interrupt("SIGTERM")
+    os.killpg(0, signal.SIGTERM)
+    stop.wait()
+    time.sleep(0.3)
+print("saved")
 """
 
-
-def test_a_lack_of_memory_is_one_line(tmp_path):
-    process = ended(tmp_path, OUT_OF_MEMORY)
-    assert process.returncode == 1
-    assert process.stderr.startswith("it: out of memory")
-    assert process.stderr.count("\n") == 1
-
-
-# jax is imported first of all that takes time; here it is the user who comes in between, and it swallows what is raised
-IMPATIENT = """
-import os, signal
-try:
-    os.kill(os.getpid(), signal.SIGINT)
-    while True:
-        pass
-except BaseException:
-    pass
+TWICE = """
+signals._ONE_SIGNAL = 0.1
+with signals.stop_on_signal() as stop:
+    interrupt()
+    stop.wait()
+    time.sleep(0.2)
+    print("once", flush=True)
+    interrupt("{}")
+    time.sleep(60)
+    print("never")
 """
 
+TRAIN = """
+from hgail_jax.cli import main
+from hgail_jax.trainer import training
+from hgail_jax.trainer.loop import Program
+signals._ONE_SIGNAL = 0.1
+{}
+main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
+"""
 
-@pytest.mark.parametrize(
-    "module",
-    [
-        "hgail_jax.cli.demos",
-        "hgail_jax.cli.train",
-        "experiments.bench",
-        "experiments.paper",
-        "experiments.parity",
-        "experiments.transfer",
-    ],
-)
-def test_an_interrupt_during_imports_is_one_line(tmp_path, module):
-    (tmp_path / "jax.py").write_text(IMPATIENT)
-    process = subprocess.run(
-        [sys.executable, "-m", module],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert process.returncode == 130
-    assert process.stderr == f"{module}: stopped by SIGINT\n"
-    assert [path.name for path in tmp_path.iterdir() if path.name != "__pycache__"] == ["jax.py"]
+WHILE_COMPILING = """
+Program.compile = lambda program: (interrupt(), time.sleep(60))
+"""
+
+WHILE_THE_EVALUATION_COMPILES = """
+stopped, over = threading.Event(), threading.Event()
+train_rounds = training.train_rounds
+def train(program, step, progress, checkpoints, saving, stop, after_round):
+    interrupt()
+    stop.wait()
+    stopped.set()
+def train_and_tell(*arguments):
+    train_rounds(*arguments)
+    over.set()
+def compile_evaluation():
+    stopped.wait()
+    over.wait()
+    time.sleep(0.5)
+    interrupt()
+    time.sleep(60)
+Program.compile = lambda program: None
+training.train, training.train_rounds = train, train_and_tell
+training.trace_evaluations = lambda run: dict(final=compile_evaluation)
+"""
+
+PLAY = """
+import hgail_jax.cli, hgail_jax.play.playback
+import numpy as np
+def frames(*_):
+    yield np.zeros((48, 64, 3), np.uint8)
+    interrupt()
+    time.sleep(60)
+hgail_jax.play.playback.frames = frames
+hgail_jax.cli.main(["play", "--task", "reach"])
+"""
+
+# As `head` does once it has its lines.
+READER_LEAVES = """
+from hgail_jax.cli import main
+reading, writing = os.pipe()
+os.close(reading)
+os.dup2(writing, 1)
+main(["train", "--help"])
+"""
+
+SCRIPTS = {
+    "writing": WHILE_WRITING.format("SIGINT"),
+    "terminated": WHILE_WRITING.format("SIGTERM"),
+    "swallowed": SWALLOWED,
+    "callback": IN_A_CALLBACK,
+    "late": NOTED_LATE,
+    "stuck": STUCK,
+    "end": AT_THE_END,
+    "timeout": BY_TIMEOUT,
+    "SIGINT": TWICE.format("SIGINT"),
+    "SIGTERM": TWICE.format("SIGTERM"),
+    "compiling": TRAIN.format(WHILE_COMPILING),
+    "evaluation": TRAIN.format(WHILE_THE_EVALUATION_COMPILES),
+    "play": PLAY,
+    "reader": READER_LEAVES,
+}
 
 
-@pytest.mark.parametrize(
-    ("words", "program"),
-    [
-        (["python", "/venv/bin/hgail", "train"], "hgail"),
-        (["python", str(ROOT / "experiments" / "run.py")], "run"),
-        (["python", "-m", "hgail_jax.cli.train"], "hgail_jax.cli.train"),
-        (["python", "-m", "pytest", "hgail_jax"], None),
-        (["python", "-c", "import hgail_jax"], None),
-        (["python", "my_script.py"], None),
-    ],
-)
-def test_only_commands_of_this_project_are_meant(monkeypatch, words, program):
-    monkeypatch.setattr(sys, "orig_argv", words)
-    monkeypatch.setattr(sys, "argv", words[1:])
-    assert interrupts._program() == program
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory):
+    return run_scripts(tmp_path_factory.mktemp("scripts"), {name: BEGIN + code for name, code in SCRIPTS.items()})
+
+
+@pytest.mark.parametrize("name", ["writing", "terminated", "swallowed", "callback", "late", "stuck", "end"])
+def test_a_signal_is_one_line_and_leaves_no_file(ended, name):
+    signalled = "SIGTERM" if name == "terminated" else "SIGINT"
+    assert ended[name].returncode == 128 + getattr(signal, signalled)
+    assert ended[name].stderr == f"it: stopped by {signalled}\n"
+    assert ended[name].stdout == ("before\n" if name == "end" else "")
+    assert not list(ended[name].folder.iterdir())
+
+
+def test_signals_that_come_together_are_one(ended):
+    assert ended["timeout"].returncode == 0
+    assert ended["timeout"].stdout == "saved\n"
+    assert ended["timeout"].stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_second_signal_exits_at_once(ended, name):
+    assert ended[name].returncode == 128 + getattr(signal, name)
+    assert ended[name].stdout == "once\n"
+    assert [line for line in ended[name].stderr.splitlines() if line] == [
+        "SIGINT: stopping after this round; once more stops at once",
+        f"{name}: stopped at once; the rounds since the last checkpoint are lost",
+    ]
+
+
+@pytest.mark.parametrize("name", ["compiling", "evaluation"])
+def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(ended, name):
+    """While the program is compiled; or the second, while a run that was stopped waits for the compiler."""
+    ended = ended[name]
+    assert ended.returncode == 130
+    begun, _, command = ended.stderr.splitlines()[-1].partition("; go on with: ")
+    assert begun == "hgail train: stopped before round 0"
+    assert shlex.split(command)[1:] == ["train", "--task", "point", "--num-envs", "4", "--resume", "run"]
+    assert ("SIGINT: stopping after this round; once more stops at once" in ended.stderr) == (name == "evaluation")
+    assert "Traceback" not in ended.stderr
+    left = {path.name for path in (ended.folder / "run").iterdir()}
+    assert left == {"config.json", *(["metrics.csv"] if name == "evaluation" else [])}
+
+
+def test_an_interruption_leaves_no_film(ended):
+    assert (ended["play"].returncode, ended["play"].stderr.splitlines()[-1]) == (130, "hgail play: stopped by SIGINT")
+    assert not list(ended["play"].folder.iterdir())
+
+
+def test_a_reader_who_leaves_ends_the_command_silently(ended):
+    assert (ended["reader"].returncode, ended["reader"].stderr) == (1, "")
+
+
+def test_a_lack_of_memory_is_one_line(capsys):
+    with pytest.raises(SystemExit) as ending, one_line_errors("it"):
+        raise MemoryError
+    assert ending.value.code == 1
+    assert capsys.readouterr().err == "it: out of memory; take fewer or smaller of what runs at once\n"
 
 
 PARENT = """
@@ -203,7 +250,7 @@ time.sleep(100)
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux alone ends a child with its parent")
 def test_what_bench_starts_ends_with_it(tmp_path):
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": SOURCES}
     )
     assert parent.stdout is not None
     child = int(parent.stdout.readline())

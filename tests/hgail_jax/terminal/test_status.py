@@ -6,8 +6,7 @@ import io
 import os
 import pty
 import re
-import subprocess
-import sys
+import select
 import termios
 import threading
 import time
@@ -16,11 +15,11 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Hyperparameters
-from hgail_jax.terminal.status import StatusLine
-from hgail_jax.trainer import status
+from hgail_jax.terminal import status
+from hgail_jax.terminal.status import StatusLine, progress_bar
 from hgail_jax.trainer.loop import Program, train
 from tests.hgail_jax.trainer.test_loop import measured, start, told
-from tests.support import ROOT, TINY
+from tests.support import TINY
 
 
 class Terminal(io.StringIO):
@@ -67,33 +66,31 @@ def test_no_line_wraps(clock):
     assert max(map(len, terminal.frames())) <= 79
 
 
-def output_of_a_terminal(code, rows, columns):
-    """Returns what a program shows on a terminal of that size."""
+@contextlib.contextmanager
+def terminal_of(rows, columns):
+    """Opens a terminal of that size; yields a stream to it and a function that returns the lines shown so far."""
     terminal, inner = pty.openpty()
     termios.tcsetwinsize(inner, (rows, columns))
-    process = subprocess.Popen([sys.executable, "-c", code], stderr=inner, env=os.environ | {"PYTHONPATH": str(ROOT)})
-    os.close(inner)
-    shown = b""
-    with contextlib.suppress(OSError):  # at its end, on Linux
-        while read := os.read(terminal, 4096):
-            shown += read
+
+    def shown():
+        content = b""
+        while select.select([terminal], [], [], 0.2)[0]:
+            content += os.read(terminal, 2**16)
+        return [frame.rstrip() for frame in re.split("[\r\n]+", content.decode()) if frame.strip()]
+
+    with os.fdopen(inner, "w") as stream:
+        yield stream, shown
     os.close(terminal)
-    assert process.wait() == 0, shown
-    return [frame.rstrip() for frame in re.split("[\r\n]+", shown.decode()) if frame.strip()]
-
-
-BAR = """
-from hgail_jax.terminal.status import StatusLine, progress_bar
-with StatusLine("x" * 200):
-    pass
-for _ in progress_bar(range(3), mininterval=0):
-    pass
-"""
 
 
 @pytest.mark.parametrize(("rows", "columns", "width"), [(0, 0, 79), (24, 60, 59), (24, 80, 79)])
 def test_a_line_and_a_bar_are_as_wide_as_the_terminal_which_may_not_tell(rows, columns, width):
-    line, *bars = output_of_a_terminal(BAR, rows, columns)
+    with terminal_of(rows, columns) as (stream, shown):
+        with StatusLine("x" * 200, stream):
+            pass
+        for _ in progress_bar(range(3), file=stream, mininterval=0):
+            pass
+        line, *bars = shown()
     assert line == "x" * width
     assert bars[-1].startswith("100%|") and "3/3" in bars[-1]
     assert max(map(len, bars)) <= width
@@ -111,7 +108,7 @@ def test_a_log_file_has_plain_lines_and_only_those_worth_it():
 
 
 def test_a_training_says_what_came_of_each_evaluation(capsys):
-    program = Program(hgail_envs.make("point"), dataclasses.replace(TINY, rounds=4), (Hyperparameters(),), 2)
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
     program = dataclasses.replace(program, evaluate_every=2)
     rounds = [measured([0.25, 0.75], [0.1, 0.2])] * 5
     train(program, told(*rounds), start(program))
@@ -124,9 +121,7 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
 
 
 def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
-    program = Program(
-        hgail_envs.make("point"), dataclasses.replace(TINY, rounds=1, pretrain=False), (Hyperparameters(),), 2
-    )
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=1, pretrain=False), (Hyperparameters(),), 2)
     train(program, told(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
     _, zero, one = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 0/1, success 0\.500, \d:\d\d elapsed", zero)
@@ -134,7 +129,7 @@ def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
 
 
 def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(capsys):
-    program = Program(hgail_envs.make("point"), dataclasses.replace(TINY, rounds=3), (Hyperparameters(),), 2)
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
     progress, stop, rounds = start(program), threading.Event(), [measured([0.25, 0.75], [0.1, 0.2])] * 2
 
     def stop_after_two(progress):

@@ -1,6 +1,7 @@
 """What loggers were told, read back from their files without them."""
 
 import csv
+import dataclasses
 import glob
 import json
 import struct
@@ -15,6 +16,10 @@ from scipy import stats
 from hgail_jax import Trainer, TrainOptions
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loggers import check_loggers, scalars
+from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.run_folder import open_run_folder
+from hgail_jax.trainer.training import train_run
+from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.hgail_jax.trainer.test_trainer import After
 from tests.support import compile_once, make_runs_tiny
 
@@ -118,9 +123,14 @@ def same(found, wanted):
         assert found[key] == pytest.approx(value, rel=1e-4, abs=1e-5), key
 
 
-def test_tensorboard_has_all_of_the_table_and_more():
-    trainer = Trainer(SMALL, out=Path("run"), logger="csv,tensorboard")
-    summary = trainer.train()
+def test_dashboards_have_all_of_the_table_and_more():
+    options = dataclasses.replace(SMALL, logger="csv,tensorboard,wandb")
+    run, frames = plan(options, "cpu"), np.zeros((16, 32, 48, 3), np.uint8)
+    with open_run_folder(run, "run", None) as opened:
+        summary = train_run(run, opened)
+        imageio.mimwrite("run/rollout.mp4", frames, fps=25, macro_block_size=1)
+        for logger in opened.loggers:
+            logger.film(Path("run/rollout.mp4"))
     folder = Path("run/tensorboard")
     same(tensorboard_scalars(folder), expected(Path("run")))
     values = {value.tag: value for event in events(folder) for value in event.summary.value}
@@ -128,9 +138,14 @@ def test_tensorboard_has_all_of_the_table_and_more():
     (text,) = [value for tag, value in values.items() if tag.startswith("settings")]
     settings = json.loads(text.tensor.string_val[0].decode().removeprefix("```json").removesuffix("```"))
     assert settings["config"]["num_envs"] == 4
-    assert settings["options"]["logger"] == "csv,tensorboard"
+    assert settings["options"]["logger"] == "csv,tensorboard,wandb"
     final = tensorboard_scalars(folder / "summary")
     assert final["final/success_rate", 0] == pytest.approx(summary["success_rate"]["mean"])
+    film = values["film"].image
+    assert film.encoded_image_string.startswith(b"GIF8")
+    assert (film.height, film.width) == (8, 12)
+    (files,) = Path("run/wandb").glob("offline-run-*/files")
+    assert {path.suffix for path in (files / "media").rglob("*") if path.is_file()} == {".png", ".mp4"}
 
 
 @pytest.mark.parametrize("stopped", ["by an event", "killed"])
@@ -141,7 +156,7 @@ def test_a_run_that_goes_on_goes_on_in_the_same_log(monkeypatch, stopped):
         with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed"):
             kill_in_round_3(patch)
             first.train()
-        assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
+        assert saved_in(Path("run")) == [2]
         assert len(table(Path("run"))) == 3 * 2  # the third round is logged and not saved
     else:
         assert first.train(After(3)) is None
@@ -180,21 +195,6 @@ def test_a_log_that_comes_later_has_the_rounds_before_it_too():
     assert len(table(Path("run"))) < 10  # the table is not among the loggers any more
 
 
-def test_wandb_has_settings_picture_and_film():
-    frames = np.zeros((16, 32, 48, 3), np.uint8)
-    with Trainer(SMALL, out=Path("run"), logger="csv,tensorboard,wandb") as trainer:
-        trainer.open()
-        trainer.train()
-        imageio.mimwrite("run/rollout.mp4", frames, fps=25, macro_block_size=1)
-        trainer.log_film(Path("run/rollout.mp4"))
-    (files,) = Path("run/wandb").glob("offline-run-*/files")
-    assert {path.suffix for path in (files / "media").rglob("*") if path.is_file()} == {".png", ".mp4"}
-    values = {value.tag: value for event in events("run/tensorboard") for value in event.summary.value}
-    film = values["film"].image
-    assert film.encoded_image_string.startswith(b"GIF8")
-    assert (film.height, film.width) == (8, 12)
-
-
 def test_numbers_that_were_not_measured_are_absent():
     record = {"round": 0, "reward": [None, None], "distance_l1": [0.5, None], "kl": [1.0, 3.0]}
     found = scalars(record, first_seed=5)
@@ -223,4 +223,3 @@ def test_a_library_that_nobody_asks_for_is_not_needed(monkeypatch):
     for library in ("tensorboardX", "wandb"):
         monkeypatch.setitem(sys.modules, library, None)
     assert check_loggers("csv") == ("csv",)
-    Trainer(SMALL, out=Path("run")).train()

@@ -11,7 +11,7 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, phase_table
-from hgail_jax.learners.ppo import UpdateMetrics
+from hgail_jax.learners.ppo import PPOLearner
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
 from tests.support import TINY
@@ -28,7 +28,7 @@ def measured(success, distance, **changes):
     """What a round of as many seeds as there are distances measured."""
     zero = np.zeros(len(distance))
     episodes = EpisodeMetrics(np.array(success), zero, zero, np.array(distance), np.array(distance))
-    update = UpdateMetrics(**{field.name: zero + 0.5 for field in dataclasses.fields(UpdateMetrics)})
+    update = {name: zero + 0.5 for name in PPOLearner.metrics}
     return RoundMetrics(
         **(
             {"evaluation": episodes, "training": episodes, "update": update}
@@ -59,7 +59,7 @@ def start(of):
 
 
 def saved(folder):
-    return sorted(int(path.name) for path in folder.iterdir())
+    return sorted(int(path.stem) for path in folder.iterdir())
 
 
 def test_a_round_in_which_every_episode_broke_is_never_the_best(tmp_path):

@@ -1,4 +1,4 @@
-"""Runs whose episodes are disturbed: what they record, and what goes on with them."""
+"""Runs whose episodes are randomised, and policies of them."""
 
 import dataclasses
 import json
@@ -16,7 +16,7 @@ from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
 from tests.support import compile_once, make_runs_tiny
 
-PROBE = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
+SMALL = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
 SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--iterations", "1", "--out", "run"]
 
 
@@ -25,8 +25,8 @@ def tiny(monkeypatch, tmp_path):
     make_runs_tiny(monkeypatch)
     compile_once(monkeypatch)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(LEVELS, "probe", PROBE)  # without a model, which the point has not
-    monkeypatch.setitem(LEVELS, "other", dataclasses.replace(PROBE, goal_offset=0.01))
+    monkeypatch.setitem(LEVELS, "small", SMALL)  # without a model, which the point has not
+    monkeypatch.setitem(LEVELS, "other", dataclasses.replace(SMALL, goal_offset=0.01))
 
 
 def resume(level, capsys):
@@ -37,18 +37,18 @@ def resume(level, capsys):
 
 
 def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
-    run.main([*SIZES, "--randomize", "probe"])
-    assert "undisturbed: success" in capsys.readouterr().out
+    run.main([*SIZES, "--randomize", "small"])
+    assert "nominal: success" in capsys.readouterr().out
     config, summary = (json.loads((Path("run") / f"{name}.json").read_text()) for name in ("config", "summary"))
-    assert config["options"]["randomize"] == "probe"
-    assert Randomization.from_json(config["physics"]["randomization"]) == PROBE
+    assert config["options"]["randomize"] == "small"
+    assert Randomization.from_json(config["physics"]["randomization"]) == SMALL
     assert len(summary["nominal_success_rate"]["per_seed"]) == 2
     policy = load_policy("run/policies/seed-1.npz")
-    assert policy.randomization == PROBE
+    assert policy.randomization == SMALL
     assert policy.observation_size == 6 + 2 * (3 + 3)
     assert "physics.randomization is {" in resume("none", capsys)
     assert "physics.randomization.goal_offset is 0.02 there and 0.01 here" in resume("other", capsys)
-    run.main([*SIZES[:-2], "--resume", "run", "--randomize", "probe"])
+    run.main([*SIZES[:-2], "--resume", "run", "--randomize", "small"])
     assert "run is complete" in capsys.readouterr().out
 
 

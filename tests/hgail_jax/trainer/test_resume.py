@@ -22,7 +22,8 @@ from hgail_jax.cli import train as run
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import sole_user
-from tests.support import ROOT, TINY_RUN, compile_once, make_runs_tiny, small_files_only
+from tests.hgail_jax.trainer.test_checkpoint import record_of, saved_in
+from tests.support import SOURCES, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
 ROUNDS = 4  # and the pre-training
 
@@ -81,7 +82,7 @@ def outcome(folder):
     for path in sorted((folder / "policies").iterdir()):
         with np.load(path) as file:
             policies[path.name] = {name: file[name].tobytes() for name in file.files}
-    record = json.loads((folder / "checkpoints" / str(ROUNDS + 1) / "record" / "metadata").read_text())
+    record = json.loads(record_of(folder / "checkpoints" / f"{ROUNDS + 1}.npz"))
     return summary, policies, read_metrics(folder), record["body"]["arrays"]
 
 
@@ -120,7 +121,7 @@ def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypat
     expected = whole(method, *given)
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
-        start(*given, method=method)
+        start("--resume", "auto", *given, method=method)  # which begins a run where there is none
     folder = tmp_path / "runs" / f"point-{method}-1"
     assert len(read_metrics(folder)) == 3 * 2
     start("--resume", "auto", *given, method=method)
@@ -135,10 +136,10 @@ def test_a_round_that_was_measured_but_not_saved_is_in_the_table_once(tmp_path, 
     assert len(read_metrics(tmp_path / "run")) == 4 * 2
     with (tmp_path / "run" / "metrics.csv").open("a") as file:
         file.write("0,4,half a ro")
-    assert [path.name for path in Path("run/checkpoints").iterdir()] == ["3"]
+    assert saved_in(Path("run")) == [3]
     start("--resume", "run", "--checkpoint-every", "2")
     assert outcome(tmp_path / "run") == whole("hgail")
-    assert {path.name for path in Path("run/checkpoints").iterdir()} == {"3", "4", "5"}
+    assert saved_in(Path("run")) == [3, 4, 5]
 
 
 def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, capsys, whole):
@@ -155,7 +156,7 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
     assert "SIGTERM: stopping after this round" in shown.err
     said, _, command = shown.out.splitlines()[-1].partition("; go on with: ")
     assert said == "stopped after round 1 of 4"
-    assert [path.name for path in Path("run/checkpoints").iterdir()] == ["2"]
+    assert saved_in(Path("run")) == [2]
     assert not Path("run/summary.json").exists()
     assert handlers == [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
     program, name, *words = shlex.split(command)
@@ -165,36 +166,18 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
-TWICE = """
-import os, signal, sys, time
-from hgail_jax.terminal.signals import stop_on_signal
-with stop_on_signal() as stop:
-    os.kill(os.getpid(), signal.SIGINT)
-    while not stop.is_set():
-        time.sleep(0.01)
-    print("once", flush=True)
-    os.kill(os.getpid(), getattr(signal, sys.argv[1]))
-    time.sleep(60)
-    print("never")
-"""
-
-
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_second_signal_exits_at_once(name):
-    command = [sys.executable, "-c", TWICE, name]
-    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert process.returncode == 128 + getattr(signal, name)
-    assert process.stdout == "once\n"
-    assert [line for line in process.stderr.splitlines() if line] == [
-        "SIGINT: stopping after this round; once more stops at once",
-        f"{name}: stopped at once; what was done since the last checkpoint is lost",
-    ]
-
-
-def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole, complete):
+def test_a_complete_run_writes_its_results_again_with_the_times_of_the_whole_run(
+    tmp_path, monkeypatch, capsys, whole, complete
+):
     for name in ("summary.json", "metrics.csv", "curves.png", "policies/seed-1.npz"):
         (tmp_path / "run" / name).unlink()
-    config = (tmp_path / "run" / "config.json").read_bytes()
+    config, restore = (tmp_path / "run" / "config.json").read_bytes(), Checkpoints.restore
+
+    def restore_of_a_long_run(*arguments):
+        checkpoint = restore(*arguments)
+        return checkpoint._replace(record=checkpoint.record | {"seconds": 5000.0})
+
+    monkeypatch.setattr(Checkpoints, "restore", restore_of_a_long_run)
     capsys.readouterr()
     start("--resume", "run")
     shown = capsys.readouterr()
@@ -203,6 +186,11 @@ def test_a_complete_run_writes_its_results_again(tmp_path, capsys, whole, comple
     assert outcome(tmp_path / "run") == whole("hgail")
     assert (tmp_path / "run" / "curves.png").exists()
     assert (tmp_path / "run" / "config.json").read_bytes() == config
+    summary = json.loads((complete / "summary.json").read_text())
+    seconds = summary["wall_seconds"]
+    assert seconds["train"] == 5000.0
+    assert seconds["total"] > sum(seconds[name] for name in ("compile", "train", "evaluation"))
+    assert summary["env_steps_per_second"] == summary["env_steps_per_seed"] * summary["seeds"] / 5000.0
 
 
 def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
@@ -218,28 +206,11 @@ def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
     assert files() == before
 
 
-def test_the_times_of_a_run_that_went_on_are_of_the_whole_run(monkeypatch, complete):
-    (complete / "summary.json").unlink()
-    restore = Checkpoints.restore
-
-    def restore_of_a_long_run(*arguments):
-        checkpoint = restore(*arguments)
-        return checkpoint._replace(record=checkpoint.record | {"seconds": 5000.0})
-
-    monkeypatch.setattr(Checkpoints, "restore", restore_of_a_long_run)
-    start("--resume", "run")
-    summary = json.loads((complete / "summary.json").read_text())
-    seconds = summary["wall_seconds"]
-    assert seconds["train"] == 5000.0
-    assert seconds["total"] > sum(seconds[name] for name in ("compile", "train", "evaluation"))
-    assert summary["env_steps_per_second"] == summary["env_steps_per_seed"] * summary["seeds"] / 5000.0
-
-
 def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole):
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
         start("--out", "run")
-    os.truncate("run/checkpoints/3/record/metadata", 100)
+    os.truncate("run/checkpoints/3.npz", 100)
     start("--resume", "run")
     shown = capsys.readouterr()
     assert f"checkpoint 3 in {tmp_path}/run/checkpoints is damaged" in shown.err
@@ -267,11 +238,6 @@ def test_a_folder_is_trained_in_by_one_process_at_a_time(capsys, complete):
     start("--resume", "run")
 
 
-def test_auto_begins_a_run_where_there_is_none(tmp_path):
-    start("--resume", "auto")
-    assert [path.name for path in Path("runs").iterdir()] == ["point-hgail-1"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -282,7 +248,7 @@ def test_auto_begins_a_run_where_there_is_none(tmp_path):
         (["--method", "ppo"], "method is hgail there and ppo here"),
         (["--task", "reach"], "task is point there and reach here"),
         (["--reward", "r3"], "hyperparameters.reward is 0 there and 2 here"),
-        (["--no-pretrain"], "config.pretrain is True there and False here"),
+        (["--no-pretrain"], "config.learner.pretrain is True there and False here"),
     ],
 )
 def test_another_run_is_refused_in_one_line(tmp_path, capsys, complete, arguments, message):
@@ -313,12 +279,12 @@ def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, capsys, content):
     assert [path.name for path in Path("run").iterdir()] == ["config.json"]
 
 
-def diverge(*shares):
-    """Has a round measure these shares of updates that were not finite, by seed."""
+def diverge(*fractions):
+    """Has a round measure these fractions of updates that were not finite, by seed."""
 
     def change(result):
         states, metrics = result
-        return states, metrics.replace(diverged=np.array(shares, np.float32))
+        return states, metrics.replace(diverged=np.array(fractions, np.float32))
 
     return change
 
@@ -331,7 +297,7 @@ def test_divergence_of_all_seeds_stops_the_run_at_the_last_good_checkpoint(tmp_p
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == (
         "hgail train: the training stops: no seed's update is finite in round 3;"
-        f" the last good checkpoint: {tmp_path}/run/checkpoints/3"
+        f" the last good checkpoint: {tmp_path}/run/checkpoints/3.npz"
     )
     assert len(read_metrics(tmp_path / "run")) == 3 * 2
     start("--resume", "run")
@@ -370,7 +336,7 @@ def test_parameters_that_diverge_unmeasured_are_not_saved(tmp_path, monkeypatch,
         start("--out", "run")
     assert exit_info.value.code == 1
     assert "discriminator.params.Dense_0.bias is not finite" in capsys.readouterr().err
-    assert {path.name for path in Path("run/checkpoints").iterdir()} == {"1", "2"}
+    assert saved_in(Path("run")) == [1, 2]
 
 
 def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, monkeypatch, capsys, whole):
@@ -388,12 +354,11 @@ def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, 
     assert latest_checkpoint(Path("run")) in (2, 3)  # the third may be on its way when the disk is full
     start("--resume", "run")
     assert outcome(tmp_path / "run") == whole("hgail")
-    assert all(name.isdecimal() for name in os.listdir("run/checkpoints"))
+    assert len(saved_in(Path("run"))) == len(os.listdir("run/checkpoints"))
 
 
 def latest_checkpoint(folder):
-    names = [path.name for path in (folder / "checkpoints").glob("*")]
-    return max((int(name) for name in names if name.isdecimal()), default=0)
+    return max(saved_in(folder), default=0)
 
 
 @pytest.mark.slow
@@ -409,7 +374,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
 
     def launch(*arguments):
         with (tmp_path / "output").open("w") as output:
-            environment = os.environ | {"PYTHONPATH": str(ROOT)}
+            environment = os.environ | {"PYTHONPATH": SOURCES}
             return subprocess.Popen([*command, *arguments], cwd=tmp_path, env=environment, stdout=output, stderr=output)
 
     def finish(*arguments):
@@ -437,9 +402,6 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     finish("--resume", "auto")
     assert "is damaged" not in (tmp_path / "output").read_text()
     assert read_metrics(folder) == read_metrics(tmp_path / "whole")
-    last = [
-        json.loads((run / "checkpoints" / str(rounds + 1) / "record" / "metadata").read_text())
-        for run in (folder, tmp_path / "whole")
-    ]
+    last = [json.loads(record_of(run / "checkpoints" / f"{rounds + 1}.npz")) for run in (folder, tmp_path / "whole")]
     assert last[0]["body"]["arrays"] == last[1]["body"]["arrays"]
     assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))

@@ -1,0 +1,144 @@
+"""One run from its compilation to its results, in an open folder."""
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, cast
+
+import jax
+
+from hgail_envs import GoalEnv
+from hgail_envs.randomized import RandomizedEnv
+from hgail_jax.devices.sharding import any_process, is_first_process, replicate
+from hgail_jax.io.files import remove_partial_files, write_json
+from hgail_jax.io.provenance import provenance
+from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
+from hgail_jax.terminal.status import StatusLine
+from hgail_jax.trainer.loggers import LOGGERS
+from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
+from hgail_jax.trainer.results import summarize, write_results
+from hgail_jax.trainer.run import Run
+from hgail_jax.trainer.run_folder import RunFolder
+
+
+def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:
+    """Trains and evaluates all seeds of a run, and writes everything into its folder.
+
+    Args:
+      run: the run to train.
+      folder: from `open_run_folder`.
+      stop: once it is set, the training ends with the round that it is in, and a checkpoint.
+
+    Returns:
+      The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
+
+    Raises:
+      FloatingPointError: no seed's update was finite in a round, or no episode's simulation; the last checkpoint is
+        from before that.
+      OverflowError: the simulation ran out of room for contacts; likewise.
+      OSError: a file cannot be written.
+
+    """
+    finished = _finished(run, folder)
+    if any_process(finished is not None):
+        return finished
+    made_by = provenance()
+    settings = {"options": run.options} | run.identity() | made_by
+    remove_partial_files(folder.path)
+    if not (folder.path / "config.json").exists():
+        write_json(folder.path / "config.json", settings)
+    history = folder.restored.record["history"] if folder.restored else []
+    for name in run.loggers if is_first_process() else ():
+        folder.loggers.append(LOGGERS[name](folder.path, run, settings, history))
+    summary = _train(run, folder, stop or threading.Event())
+    if summary is not None:
+        before = folder.restored.record["seconds"] if folder.restored else 0.0  # in the rounds of other processes
+        summary["wall_seconds"]["total"] = before + time.perf_counter() - run.started
+        write_json(folder.path / "summary.json", summary | made_by)
+        for logger in folder.loggers:
+            logger.finish(summary, folder.path / "curves.png")
+    return summary
+
+
+def _finished(run: Run, folder: RunFolder) -> dict[str, Any] | None:
+    """Returns the content of summary.json, which is written last; None before that."""
+    path = folder.path / "summary.json"
+    if folder.restored is None or folder.restored.rounds <= run.config.rounds or not path.exists():
+        return None
+    return cast(dict[str, Any], json.loads(path.read_text()))
+
+
+def _train(run: Run, folder: RunFolder, stop: threading.Event) -> dict[str, Any] | None:
+    program, timing = run.program(), dict[str, float]()
+    # Other threads prepare the physics, make the untrained states and trace the final evaluation while this one
+    # compiles the training; the evaluation is compiled while the training runs. They must have done with the device
+    # by then: the graph that MuJoCo Warp records in its first steps, to repeat it later, cannot bear another thread's
+    # work beside it.
+    background = ThreadPoolExecutor(3)
+    try:
+        with _timed(timing, "compile"), StatusLine("compiling the training program"):
+            preparing = background.submit(run.env.prepare)
+            initialising = background.submit(program.init)
+            tracing = background.submit(trace_evaluations, run)
+            step = program.compile()
+            preparing.result()
+            untrained, traced = initialising.result(), tracing.result()
+        progress = begin(program, untrained, folder.restored)
+        compiling = background.submit(lambda: {name: compile_one() for name, compile_one in traced.items()})
+        train_rounds(run, folder, step, progress, stop)
+    finally:
+        background.shutdown(wait=False)
+    if is_stopped(stop):
+        with StatusLine("stopped, waiting for the compiler"):  # without which the process cannot end
+            wait([compiling])
+        return None
+    timing["train"] = progress.seconds
+    with _timed(timing, "evaluation"), StatusLine("evaluating the policies in the reference physics"):
+        evaluations = {name: evaluate(progress.states) for name, evaluate in compiling.result().items()}
+    states = replicate(progress.states)  # all processes take part in this
+    if is_first_process():
+        write_results(run, folder.path, states, progress.history)
+    return summarize(run, progress, evaluations, timing)
+
+
+def trace_evaluations(run: Run) -> dict[str, Callable[[], SeedsEvaluation]]:
+    """Traces the final evaluations; returns a function for each that compiles it.
+
+    They are of the task as it was trained and, if that is randomised, of the nominal task too.
+    """
+    states = jax.eval_shape(run.program().init)
+    tasks: dict[str, GoalEnv] = {"final": run.env}
+    if isinstance(run.env, RandomizedEnv):
+        tasks["nominal"] = run.env.nominal()
+    return {
+        name: trace_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)
+        for name, env in tasks.items()
+    }
+
+
+def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progress, stop: threading.Event) -> None:
+    """Runs the rounds that are left, with loggers and checkpoints."""
+
+    def log(progress: Progress) -> None:
+        for logger in folder.loggers:
+            logger.rounds(progress.history)
+
+    log(progress)
+    saving = SavingPolicy(rounds=run.checkpoint_every)
+    folder.in_rounds.set()
+    try:
+        with folder.checkpoints as checkpoints:
+            train(run.program(), step, progress, checkpoints, saving, stop, after_round=log)
+    finally:
+        folder.in_rounds.clear()
+
+
+@contextlib.contextmanager
+def _timed(timing: dict[str, float], name: str) -> Iterator[None]:
+    """Adds the seconds that a block takes to `timing`."""
+    started = time.perf_counter()
+    yield
+    timing[name] = time.perf_counter() - started
