@@ -213,6 +213,12 @@ def of_seeds(rate: Row) -> str:
     return f"{fixed(rate['mean'], 3)} ± {fixed(float(confidence_interval(rate['per_seed'])), 3)}"
 
 
+def ended(run: str) -> str:
+    """Says the mean success of a run's seeds and the time from its start to its end."""
+    summary = read_json(f"runs/{run}/summary")
+    return f"{fixed(summary['success_rate']['mean'], 3)} after {seconds(summary['wall_seconds']['total'])}"
+
+
 def printed(run: str) -> str:
     """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
     summary = read_json(f"runs/{run}/summary")

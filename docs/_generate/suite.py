@@ -77,6 +77,25 @@ def parts(task: str) -> str:
     )
 
 
+def parts_of_all() -> str:
+    """Success on each task of `parts`, with a part of the method left out or changed."""
+    tasks = ("push", "pick-and-place", "slide")
+    columns = [
+        {row["setting"]: fixed(row["success_rate"], 3) for row in read_csv(f"paper/parts-{task}")} for task in tasks
+    ]
+    return markdown(
+        ["setting", *tasks], [[setting, *(column[setting] for column in columns)] for setting in columns[0]]
+    )
+
+
+def slide_elsewhere() -> str:
+    """Success on slide and on its relatives as others published it, and whether it can be compared."""
+    columns = ("what", "success", "env_steps", "comparable", "source")
+    header = ["what", "success", "env steps", "comparable?", "source"]
+    rows = read_json("suite/published")["slide_and_its_relatives"]
+    return markdown(header, [[row[name] for name in columns] for row in rows])
+
+
 def published() -> str:
     """Success over environment steps and over time, here and as others published it."""
     here = [_ours(task, least) for task, least in (("push", 0.95), ("pick-and-place", 0.95), ("slide", None))]
@@ -131,7 +150,7 @@ def grasp_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['bc_weight']:g}",
+                f"{row['likelihood_weight']:g}",
                 "{} to {}".format(*row["seeds"]),
                 fixed(row["success_rate"], 3),
                 fixed(row["worst_seed"], 3),
@@ -150,7 +169,7 @@ def push_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['bc_weight']:g}",
+                f"{row['likelihood_weight']:g}",
                 str(row["seed"]),
                 fixed(row["success_rate"], 3),
                 count(row["env_steps"]),

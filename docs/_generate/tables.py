@@ -76,7 +76,7 @@ def tried() -> str:
         [
             [
                 "{}; {}".format(row["action_std"].split()[0], row["action_std"].split()[-1]),
-                f"{row['bc_weight']:g}",
+                f"{row['likelihood_weight']:g}",
                 "yes" if row["ppo_weight"] else "no",
                 ", ".join(fixed(row[f"success_seed_{seed}"], 2) for seed in (0, 1)),
                 f"{fixed(row['distance_l1'], 3)} m",

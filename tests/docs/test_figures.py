@@ -45,11 +45,31 @@ def test_what_counts_as_a_figure(text):
     )
 
 
-def test_a_figure_is_never_the_first_of_a_line():
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_a_figure_of_the_text_is_a_name_and_never_the_first_of_a_line(path):
     """There Markdown would take its comment for a block of HTML, to which the whole line belongs."""
-    for path in pages.pages():
-        for line in path.read_text().splitlines():
-            assert not re.match(r"\s*<!--= .*<!---->|\s*<!--% .* -->.", line), f"{path.name}: {line}"
+    for line in path.read_text().splitlines():
+        assert not re.match(r"\s*<!--= .*<!---->", line), line
+        for expression in re.findall(r"<!--= (.*?) -->.*?<!---->", line):
+            assert expression.isidentifier(), line
+
+
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_a_page_names_at_its_head_what_it_cites(path):
+    page = path.read_text()
+    assert "<!-- figures" not in page or page.startswith("<!-- figures\n")
+    for name in (named := pages.names(page)):
+        others = " ".join(expression for other, expression in named.items() if other != name)
+        assert f"<!--= {name} -->" in page or re.search(rf"\b{name}\b", others), name
+
+
+def test_names_of_a_page():
+    head = '<!-- figures\nrow = trial(\n  "table1-reach", "HGAIL")\nsteps = count(row.env_steps_per_seed)\n-->\n\n'
+    assert pages.publish(f"{head}in <!--= steps -->?<!----> steps") == "in 320,000 steps"
+    assert pages.refresh(f"{head}in <!--= steps -->?<!----> steps") == f"{head}in <!--= steps -->320,000<!----> steps"
+    assert pages.typed(f"{head}in <!--= steps -->320,000<!----> steps") == "in  steps"
+    with pytest.raises(ValueError, match="twice"):
+        pages.publish("<!-- figures\na = 1\na = 2\n-->\n")
 
 
 def test_an_unknown_row_or_name_is_an_error():
