@@ -24,7 +24,7 @@ def read_json(name: str) -> Any:
 
 @functools.cache
 def read_csv(name: str) -> tuple[Row, ...]:
-    """Returns the rows of a CSV file, e.g. `"transfer/table4"`, with numbers where there are numbers."""
+    """Returns the rows of a CSV file, e.g. `"runs/reach-hgail/metrics"`, with numbers where there are numbers."""
     with (RESULTS / f"{name}.csv").open(newline="") as file:
         return tuple({key: _parse(value) for key, value in row.items()} for row in csv.DictReader(file))
 
@@ -116,14 +116,14 @@ def transfer(
     robot: str, task: str, stage: str = "exact goal", hand: str = "closed", period: int = 40, policy: str = "plain"
 ) -> Row:
     """Returns a row of table 4; `robot` is the beginning of its name."""
-    rows = [row for row in read_csv("transfer/table4") if row["robot"].startswith(robot)]
+    rows = [row for row in read_json("transfer/table4")["rows"] if row["robot"].startswith(robot)]
     rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
 def disturbed(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
     """Returns a point of the curves of success against disturbances."""
-    rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
+    rows = [row for row in read_json("transfer/transfer-sweep")["rows"] if row["robot"].startswith(robot)]
     rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, quantity=quantity, value=value)
 

@@ -368,7 +368,9 @@ def smaller_trainings() -> str:
 
 def robots() -> str:
     """Table 4 where the simulator tells the goal: policies run unchanged on other robots."""
-    rows = [row for row in read_csv("transfer/table4") if row["stage"] == "exact goal" and row["policy"] == "plain"]
+    rows = [
+        row for row in read_json("transfer/table4")["rows"] if row["stage"] == "exact goal" and row["policy"] == "plain"
+    ]
     header = ["robot", "task", "hand at the start, action", "plain policies", "robust policy", "L1 distance"]
     return markdown(
         header,
@@ -386,7 +388,7 @@ def robots() -> str:
 
 def camera_goals() -> str:
     """Table 4 where cameras tell the goal, beside the same rows with the simulator's."""
-    rows = [row for row in read_csv("transfer/table4") if row["stage"] == "camera goal"]
+    rows = [row for row in read_json("transfer/table4")["rows"] if row["stage"] == "camera goal"]
     stages = ["exact goal", "camera goal", "noisy-cameras goal", "one-camera goal", "one-noisy-camera goal"]
     header = ["robot", "task", "hand at the start, action", "policies", "exact", "two cameras", "two with noise"]
     return markdown(
@@ -414,7 +416,7 @@ def _with_interval(row: Row) -> str:
 def _counterpart(row: Row, **other: str) -> Row:
     """Returns the row of table 4 that differs from one in these columns alone."""
     columns = ("robot", "task", "hand_at_start", "milliseconds_per_action", "stage", "policy")
-    return pick(read_csv("transfer/table4"), **{name: row[name] for name in columns} | other)
+    return pick(read_json("transfer/table4")["rows"], **{name: row[name] for name in columns} | other)
 
 
 def localised() -> str:
