@@ -57,7 +57,7 @@ def _hindsight() -> list[list[str]]:
         ],
         [
             "a larger p_ht is better",
-            f"{_HALFWAY} {halfway('figure6-reach', 'p_ht 0.2')} for 0.2, {halfway('figure6-reach', 'p_ht 1.0')} for 1;"
+            f"{_HALFWAY} {halfway('p_ht-reach', 'p_ht 0.2')} for 0.2, {halfway('p_ht-reach', 'p_ht 1.0')} for 1;"
             f" in the end {reached('p_ht-reach', 'p_ht 0.2', _UNTAUGHT)}"
             f" and {reached('p_ht-reach', 'p_ht 1.0', _UNTAUGHT)}; 0 learns nothing",
             "yes, as to speed",
@@ -66,7 +66,7 @@ def _hindsight() -> list[list[str]]:
 
 
 def _settings() -> list[list[str]]:
-    r1, r2, r3 = (halfway("figure7-reach", each) for each in ("r1", "r2", "r3"))
+    r1, r2, r3 = (halfway("rewards-reach", each) for each in ("r1", "r2", "r3"))
     at_least = reached("rewards-reach", "r3", _UNTAUGHT)
     as_written = reached("ablations-reach", "the paper's sizes", "with pre-training")
     one_update = reached("ablations-reach", "the paper's sizes, 1 update of the policy to 3", "with pre-training")

@@ -46,7 +46,7 @@ def robust_tuning() -> str:
         ["rounds", "ramp", "width of the cube", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
             [str(row["rounds"]), f"{row['growth']:g}", _range(row["object_size"]), *_successes(row)]
-            for row in read_json("suite/robust-grasp-tuning")["rows"]
+            for row in read_json("suite/grasp")["robust_tuning"]["rows"]
         ],
     )
 
@@ -57,14 +57,14 @@ def robust_noise() -> str:
         ["seed", "`goal_offset`", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
             [str(row["seed"]), f"{row['offset']:g} m", *_successes(row)]
-            for row in read_json("suite/robust-grasp-tuning")["noise"]["rows"]
+            for row in read_json("suite/grasp")["robust_tuning"]["noise"]["rows"]
         ],
     )
 
 
 def robust_seeds(task: str) -> str:
     """What the seeds of a robust policy have on a UR5e, of which one comes with the package."""
-    rows = read_json(f"suite/robust-{task}-seeds")["seeds"]
+    rows = read_json(f"suite/{task}")["robust_seeds"]["seeds"]
     names = {"success_rate": "under `full`", "undisturbed": "undisturbed", "closed": "160 ms", "fast": "40 ms, open"}
     names |= {"open": "160 ms, open", "short": "160 ms, steps × 0.6", "long": "160 ms, steps × 1.4"}
     columns = [name for name in names if name in rows[0]]
