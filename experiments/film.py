@@ -9,57 +9,84 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import hgail_envs
+from hgail_envs import GoalEnv
+from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.play.film import open_film
 from hgail_jax.play.playback import Playback, frames
 
 FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
 """What is written, and replaced."""
 
+_PANELS = {
+    "reach": "reach",
+    "grasp": "grasp",
+    "push": "push",
+    "pick and place": "pick-and-place",
+    "slide": "slide",
+    "grasp, disturbed": "grasp-robust",
+}
+"""Titles, and the policies below them; a multiple of `_COLUMNS`, so that no panel stays empty."""
 _SECONDS = 10.0
 _EVERY = 2  # of the playback's frames is shown
 _COLUMNS = 3
-_SIZE = (300, 340)  # height and width of a task's picture, pixels
+_SIZE = (240, 300)  # height and width of a task's picture, pixels
 _SCALE = 2  # rendered so many times larger, then made smaller, which smooths edges
-_TEXT_SIZE, _TEXT_PLACE, _TEXT_COLOUR = 20, (12, 8), (35, 55, 85)
+_BAND, _GAP = 30, 3  # height of the title above a picture, and the white around a panel
+_TEXT_SIZE, _TEXT_COLOUR, _BAND_COLOUR = 18, (35, 55, 85), (225, 231, 240)
+_SUCCESS_COLOUR, _SUCCESS_BORDER = (30, 142, 78), 4
+_SUCCESS_PICTURES = 8  # that show a success: as long as its last pose stands still and fades
 
 
 def main() -> None:
-    """Films all tasks that have a scene and a policy in the package."""
-    policies = assets_directory() / "policies"
-    shown = [task for task in hgail_envs.TASKS if hgail_envs.find_class(task).scene]
-    tasks = [task for task in shown if (policies / f"{task}.npz").exists()]
-    pictures = [_pictures(task, policies / f"{task}.npz") for task in tasks]
-    period = max(hgail_envs.make(task).control_period for task in tasks) * _EVERY
-    FILM.parent.mkdir(parents=True, exist_ok=True)
+    """Films all `_PANELS`, six at once."""
+    loaded = {title: _load(name) for title, name in _PANELS.items()}
+    period = max(env.control_period for env, _ in loaded.values()) * _EVERY
+    panels = [_panels(title, Playback(env, policy, seed=0)) for title, (env, policy) in loaded.items()]
     with open_film(FILM, period) as append:
-        for together in itertools.islice(zip(*pictures, strict=True), round(_SECONDS / period)):
+        for together in itertools.islice(zip(*panels, strict=True), round(_SECONDS / period)):
             append(_tile(together))
-    print(f"{', '.join(tasks)} -> {FILM}, {FILM.stat().st_size / 1e6:.1f} MB")
+    print(f"{', '.join(_PANELS)} -> {FILM}, {FILM.stat().st_size / 1e6:.1f} MB")
 
 
-def _pictures(task: str, policy: Path) -> Iterator[np.ndarray]:
-    """Yields the pictures of a task, `[height, width, 3]`, for as long as they are wanted."""
-    playback = Playback(hgail_envs.make(task), load_policy(policy), seed=0)
+def _load(name: str) -> tuple[GoalEnv, MeanPolicy]:
+    """Returns a policy of the package and its task, disturbed as it was in the training."""
+    policy = load_policy(assets_directory() / "policies" / f"{name}.npz")
+    return randomize(hgail_envs.make(policy.task, **policy.task_options), policy.randomization), policy
+
+
+def _panels(title: str, playback: Playback) -> Iterator[np.ndarray]:
+    """Yields the pictures of a playback below its title, `[height, width, 3]`, for as long as they are wanted."""
     height, width = _SIZE
-    font = ImageFont.load_default(_TEXT_SIZE)
+    ended, since = 0, _SUCCESS_PICTURES
     for frame in frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):
+        since = since + 1 if len(playback.outcomes) == ended else 0
+        ended = len(playback.outcomes)
         picture = Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS)
-        ImageDraw.Draw(picture).text(_TEXT_PLACE, task, _TEXT_COLOUR, font)
-        yield np.asarray(picture)
+        yield _titled(title, picture, since < _SUCCESS_PICTURES and playback.outcomes[-1])
 
 
-def _tile(pictures: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Lays pictures out in rows of `_COLUMNS`, on white."""
-    height, width = _SIZE
-    columns = min(_COLUMNS, len(pictures))
-    sheet = np.full((math.ceil(len(pictures) / columns) * height, columns * width, 3), 255, np.uint8)
-    for index, picture in enumerate(pictures):
-        top, left = index // columns * height, index % columns * width
-        sheet[top : top + height, left : left + width] = picture
-    return sheet
+def _titled(title: str, picture: Image.Image, success: bool) -> np.ndarray:
+    """Returns a picture below a band with its title, both green, and with a tick, where the episode is a success."""
+    width, height = picture.size
+    panel = Image.new("RGB", (width, _BAND + height), _SUCCESS_COLOUR if success else _BAND_COLOUR)
+    panel.paste(picture, (0, _BAND))
+    draw = ImageDraw.Draw(panel)
+    colour = (255, 255, 255) if success else _TEXT_COLOUR
+    draw.text((10, _BAND / 2), title, colour, ImageFont.load_default(_TEXT_SIZE), anchor="lm")
+    if success:
+        draw.line([(width - 28, 15), (width - 22, 21), (width - 10, 8)], colour, width=3, joint="curve")
+        draw.rectangle((0, 0, width - 1, _BAND + height - 1), outline=_SUCCESS_COLOUR, width=_SUCCESS_BORDER)
+    return np.asarray(panel)
+
+
+def _tile(panels: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Lays panels out in rows of `_COLUMNS`, on white."""
+    framed = [np.pad(panel, ((_GAP, _GAP), (_GAP, _GAP), (0, 0)), constant_values=255) for panel in panels]
+    rows = [framed[first : first + _COLUMNS] for first in range(0, len(framed), _COLUMNS)]
+    return np.vstack([np.hstack(row) for row in rows])
 
 
 if __name__ == "__main__":

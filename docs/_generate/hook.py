@@ -1,5 +1,6 @@
 """What MkDocs asks for while it builds the pages: their figures, and the pictures of the results."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 
 from docs._generate import pages, results
 
-_PICTURES = "../experiments/results/"  # as a page names them, for those who read it in the repository
+_PICTURES = re.compile(r"\]\(\.\./((?:\.\./)*experiments/results/)")
+"""The results' pictures as a page of the repository names them: from one folder further up than in the site."""
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -23,4 +25,4 @@ def on_files(files: Files, config: Any) -> Files:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Returns the page with its figures, and with the pictures where they are published."""
-    return pages.publish(markdown).replace(f"]({_PICTURES}", "](experiments/results/")
+    return _PICTURES.sub(r"](\1", pages.publish(markdown))

@@ -1,25 +1,37 @@
 """Fills measured figures into pages, so that a page reads well as it stands and no figure in it is typed.
 
-A figure stands between two comments, the first of which is the Jinja expression that it comes from. A comment that
-begins with `<!--%` is a Jinja statement:
+A comment at the head of a page names its figures, one a line; an indented line continues the one above it:
 
-    <!--% set row = trial("table1-reach", "HGAIL") -->
-    HGAIL reaches <!--= success(row) -->1.000 ± 0.000<!----> of its goals.
+    <!-- figures
+    hgail = trial("table1-reach", "HGAIL")
+    reach = success(hgail)
+    -->
 
-`python -m docs._generate.pages` writes the figures of today's results into all pages, and says which it changed.
+The text cites a name, and today's figure stands between two comments. A table stands apart, and is a call:
+
+    HGAIL reaches <!--= reach -->1.000 ± 0.000<!----> of its goals.
+
+    <!--= suite() -->
+
+    <!---->
+
+`python -m docs._generate.pages` writes the figures of today's results into all pages, and prints which it changed.
+Expressions are Jinja's: `row.success_rate` is an entry of a row, `values | min` the least of a list.
 """
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jinja2
 
-from docs._generate import results, robust, suite, tables
+from docs._generate import claims, results, robust, suite, tables, withstood
 
-_FIGURE = re.compile(r"(<!--= .*? -->)(.*?)(<!---->)", re.DOTALL)
-_STATEMENT = re.compile(r"<!--% .*? -->\n?", re.DOTALL)
-_KEEP = "\x00{}\x00"  # stands for a comment that is written back
-_KEPT = re.compile("\x00(\\d+)\x00")
+_NAMES = re.compile(r"<!-- figures\n(.*?)\n-->\n+", re.DOTALL)
+_FIGURE = re.compile(r"(<!--= (.*?) -->).*?(<!---->)", re.DOTALL)
+
+_jinja = jinja2.Environment(undefined=jinja2.StrictUndefined)
 
 
 def pages() -> list[Path]:
@@ -33,7 +45,8 @@ def publish(page: str) -> str:
     >>> publish("half is <!--= fixed(0.5, 2) -->?<!---->.")
     'half is 0.50.'
     """
-    return _render(_FIGURE.sub(r"\1", page))
+    figure = _figures(page)
+    return _FIGURE.sub(lambda match: figure(match[2]), _NAMES.sub("", page))
 
 
 def refresh(page: str) -> str:
@@ -42,42 +55,43 @@ def refresh(page: str) -> str:
     >>> refresh("half is <!--= fixed(0.5, 2) -->?<!---->.")
     'half is <!--= fixed(0.5, 2) -->0.50<!---->.'
     """
-    kept: list[str] = []
-
-    def keep(comment: str) -> str:
-        kept.append(comment)
-        return _KEEP.format(len(kept) - 1)
-
-    template = _STATEMENT.sub(lambda match: keep(match[0]) + match[0], page)
-    template = _FIGURE.sub(lambda match: keep(match[1]) + match[1] + keep(match[3]), template)
-    return _KEPT.sub(lambda match: kept[int(match[1])], _render(template))
+    figure = _figures(page)
+    return _FIGURE.sub(lambda match: match[1] + figure(match[2]) + match[3], page)
 
 
 def typed(page: str) -> str:
-    """Returns a page without its figures, less code: what somebody typed.
+    """Returns a page without its figures, less code: all that was typed.
 
     >>> typed("half is <!--= fixed(0.5, 2) -->0.50<!---->, or `0.5`.")
     'half is , or .'
     """
-    return re.sub(r"```.*?```|`[^`]*`", "", _STATEMENT.sub("", _FIGURE.sub("", page)), flags=re.DOTALL)
+    return re.sub(r"```.*?```|`[^`]*`", "", _FIGURE.sub("", _NAMES.sub("", page)), flags=re.DOTALL)
 
 
-def _render(template: str) -> str:
-    """Renders a page; an unknown name, or a row that is not there, is an error."""
-    environment = jinja2.Environment(
-        variable_start_string="<!--= ",
-        variable_end_string=" -->",
-        block_start_string="<!--% ",
-        block_end_string=" -->",
-        comment_start_string="\x02",
-        comment_end_string="\x03",
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-    )
-    modules = (results, tables, suite, robust)
-    names = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
-    return environment.from_string(template).render(names)
+def names(page: str) -> dict[str, str]:
+    r"""Returns the expressions that a page names, in their order.
+
+    >>> names("<!-- figures\nrow = trial(\n  \"table1-reach\", \"HGAIL\")\nreach = success(row)\n-->\n\n# Title")
+    {'row': 'trial( "table1-reach", "HGAIL")', 'reach': 'success(row)'}
+    """
+    lines = "\n".join(_NAMES.findall(page))
+    pairs = [line.split(" = ", 1) for line in re.sub(r"\n +", " ", lines).splitlines()]
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise ValueError(f"a name stands twice: {[name for name, _ in pairs]}")
+    return dict(pairs)
+
+
+def _figures(page: str) -> Callable[[str], str]:
+    """Returns what writes the value of an expression of a page; unknown names and rows are errors."""
+    modules = (results, tables, suite, robust, withstood, claims)
+    known = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
+
+    def value(expression: str) -> Any:
+        return _jinja.compile_expression(expression, undefined_to_none=False)(known)
+
+    for name, expression in names(page).items():
+        known[name] = value(expression)
+    return lambda expression: str(value(expression))
 
 
 def main() -> None:

@@ -24,14 +24,12 @@ def read_json(name: str) -> Any:
 
 @functools.cache
 def read_csv(name: str) -> tuple[Row, ...]:
-    """Returns the rows of a CSV file, e.g. `"paper/table1-reach"`, with numbers where there are numbers."""
+    """Returns the rows of a CSV file, e.g. `"runs/reach-hgail/metrics"`, with numbers where there are numbers."""
     with (RESULTS / f"{name}.csv").open(newline="") as file:
-        return tuple({key: _parse(key, value) for key, value in row.items()} for row in csv.DictReader(file))
+        return tuple({key: _parse(value) for key, value in row.items()} for row in csv.DictReader(file))
 
 
-def _parse(key: str, text: str) -> Any:
-    if key.startswith("paper_"):  # "0", ".98 ± .02" and "0.95" are all notations of the paper
-        return with_leading_zeros(text)
+def _parse(text: str) -> Any:
     try:
         return float(text)
     except ValueError:
@@ -54,34 +52,40 @@ def pick(rows: Iterable[Row], **wanted: Any) -> Row:
     return found[0]
 
 
-def trial(table: str, setting: str, panel: str | None = None) -> Row:
-    """Returns a setting's row of a table of `paper/`, e.g. `trial("table1-reach", "HGAIL")`."""
-    wanted = {"setting": setting} if panel is None else {"setting": setting, "panel": panel}
-    return pick(read_csv(f"paper/{table}"), **wanted)
+def trials(study: str) -> list[Row]:
+    """Returns the settings of a study of `paper/`, e.g. `"table1-reach"`, with the paper's decimals as ours."""
+    return [
+        row
+        | {name: with_leading_zeros(row[name]) for name in ("paper_success", "paper_distance_l1")}
+        | {"commit": row["made_by"]["commit"]}
+        for row in read_json(f"paper/{study}")["settings"]
+    ]
 
 
-def curve(figure: str, steps: int, setting: str, panel: str = "") -> list[float]:
-    """Returns the success of each seed after `steps` steps, from the data of a figure of `paper/`."""
-    wanted = {"setting": setting, "panel": panel, "env_steps": steps}
-    rows = [row for row in read_csv(f"paper/{figure}") if all(row[key] == value for key, value in wanted.items())]
-    if not rows:
-        raise ValueError(f"{figure} has no rows with {wanted}")
-    return [row["success"] for row in rows]
+def trial(study: str, setting: str, panel: str | None = None) -> Row:
+    """Returns a setting of a study of `paper/`, e.g. `trial("table1-reach", "HGAIL")`."""
+    return pick(trials(study), setting=setting, **({} if panel is None else {"panel": panel}))
 
 
-def halfway(figure: str, setting: str) -> str:
+def curve(study: str, steps: int, setting: str, panel: str = "") -> list[float]:
+    """Returns the success of each seed after `steps` steps, from a study of `paper/` that has a figure."""
+    curves = trial(study, setting, panel)["curves"]
+    return curves["success"][curves["env_steps"].index(steps)]
+
+
+def halfway(study: str, setting: str) -> str:
     """Says the mean success after 307,200 steps without pre-training, a third of the way."""
-    return fixed(mean(curve(figure, 307_200, setting, "without pre-training")), 2)
+    return fixed(mean(curve(study, 307_200, setting, "without pre-training")), 2)
 
 
-def reached(table: str, setting: str, panel: str | None = None) -> str:
+def reached(study: str, setting: str, panel: str | None = None) -> str:
     """Says the success rate of a setting."""
-    return fixed(trial(table, setting, panel)["success_rate"], 3)
+    return fixed(trial(study, setting, panel)["success_rate"], 3)
 
 
-def off(table: str, setting: str, panel: str | None = None) -> str:
+def off(study: str, setting: str, panel: str | None = None) -> str:
     """Says the L1 distance of a setting, in centimetres."""
-    return f"{fixed(100.0 * trial(table, setting, panel)['distance_l1'], 1)} cm"
+    return f"{fixed(100.0 * trial(study, setting, panel)['distance_l1'], 1)} cm"
 
 
 def hidden(target: str, cameras: int) -> str:
@@ -96,10 +100,9 @@ def noisy(kind: str, value: float) -> str:
     return f"{fixed(pick(rows, target='cube', detector='network', noise=kind, value=value)['median_mm'], 0)} mm"
 
 
-def peak(figure: str, setting: str, panel: str = "") -> str:
+def peak(study: str, setting: str, panel: str = "") -> str:
     """Says the highest mean success that a setting had in any round."""
-    rows = [row for row in read_csv(f"paper/{figure}") if (row["setting"], row["panel"]) == (setting, panel)]
-    return fixed(max(mean(curve(figure, steps, setting, panel)) for steps in {row["env_steps"] for row in rows}), 2)
+    return fixed(max(map(mean, trial(study, setting, panel)["curves"]["success"])), 2)
 
 
 def bench(**wanted: Any) -> Row:
@@ -113,14 +116,14 @@ def transfer(
     robot: str, task: str, stage: str = "exact goal", hand: str = "closed", period: int = 40, policy: str = "plain"
 ) -> Row:
     """Returns a row of table 4; `robot` is the beginning of its name."""
-    rows = [row for row in read_csv("transfer/table4") if row["robot"].startswith(robot)]
+    rows = [row for row in read_json("transfer/table4")["rows"] if row["robot"].startswith(robot)]
     rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
 def disturbed(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
     """Returns a point of the curves of success against disturbances."""
-    rows = [row for row in read_csv("transfer/transfer-sweep") if row["robot"].startswith(robot)]
+    rows = [row for row in read_json("transfer/transfer-sweep")["rows"] if row["robot"].startswith(robot)]
     rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, quantity=quantity, value=value)
 
@@ -158,8 +161,8 @@ def success(row: Row) -> str:
     >>> success({"success_rate": 0.9, "success_ci95": 0.02})
     '0.900 ± 0.020'
     """
-    interval = row.get("success_ci95", "")
-    return fixed(row["success_rate"], 3) + (f" ± {fixed(interval, 3)}" if interval != "" else "")
+    interval = row.get("success_ci95")
+    return fixed(row["success_rate"], 3) + ("" if interval is None else f" ± {fixed(interval, 3)}")
 
 
 def rate(value: float) -> str:
@@ -200,6 +203,11 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{fixed(100.0 * share, digits)} %"
 
 
+def start(state: str) -> Row:
+    """Returns the summary of a run of reach whose start was timed: what was cached, e.g. `"other-host-cached"`."""
+    return read_json("runs/starts")[f"reach-hgail-{state}"]
+
+
 def run_means(run: str) -> list[float]:
     """Returns the success rate in each test of a run's training, the mean over its seeds."""
     tests: dict[float, list[float]] = {}
@@ -211,6 +219,12 @@ def run_means(run: str) -> list[float]:
 def of_seeds(rate: Row) -> str:
     """Returns the mean of a summary's rate and the 95 % interval around it, as `success` of a table's row."""
     return f"{fixed(rate['mean'], 3)} ± {fixed(float(confidence_interval(rate['per_seed'])), 3)}"
+
+
+def ended(run: str) -> str:
+    """Says the mean success of a run's seeds and the time from its start to its end."""
+    summary = read_json(f"runs/{run}/summary")
+    return f"{fixed(summary['success_rate']['mean'], 3)} after {seconds(summary['wall_seconds']['total'])}"
 
 
 def printed(run: str) -> str:

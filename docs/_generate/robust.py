@@ -26,12 +26,12 @@ def levels() -> str:
 
 def robust() -> str:
     """What the robust policies that come with the package have on the Fetch, disturbed and not."""
-    header = ["task", "success under `full`", "nominal", "plain policies, undisturbed", "env steps", "start to end"]
+    header = ["task", "success under `full`", "undisturbed", "plain policies, undisturbed", "env steps", "start to end"]
     rows = []
     for folder in sorted((RESULTS / "runs").glob("*-hgail-robust")):
         row = read_json(f"runs/{folder.name}/summary")
         plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
-        shares = [row["success_rate"], row["nominal_success_rate"], plain["success_rate"]]
+        shares = [row["success_rate"], row["undisturbed_success_rate"], plain["success_rate"]]
         steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
         rows.append([row["task"], *(fixed(share["mean"], 3) for share in shares), steps, time])
     return markdown(header, rows)
@@ -43,10 +43,10 @@ _ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
 def robust_tuning() -> str:
     """How the sizes were chosen that grasp holds under."""
     return markdown(
-        ["rounds", "ramp", "width of the cube", "under these sizes", "nominal", *_ON_THE_UR5E],
+        ["rounds", "ramp", "width of the cube", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
-            [str(row["rounds"]), f"{row['ramp']:g}", _range(row["object_size"]), *_successes(row)]
-            for row in read_json("suite/robust-grasp-tuning")["rows"]
+            [str(row["rounds"]), f"{row['growth']:g}", _range(row["object_size"]), *_successes(row)]
+            for row in read_json("suite/grasp")["robust_tuning"]["rows"]
         ],
     )
 
@@ -54,18 +54,18 @@ def robust_tuning() -> str:
 def robust_noise() -> str:
     """What grasp has with two sizes of the errors of what is seen, which `goal_offset` stands for."""
     return markdown(
-        ["seed", "`goal_offset`", "under these sizes", "nominal", *_ON_THE_UR5E],
+        ["seed", "`goal_offset`", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
             [str(row["seed"]), f"{row['offset']:g} m", *_successes(row)]
-            for row in read_json("suite/robust-grasp-tuning")["noise"]["rows"]
+            for row in read_json("suite/grasp")["robust_tuning"]["noise"]["rows"]
         ],
     )
 
 
 def robust_seeds(task: str) -> str:
     """What the seeds of a robust policy have on a UR5e, of which one comes with the package."""
-    rows = read_json(f"suite/robust-{task}-seeds")["seeds"]
-    names = {"success_rate": "under `full`", "nominal": "nominal", "closed": "160 ms", "fast": "40 ms, open"}
+    rows = read_json(f"suite/{task}")["robust_seeds"]["seeds"]
+    names = {"success_rate": "under `full`", "undisturbed": "undisturbed", "closed": "160 ms", "fast": "40 ms, open"}
     names |= {"open": "160 ms, open", "short": "160 ms, steps × 0.6", "long": "160 ms, steps × 1.4"}
     columns = [name for name in names if name in rows[0]]
     return markdown(
@@ -75,7 +75,7 @@ def robust_seeds(task: str) -> str:
 
 
 def _successes(row: Row) -> list[str]:
-    names = ("success_rate", "nominal", "ur5e", "ur5e_fast", "ur5e_closed")
+    names = ("success_rate", "undisturbed", "ur5e", "ur5e_fast", "ur5e_closed")
     return ["" if row[name] is None else fixed(row[name], 3) for name in names]
 
 

@@ -1,6 +1,6 @@
 """Writes the tables about the Fetch suite, as Markdown, from what was measured."""
 
-from docs._generate.results import Row, count, fixed, mean, of_seeds, pick, rate, read_csv, read_json, seconds
+from docs._generate.results import Row, count, fixed, mean, of_seeds, pick, rate, read_csv, read_json, seconds, trials
 from docs._generate.tables import markdown
 
 TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
@@ -37,13 +37,13 @@ def official() -> str:
                 f"{fixed(row['success_low'], 3)} to {fixed(row['success_high'], 3)}",
                 str(row["episodes"]),
             ]
-            for row in read_json("suite/gymnasium")["rows"]
+            for row in read_json("suite/tasks")["gymnasium"]["rows"]
         ],
     )
 
 
-def each_seed(table: str) -> str:
-    """Returns a table of `suite/`: settings, and the success of each of their seeds."""
+def each_seed(task: str, part: str = "tuning") -> str:
+    """Returns a part of a task's file in `suite/`: settings, and the success of each of their seeds."""
     return markdown(
         ["setting", "success", "of each seed"],
         [
@@ -52,16 +52,16 @@ def each_seed(table: str) -> str:
                 fixed(row["success_rate"], 2),
                 ", ".join(fixed(value, 2) for value in row["success_per_seed"]),
             ]
-            for row in read_json(f"suite/{table}")["rows"]
+            for row in read_json(f"suite/{task}")[part]["rows"]
         ],
     )
 
 
 def parts(task: str) -> str:
     """What is left of the success of a task when a part of the method is left out or changed."""
-    seeds = read_csv(f"paper/parts-{task}-seeds")
-    better = {row["than"]: row for row in read_csv(f"paper/parts-{task}-improvement") if row["setting"] == "HGAIL"}
-    rows = sorted(read_csv(f"paper/parts-{task}"), key=lambda row: -row["success_rate"])
+    rows = trials(f"parts-{task}")
+    hgail = pick(rows, setting="HGAIL")["better_than"]
+    rows.sort(key=lambda row: -row["success_rate"])
     return markdown(
         ["setting", "success", "IQM, 95 % interval", "of each seed", "HGAIL is better"],
         [
@@ -69,12 +69,29 @@ def parts(task: str) -> str:
                 row["setting"] + (" (older)" if row["older"] else ""),
                 fixed(row["success_rate"], 3),
                 "{}, {} to {}".format(*(fixed(row[f"success_iqm{end}"], 3) for end in ("", "_low", "_high"))),
-                ", ".join(fixed(each["success_rate"], 2) for each in seeds if each["setting"] == row["setting"]),
-                fixed(better[row["setting"]]["probability"], 2) if row["setting"] in better else "",
+                ", ".join(fixed(each, 2) for each in row["final"]["success"]),
+                fixed(hgail[row["setting"]][0], 2) if row["setting"] in hgail else "",
             ]
             for row in rows
         ],
     )
+
+
+def parts_of_all() -> str:
+    """Success on each task of `parts`, with a part of the method left out or changed."""
+    tasks = ("push", "pick-and-place", "slide")
+    columns = [{row["setting"]: fixed(row["success_rate"], 3) for row in trials(f"parts-{task}")} for task in tasks]
+    return markdown(
+        ["setting", *tasks], [[setting, *(column[setting] for column in columns)] for setting in columns[0]]
+    )
+
+
+def slide_elsewhere() -> str:
+    """Success on slide and on its relatives as others published it, and whether it can be compared."""
+    columns = ("what", "success", "env_steps", "comparable", "source")
+    header = ["what", "success", "env steps", "comparable?", "source"]
+    rows = read_json("suite/published")["slide_and_its_relatives"]
+    return markdown(header, [[row[name] for name in columns] for row in rows])
 
 
 def published() -> str:
@@ -118,7 +135,7 @@ def networks() -> str:
                 fixed(row["success"], 2),
                 ", ".join("never" if rounds is None else str(rounds) for rounds in row["rounds_until"]),
             ]
-            for row in read_json("suite/networks")["rows"]
+            for row in read_json("suite/tasks")["networks"]["rows"]
         ],
     )
 
@@ -131,13 +148,13 @@ def grasp_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['bc_weight']:g}",
+                f"{row['likelihood_weight']:g}",
                 "{} to {}".format(*row["seeds"]),
                 fixed(row["success_rate"], 3),
                 fixed(row["worst_seed"], 3),
                 count(row["env_steps"]),
             ]
-            for row in read_json("suite/grasp-on-two-cores-tuning")["rows"]
+            for row in read_json("suite/grasp")["on_two_cores"]["rows"]
         ],
     )
 
@@ -150,12 +167,12 @@ def push_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['bc_weight']:g}",
+                f"{row['likelihood_weight']:g}",
                 str(row["seed"]),
                 fixed(row["success_rate"], 3),
                 count(row["env_steps"]),
                 seconds(row["total_seconds"]),
             ]
-            for row in read_json("suite/push-on-two-cores")["rows"]
+            for row in read_json("suite/push")["on_two_cores"]["rows"]
         ],
     )

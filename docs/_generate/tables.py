@@ -15,8 +15,10 @@ from docs._generate.results import (
     read_csv,
     read_json,
     seconds,
+    start,
     success,
     trial,
+    trials,
 )
 
 _UNBROKEN = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
@@ -37,14 +39,12 @@ def markdown(header: list[str], rows: list[list[str]]) -> str:
 
 def methods(task: str, *more: tuple[str, str, str]) -> str:
     """Table 1 of a task, the runs of more steps, and `more` rows, each a table, a setting and a panel."""
-    rows = [*read_csv(f"paper/table1-{task}"), *read_csv(f"paper/table1-longer-{task}")]
-    rows += [trial(*each) for each in more]
-    return studied(rows)
+    return studied([*trials(f"table1-{task}"), *trials(f"table1-longer-{task}"), *(trial(*each) for each in more)])
 
 
 def study(table: str) -> str:
     """Returns a whole table of `paper/`, e.g. `"table2-reach"`."""
-    return studied(list(read_csv(f"paper/{table}")))
+    return studied(trials(table))
 
 
 def studied(rows: list[Row]) -> str:
@@ -75,13 +75,13 @@ def tried() -> str:
         ["σ of x, y, z; hand", "weight of the likelihood", "PPO", "success of the two seeds", "L1 distance"],
         [
             [
-                "{}; {}".format(row["action_std"].split()[0], row["action_std"].split()[-1]),
-                f"{row['bc_weight']:g}",
+                "{}; {}".format(row["action_std"][0], row["action_std"][-1]),
+                f"{row['likelihood_weight']:g}",
                 "yes" if row["ppo_weight"] else "no",
-                ", ".join(fixed(row[f"success_seed_{seed}"], 2) for seed in (0, 1)),
+                ", ".join(fixed(each, 2) for each in row["success_per_seed"]),
                 f"{fixed(row['distance_l1'], 3)} m",
             ]
-            for row in read_csv("paper/grasp-tried")
+            for row in read_json("suite/grasp")["tried"]["rows"]
         ],
     )
 
@@ -93,10 +93,10 @@ def older() -> str:
         [
             [
                 row["what"],
-                ", ".join(fixed(float(each), 2) for each in row["success_per_seed"].split()),
+                ", ".join(fixed(each, 2) for each in row["success_per_seed"]),
                 f"{fixed(row['distance_l1'], 3)} m",
             ]
-            for row in read_csv("paper/grasp-older")
+            for row in read_json("suite/grasp")["older"]["rows"]
         ],
     )
 
@@ -130,9 +130,9 @@ def compilation() -> str:
     }
     cells = []
     for state, name in caches.items():
-        starts = [read_json(f"runs/reach-hgail-{host}{state}/summary")["wall_seconds"] for host in ("", "other-host-")]
-        cells.append([name, *(seconds(start[what]) for start in starts for what in ("compile", "total"))])
-    commits = [read_json(f"runs/reach-hgail-{host}cached/summary")["commit"] for host in ("", "other-host-")]
+        starts = [start(f"{host}{state}")["wall_seconds"] for host in ("", "other-host-")]
+        cells.append([name, *(seconds(spent[what]) for spent in starts for what in ("compile", "total"))])
+    commits = [start(f"{host}cached")["commit"] for host in ("", "other-host-")]
     header = [f"compilation, {name} ({commit})" for name, commit in zip(("one host", "another"), commits, strict=True)]
     return markdown(["cached", header[0], "start to end", header[1], "start to end"], cells)
 
@@ -298,7 +298,7 @@ def _first(row: Row, column: str, wanted: float) -> float:
 
 def paper_sizes(least: float = 0.1) -> str:
     """What one change to the paper's sizes comes to on reach; those that come to less than `least` share a row."""
-    rows = read_csv("paper/paper-sizes-reach")
+    rows = trials("paper-sizes-reach")
     taught, untaught = (
         [row for row in rows if row["panel"] == f"{with_} pre-training"] for with_ in ("with", "without")
     )
@@ -322,7 +322,7 @@ def paper_sizes(least: float = 0.1) -> str:
 
 def second_change() -> str:
     """What a second change to the paper's sizes comes to on reach, beside phases 1 + 3."""
-    rows = [row for row in read_csv("paper/paper-sizes-reach") if row["panel"] == "phases 1 + 3"]
+    rows = [row for row in trials("paper-sizes-reach") if row["panel"] == "phases 1 + 3"]
     cells = [
         [row["setting"].replace("as they are", "none"), count(row["env_steps_per_seed"]), _with_seeds(row)]
         for row in rows
@@ -331,14 +331,12 @@ def second_change() -> str:
 
 
 def _with_seeds(row: Row) -> str:
-    seeds = read_csv("paper/paper-sizes-reach-seeds")
-    of_each = [seed for seed in seeds if (seed["panel"], seed["setting"]) == (row["panel"], row["setting"])]
-    return f"{fixed(row['success_rate'], 2)} ({', '.join(fixed(seed['success_rate'], 2) for seed in of_each)})"
+    return f"{fixed(row['success_rate'], 2)} ({', '.join(fixed(each, 2) for each in row['final']['success'])})"
 
 
 def grasp_sizes() -> str:
     """What smaller trainings of grasp come to on the seeds for choosing, in the mean and in the worst."""
-    rows = read_csv("paper/grasp-sizes-grasp")
+    rows = trials("grasp-sizes-grasp")
     weights = list(dict.fromkeys(row["setting"] for row in rows))
     cells = []
     for panel in dict.fromkeys(row["panel"] for row in rows):
@@ -350,7 +348,7 @@ def grasp_sizes() -> str:
 
 def smaller_trainings() -> str:
     """What smaller trainings of grasp on a GPU came to, each run of each."""
-    trainings = read_json("suite/grasp-smaller-trainings")
+    trainings = read_json("suite/grasp")["smaller_trainings"]
     wanted = f"every seed has {fixed(trainings['wanted'], 2)} after"
     return markdown(
         ["sizes", "seeds", wanted, "training in all", "success", "worst seed", "commit"],
@@ -370,7 +368,9 @@ def smaller_trainings() -> str:
 
 def robots() -> str:
     """Table 4 where the simulator tells the goal: policies run unchanged on other robots."""
-    rows = [row for row in read_csv("transfer/table4") if row["stage"] == "exact goal" and row["policy"] == "plain"]
+    rows = [
+        row for row in read_json("transfer/table4")["rows"] if row["stage"] == "exact goal" and row["policy"] == "plain"
+    ]
     header = ["robot", "task", "hand at the start, action", "plain policies", "robust policy", "L1 distance"]
     return markdown(
         header,
@@ -388,7 +388,7 @@ def robots() -> str:
 
 def camera_goals() -> str:
     """Table 4 where cameras tell the goal, beside the same rows with the simulator's."""
-    rows = [row for row in read_csv("transfer/table4") if row["stage"] == "camera goal"]
+    rows = [row for row in read_json("transfer/table4")["rows"] if row["stage"] == "camera goal"]
     stages = ["exact goal", "camera goal", "noisy-cameras goal", "one-camera goal", "one-noisy-camera goal"]
     header = ["robot", "task", "hand at the start, action", "policies", "exact", "two cameras", "two with noise"]
     return markdown(
@@ -416,7 +416,7 @@ def _with_interval(row: Row) -> str:
 def _counterpart(row: Row, **other: str) -> Row:
     """Returns the row of table 4 that differs from one in these columns alone."""
     columns = ("robot", "task", "hand_at_start", "milliseconds_per_action", "stage", "policy")
-    return pick(read_csv("transfer/table4"), **{name: row[name] for name in columns} | other)
+    return pick(read_json("transfer/table4")["rows"], **{name: row[name] for name in columns} | other)
 
 
 def localised() -> str:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import hgail_envs
-from experiments.paper.aggregate import write_aggregates
-from experiments.paper.seeds import choose_seeds
 from experiments.paper.spread import carry_out
 from experiments.paper.studies import LONGER, STUDIES, studies_of
-from experiments.paper.study import Study
+from experiments.paper.study import Study, choose_seeds
+from experiments.paper.tables import write_means_over_tasks
 from experiments.paper.trials import Scale
 from experiments.paper.work import Unfinished, Work, redraw, time_one_program
 from hgail_envs.validation import check_count, check_name
@@ -130,7 +129,8 @@ def main(arguments: list[str] | None = None) -> None:
             if stop.is_set():
                 print("stopped; the same command goes on")
                 return
-            write_aggregates(works)
+            for study in works[0].studies if len(works) > 1 else ():
+                write_means_over_tasks(folder, [work.task for work in works], study)
             for work in works if options.sweep else ():
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:

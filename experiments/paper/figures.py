@@ -1,7 +1,7 @@
-"""The paper's figures, drawn from their data."""
+"""The paper's figures, drawn from the results of their studies."""
 
-import csv
 import itertools
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from experiments.paper.studies import FIGURES
+from experiments.paper.studies import STUDIES
 from hgail_jax.io.files import replace_file
 from hgail_jax.trainer.statistics import confidence_interval
 
@@ -21,22 +21,27 @@ _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
 _PANELS = (
     ("success", "success rate", (-0.02, 1.02)),
-    ("distance", "L1 distance at the end (m)", (0.0, None)),
+    ("distance_l1", "L1 distance at the end (m)", (0.0, None)),
 )
 
 
+def figure_path(folder: Path, number: int) -> Path:
+    """Returns the path of a figure."""
+    return folder / f"figure{number}.png"
+
+
 def draw_figure(folder: Path, number: int) -> Path | None:
-    """Draws a figure from all of its data in a folder, and returns its path; None where there is no data.
+    """Draws a figure from the results of its studies in a folder, and returns its path; None where there are none.
 
     A row for each task and panel, success on the left and distance on the right; a line is the mean over the seeds, its
     band the 95 % interval.
 
     Raises:
-      ValueError: a file of its data is not one.
+      ValueError: a file of the folder is not what a study writes.
 
     """
-    paths = sorted(folder.glob(f"figure{number}-*.csv"), key=lambda path: ("longer" in path.name, path.name))
-    rows = [row for path in paths for row in _read_curves(path)]
+    studies = [study for study in STUDIES if study.figure == number]
+    rows = [row for study in studies for row in _read_rows(folder, study.name)]
     if not rows:
         return None
     tasks = _in_order([*_TASKS, *(row["task"] for row in rows)])
@@ -56,43 +61,39 @@ def draw_figure(folder: Path, number: int) -> Path | None:
             axis.grid(alpha=0.3)
             axis.spines[["top", "right"]].set_visible(False)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.suptitle(f"Figure {number}: {FIGURES[number]}{_commits(rows)}", fontsize=11)
-    path = folder / f"figure{number}.png"
+    figure.suptitle(f"Figure {number}: {studies[0].title}{_commits(rows)}", fontsize=11)
+    path = figure_path(folder, number)
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
     plt.close(figure)
     return path
 
 
-def _commits(rows: list[dict[str, str]]) -> str:
+def _commits(rows: list[dict[str, Any]]) -> str:
     """Says which commits made a figure's data, where they are several."""
-    commits = sorted({row.get("commit") or "an older one" for row in rows})
+    commits = sorted({str(row["made_by"]["commit"]) for row in rows})
     return f" (commits {', '.join(commits)})" if len(commits) > 1 else ""
 
 
 def _draw_lines(axis: plt.Axes, rows: list[dict[str, Any]], column: str, colors: dict[str, tuple]) -> None:
-    for setting in _in_order(row["setting"] for row in rows):
-        of_setting = [row for row in rows if row["setting"] == setting]
-        steps = sorted({float(row["env_steps"]) for row in of_setting})
-        values = [[float(row[column]) for row in of_setting if float(row["env_steps"]) == step] for step in steps]
-        mean = np.array([np.mean(over_seeds) for over_seeds in values])
-        half = np.array([np.nan_to_num(confidence_interval(np.array(over_seeds))) for over_seeds in values])
-        color = colors[setting]
-        axis.plot(steps, mean, color=color, linewidth=1.8, marker="o", markersize=3, label=setting)
+    for row in rows:
+        steps, values = row["curves"]["env_steps"], np.array(row["curves"][column])
+        mean, half = values.mean(axis=1), np.nan_to_num(confidence_interval(values))
+        color = colors[row["setting"]]
+        axis.plot(steps, mean, color=color, linewidth=1.8, marker="o", markersize=3, label=row["setting"])
         axis.fill_between(steps, mean - half, mean + half, color=color, alpha=0.15, linewidth=0)
 
 
-def _read_curves(path: Path) -> list[dict[str, str]]:
-    try:
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        for row in rows:
-            for column in ("env_steps", "success", "distance"):
-                float(row[column])
-            if not {"task", "panel", "setting"} <= row.keys():
-                raise KeyError("a column")
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise ValueError(f"{path} is not a figure's data: {error}") from error
+def _read_rows(folder: Path, study: str) -> list[dict[str, Any]]:
+    """Returns the settings that a study has in a folder, each with the task."""
+    rows = []
+    for path in sorted(folder.glob(f"{study}-*.json")):
+        try:
+            content = json.loads(path.read_text())
+            if content["study"] == study and "task" in content:
+                rows += [row | {"task": content["task"]} for row in content["settings"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not what a study writes: {error}") from error
     return rows
 
 

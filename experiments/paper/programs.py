@@ -12,7 +12,6 @@ import numpy as np
 
 import hgail_envs
 from experiments.paper.trials import Trial
-from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import evaluate_seeds, split_sweep
 from hgail_jax.terminal.status import StatusLine
@@ -105,13 +104,13 @@ def _results(
     worst_dropped = float(np.nan_to_num(rates["dropped_rate"]).max())
     return [
         {
-            "rounds": evaluated.tolist(),
-            "env_steps": program.env_steps()[evaluated].tolist(),
-            "success": curves["success"][index].T.tolist(),
-            "distance_l1": curves["distance_l1"][index].T.tolist(),
+            "curves": {
+                "rounds": evaluated.tolist(),
+                "env_steps": program.env_steps()[evaluated].tolist(),
+                "success": curves["success"][index].T.tolist(),
+                "distance_l1": curves["distance_l1"][index].T.tolist(),
+            },
             "final": {name: np.asarray(values)[index].tolist() for name, values in final.items()},
-            "evaluation_episodes": whole_rollouts(trials[0].evaluation_episodes, program.config.num_envs)
-            * program.config.num_envs,
             "diverged_seeds": int(diverged[index].sum()),
             "program": {"settings": len(trials), "seconds": seconds, "dropped": worst_dropped},
         }

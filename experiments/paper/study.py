@@ -1,10 +1,16 @@
-"""What a study is: settings that one table or figure compares."""
+"""What a study is: settings that one table or figure compares, and the seeds that it is trained with."""
 
 import dataclasses
 from typing import Any
 
+from hgail_jax.seeds import check_seeds
+
 PAPER_DEMONSTRATIONS = 20
 """Demonstrations of GAIL-demo; the paper does not say how many it has."""
+REPORTED_SEEDS = range(0, 8)
+"""Of the tables and figures. No setting is chosen by what comes of them."""
+TUNING_SEEDS = range(1000, 1004)
+"""Of the studies that settings are chosen by. Nothing that comes of them is reported as a method's result."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +49,7 @@ class Study:
     """What one training serves: a table, a figure, or both."""
 
     name: str
-    """Of its files: `<name>-<task>.csv` and so on."""
+    """Of its files: `<name>-<task>.json` and `.md`."""
     title: str
     settings: tuple[Setting, ...]
     table: int | None = None
@@ -53,7 +59,7 @@ class Study:
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
     tuning: bool = False
-    """Whether settings are chosen by it: it then has seeds of its own, see `experiments.paper.seeds`."""
+    """Whether settings are chosen by it: it then has seeds of its own, see `choose_seeds`."""
 
     def compared_with(self, setting: Setting) -> Setting | None:
         """Returns the setting to compare one with: the reference of its panel, else the first of that name.
@@ -64,3 +70,34 @@ class Study:
         named = [other for other in self.settings if other.name == name]
         found = next((other for other in named if other.panel == setting.panel), named[0])
         return None if found.label == setting.label else found
+
+
+def choose_seeds(tuning: bool, count: int | None = None) -> range:
+    """Returns the seeds of a study: those above or, from the same start, `count` of them.
+
+    Raises:
+      ValueError: there are none, or so many that seeds for reporting are also seeds for choosing.
+
+    >>> choose_seeds(tuning=True), choose_seeds(tuning=False, count=2)
+    (range(1000, 1004), range(0, 2))
+
+    """
+    whole = TUNING_SEEDS if tuning else REPORTED_SEEDS
+    if count is None:
+        return whole
+    check_seeds(whole.start, count)
+    if not tuning and count > TUNING_SEEDS.start:
+        raise ValueError(f"seeds is {count}; from {TUNING_SEEDS.start} on they are for choosing settings")
+    return range(whole.start, whole.start + count)
+
+
+def describe_seeds(seeds: list[int]) -> str:
+    """Says of consecutive seeds what they are for.
+
+    >>> describe_seeds([0, 1])
+    'Seeds 0 to 1 are for reporting; settings are chosen on others, from 1000 on.'
+    """
+    these = f"Seeds {seeds[0]} to {seeds[-1]}"
+    if seeds[0] >= TUNING_SEEDS.start:
+        return f"{these} are for choosing settings; what is reported comes from others, from {REPORTED_SEEDS.start} on."
+    return f"{these} are for reporting; settings are chosen on others, from {TUNING_SEEDS.start} on."

@@ -1,68 +1,134 @@
-"""All files of a study: tables as CSV and Markdown, a figure and its data."""
+"""The files of a study: what came of its settings, as JSON, and a table of it, as Markdown."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from experiments.paper.figures import draw_figure
-from experiments.paper.rows import curve_rows, improvement_over_reference, improvement_rows, seed_rows, table_rows
-from experiments.paper.seeds import describe_seeds
-from experiments.paper.studies import LONGER
-from experiments.paper.study import Study
-from hgail_jax.io.files import replace_file, write_csv
-from hgail_jax.trainer.statistics import Estimate
+from experiments.paper.study import Setting, Study, describe_seeds
+from hgail_jax.io.files import replace_file, write_json
+from hgail_jax.trainer.statistics import Estimate, confidence_interval, interquartile_mean, probability_of_improvement
 
 _OLDER = "**Older:** the settings of this table are no longer those of its name.\n\n"
 
 
+def json_path(folder: Path, task: str, study: Study) -> Path:
+    """Returns the path of a study's results; its table is beside it, as Markdown."""
+    return folder / f"{study.name}-{task}.json"
+
+
+def read_study(path: Path) -> dict[str, Any]:
+    """Returns the content of a JSON file of the folder.
+
+    Raises:
+      ValueError: it is damaged.
+
+    """
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged, remove it: {error}") from None
+
+
 def write_study(folder: Path, task: str, study: Study, results: list[dict[str, Any]]) -> None:
-    """Writes all of a study's `files`."""
-    paths = files(folder, task, study)
-    write_csv(paths["table"], table_rows(task, study, results))
-    write_csv(paths["seeds"], seed_rows(task, study, results))
-    write_csv(paths["improvement"], improvement_rows(task, study, results))
-    write_markdown(paths["markdown"], task, study, results)
+    """Writes what came of a study's trials, the table, and the figure that it belongs to."""
+    rows = make_rows(task, study, results)
+    path = json_path(folder, task, study)
+    write_json(path, {"study": study.name, "task": task, "settings": rows})
+    write_markdown(path.with_suffix(".md"), task, study, rows)
     if study.figure is not None:
-        write_csv(paths["curves"], curve_rows(task, study, results))
         draw_figure(folder, study.figure)
 
 
-def files(folder: Path, task: str, study: Study) -> dict[str, Path]:
-    """Returns the paths of a study's tables, as CSV and Markdown, and of its figure and the figure's data."""
-    stem = f"{study.name}-{task}"
-    paths = {
-        "table": folder / f"{stem}.csv",
-        "seeds": folder / f"{stem}-seeds.csv",
-        "improvement": folder / f"{stem}-improvement.csv",
-        "markdown": folder / f"{stem}.md",
-    }
-    if study.figure is not None:
-        longer = "-longer" if study.name == LONGER else ""
-        paths["curves"] = folder / f"figure{study.figure}{longer}-{task}.csv"
-        paths["figure"] = folder / f"figure{study.figure}.png"
-    return paths
-
-
-def set_aside(folder: Path, paths: list[Path]) -> None:
-    """Moves what is there of these files to a folder, and says in tables that they are older."""
+def set_aside(folder: Path, path: Path) -> None:
+    """Moves a study's results and table to a folder, and says in the table that it is older."""
     folder.mkdir(parents=True, exist_ok=True)
-    for path in paths:
-        if path.suffix == ".md" and path.exists():
-            content = path.read_text()
-            with replace_file(path) as file:
-                file.write(content if content.startswith(_OLDER) else _OLDER + content)
-        if path.exists():
-            path.replace(folder / path.name)
+    table = path.with_suffix(".md")
+    if table.exists():
+        with replace_file(folder / table.name) as file:
+            file.write(_OLDER + table.read_text())
+        table.unlink()
+    path.replace(folder / path.name)
 
 
-def write_markdown(path: Path, task: str, study: Study, results: list[dict[str, Any]]) -> None:
+def make_rows(task: str, study: Study, results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns the rows of a study, one per setting, from the results of its trials.
+
+    `seconds` is a setting's share of the time that its program trained for. A row is `older` if another one of the
+    study was made later by another commit. `better_than` has how probably a seed of the setting has a higher success
+    rate than one of each setting after it, and the bounds of the 95 % interval.
+    """
+    newest = max((result["made_by"] for result in results), key=lambda made_by: made_by["date"])["commit"]
+    rows = []
+    for index, (setting, result) in enumerate(zip(study.settings, results, strict=True)):
+        program = result["program"]
+        paper_success, paper_distance = setting.paper.get(task, ("", ""))
+        rows.append(
+            {
+                "setting": setting.name,
+                "panel": setting.panel,
+                **_statistics(result["final"]),
+                "diverged_seeds": result["diverged_seeds"],
+                "env_steps_per_seed": result["curves"]["env_steps"][-1],
+                "seconds": round(program["seconds"]["train"] / program["settings"], 3),
+                "paper_success": paper_success,
+                "paper_distance_l1": paper_distance,
+                "older": result["made_by"]["commit"] != newest,
+                "better_than": {
+                    other.label: [_number(end) for end in _improvement(result, of_other)]
+                    for other, of_other in list(zip(study.settings, results, strict=True))[index + 1 :]
+                },
+                **{name: result[name] for name in ("identity", "final", "program", "made_by")},
+                **({} if study.figure is None else {"curves": result["curves"]}),
+            }
+        )
+    return rows
+
+
+def _statistics(final: dict[str, list[float]]) -> dict[str, float | None]:
+    """Returns statistics over the seeds of what they ended with."""
+    success, distance = np.array(final["success"]), np.array(final["distance_l1"])
+    return {
+        "success_rate": float(success.mean()),
+        "success_ci95": _number(confidence_interval(success)),
+        **_estimate("success_iqm", interquartile_mean(success)),
+        "worst_seed": float(success.min()),
+        "achieved_rate": float(np.mean(final["achieved"])),
+        "success_rate_l1": float(np.mean(final["success_l1"])),
+        "distance_l1": float(distance.mean()),
+        "distance_l1_ci95": _number(confidence_interval(distance)),
+        **_estimate("distance_l1_iqm", interquartile_mean(distance)),
+        "distance_l2": float(np.mean(final["distance_l2"])),
+    }
+
+
+def write_means_over_tasks(folder: Path, tasks: list[str], study: Study) -> None:
+    """Writes <study>-<task>-<task>.json where the folder has the study of each task.
+
+    It has the interquartile mean of each setting's success rate over the seeds of all tasks; the bootstrap draws within
+    each task.
+    """
+    paths = [json_path(folder, task, study) for task in tasks]
+    if not all(path.exists() for path in paths):
+        return
+    of_tasks = [read_study(path)["settings"] for path in paths]
+    rows = [
+        {"setting": of_setting[0]["setting"], "panel": of_setting[0]["panel"]}
+        | _estimate("success_iqm", interquartile_mean(*(np.array(row["final"]["success"]) for row in of_setting)))
+        for of_setting in zip(*of_tasks, strict=True)
+    ]
+    write_json(folder / f"{'-'.join([study.name, *tasks])}.json", {"study": study.name, "tasks": tasks, "means": rows})
+
+
+def write_markdown(path: Path, task: str, study: Study, rows: list[dict[str, Any]]) -> None:
     """Writes a table, the paper's figures beside ours, with 95 % intervals over the seeds."""
-    rows, improvements = table_rows(task, study, results), improvement_over_reference(study, results)
+    by_label = {setting.label: row for setting, row in zip(study.settings, rows, strict=True)}
     lines = [
         f"# {study.title[0].upper()}{study.title[1:]}, {task}",
         "",
-        f"{describe_seeds(results[0]['identity']['seeds'])} Final evaluation of the mean action; mean and 95 % interval"
+        f"{describe_seeds(rows[0]['identity']['seeds'])} Final evaluation of the mean action; mean and 95 % interval"
         " (Student's t) over the seeds, and interquartile mean (IQM) and 95 % interval (stratified bootstrap). P is how"
         f" probably a seed has a higher success rate than one of {study.reference or study.settings[0].name}, ties"
         " counting half.",
@@ -71,44 +137,59 @@ def write_markdown(path: Path, task: str, study: Study, results: list[dict[str, 
         " | seconds |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for setting, row, improvement in zip(study.settings, rows, improvements, strict=True):
-        older = f", *older* ({row['commit']})" if row["older"] else ""
-        cells = [
-            setting.label + older,
-            row["seeds"],
-            row["paper_success"],
-            _plus_minus(row["success_rate"], row["success_ci95"]),
-            _with_bounds(row, "success_iqm"),
-            "" if improvement is None else _bounded(improvement, 2),
-            row["paper_distance_l1"],
-            _plus_minus(row["distance_l1"], row["distance_l1_ci95"]),
-            _with_bounds(row, "distance_l1_iqm"),
-            f"{row['env_steps_per_seed']:,}",
-            f"{row['seconds']:.1f}",
-        ]
-        lines.append(f"| {' | '.join(map(str, cells))} |")
+    for setting in study.settings:
+        reference = study.compared_with(setting)
+        cells = _cells(setting, by_label[setting.label], None if reference is None else by_label[reference.label])
+        lines.append(f"| {' | '.join(cells)} |")
     with replace_file(path) as file:
         file.write("\n".join([*lines, "", *_origin(rows)]) + "\n")
+
+
+def _cells(setting: Setting, row: dict[str, Any], reference: dict[str, Any] | None) -> list[str]:
+    return [
+        setting.label + (f", *older* ({row['made_by']['commit']})" if row["older"] else ""),
+        str(len(row["identity"]["seeds"])),
+        row["paper_success"],
+        _plus_minus(row["success_rate"], row["success_ci95"]),
+        _with_bounds(row, "success_iqm", 3),
+        "" if reference is None else _with_bounds(_estimate("P", _improvement(row, reference)), "P", 2),
+        row["paper_distance_l1"],
+        _plus_minus(row["distance_l1"], row["distance_l1_ci95"]),
+        _with_bounds(row, "distance_l1_iqm", 3),
+        f"{row['env_steps_per_seed']:,}",
+        f"{row['seconds']:.1f}",
+    ]
 
 
 def _origin(rows: list[dict[str, Any]]) -> list[str]:
     """Returns lines that say what made a table."""
     lines = ["Seconds are a setting's share of its program's training, compilation apart. Made by"]
-    made = dict.fromkeys((row["command"], row["commit"], row["device"], row["versions"]) for row in rows)
-    return lines + [
-        f"- `{command}`, commit {commit}, {device}; {versions}" for command, commit, device, versions in made
-    ]
+    for row in rows:
+        by = row["made_by"]
+        lines.append(f"- `{by['command']}`, commit {by['commit']}, {by['device']['kind']}; {_versions(by['versions'])}")
+    return list(dict.fromkeys(lines))
+
+
+def _versions(versions: dict[str, str | None]) -> str:
+    return "; ".join(f"{name} {version}" for name, version in versions.items() if version is not None)
+
+
+def _improvement(row: dict[str, Any], other: dict[str, Any]) -> Estimate:
+    return probability_of_improvement(*(np.array(one["final"]["success"]) for one in (row, other)))
+
+
+def _estimate(name: str, estimate: Estimate) -> dict[str, float | None]:
+    return {name: estimate.value, f"{name}_low": _number(estimate.low), f"{name}_high": _number(estimate.high)}
+
+
+def _number(value: np.ndarray | float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _plus_minus(mean: float, half: float | None) -> str:
     return f"{mean:.3f}" if half is None else f"{mean:.3f} ± {half:.3f}"
 
 
-def _with_bounds(row: dict[str, Any], name: str) -> str:
-    bounds = (np.nan if row[f"{name}_{end}"] is None else row[f"{name}_{end}"] for end in ("low", "high"))
-    return _bounded(Estimate(row[name], *bounds), 3)
-
-
-def _bounded(estimate: Estimate, digits: int) -> str:
-    value, low, high = (f"{number:.{digits}f}" for number in estimate)
-    return value if np.isnan(estimate.low) else f"{value} ({low} to {high})"
+def _with_bounds(row: dict[str, Any], name: str, digits: int) -> str:
+    value, low, high = (row[name + end] for end in ("", "_low", "_high"))
+    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")

@@ -3,19 +3,17 @@
 import dataclasses
 import datetime
 import functools
-import json
 import shutil
 import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.paper.figures import draw_figure
+from experiments.paper.figures import draw_figure, figure_path
 from experiments.paper.programs import group_by_program, time_sweep, train_program
-from experiments.paper.seeds import choose_seeds
-from experiments.paper.studies import FIGURES, MOST_DEMONSTRATIONS, SWEEP
-from experiments.paper.study import Setting, Study
-from experiments.paper.tables import files, set_aside, write_study
+from experiments.paper.studies import MOST_DEMONSTRATIONS, STUDIES, SWEEP
+from experiments.paper.study import Setting, Study, choose_seeds
+from experiments.paper.tables import json_path, read_study, set_aside, write_markdown, write_study
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
@@ -120,7 +118,7 @@ class Unfinished:
         for study, trials in list(self._studies):
             parts = [_part_path(self.work, trial) for trial in trials]
             if all(path.exists() for path in parts):
-                _write(self.work, study, trials, [_read_json(path) for path in parts])
+                _write(self.work, study, trials, [read_study(path) for path in parts])
                 self._studies.remove((study, trials))
 
 
@@ -129,39 +127,31 @@ def _worked_out(work: Work) -> list[tuple[Study, list[Trial]]]:
 
 
 def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:
-    """Returns whether a study's data are in the folder; a figure alone is drawn again."""
-    path = _json_path(work, study)
+    """Returns whether a study's results are in the folder; a table or figure alone is made again from them."""
+    path = json_path(work.folder, work.task, study)
     if not path.exists():
         return False
-    there = _read_json(path)
+    rows = read_study(path)["settings"]
     try:
-        refuse_another_run(path, there.get("settings", {}), _identities(trials))
+        refuse_another_run(path, _identities_there(rows), _identities(trials))
     except AnotherRunError as error:
         print(f"{study.name} of {work.task} is made again, and what is there goes to older/: {error}")
         return False
-    missing = {name for name, file in files(work.folder, work.task, study).items() if not file.exists()}
-    if missing - {"figure"}:
-        return False
-    if missing and study.figure is not None:
+    if not (table := path.with_suffix(".md")).exists():
+        write_markdown(table, work.task, study, rows)
+    if study.figure is not None and not figure_path(work.folder, study.figure).exists():
         draw_figure(work.folder, study.figure)
-    commits = sorted({str(made["made_by"]["commit"]) for made in there["made"].values()})
+    commits = sorted({str(row["made_by"]["commit"]) for row in rows})
     print(f"{study.name} of {work.task} is there, of commit {', '.join(commits)}")
     return True
 
 
 def _write(work: Work, study: Study, trials: list[Trial], results: list[dict[str, Any]]) -> None:
     """Writes a study; what is there of other settings goes to older/<their hash>/."""
-    path, identities = _json_path(work, study), _identities(trials)
-    if path.exists() and (there := _read_json(path).get("hash")) != hash_json(identities):
-        of_study = files(work.folder, work.task, study)
-        data = [file for name, file in of_study.items() if name != "figure"]
-        set_aside(work.folder / "older" / str(there), [*data, path])
+    path = json_path(work.folder, work.task, study)
+    if path.exists() and (there := _identities_there(read_study(path)["settings"])) != _identities(trials):
+        set_aside(work.folder / "older" / hash_json(there), path)
     write_study(work.folder, work.task, study, results)
-    made = {
-        trial.setting.label: {name: result[name] for name in ("final", "program", "made_by")}
-        for trial, result in zip(trials, results, strict=True)
-    }
-    write_json(path, {"hash": hash_json(identities), "settings": identities, "made": made})
     print(f"{study.name} of {work.task} -> {path.parent}")
 
 
@@ -185,7 +175,7 @@ def redraw(folder: Path) -> None:
       ValueError: it holds none, or data that cannot be read.
 
     """
-    drawn = [draw_figure(folder, number) for number in sorted(FIGURES)]
+    drawn = [draw_figure(folder, number) for number in sorted({study.figure for study in STUDIES if study.figure})]
     if not any(drawn):
         raise ValueError(f"{folder} holds no figure's data")
     print(", ".join(str(path) for path in drawn if path))
@@ -195,17 +185,10 @@ def _identities(trials: Sequence[Trial]) -> dict[str, Any]:
     return {trial.setting.label: trial.identity() for trial in trials}
 
 
-def _json_path(work: Work, study: Study) -> Path:
-    return work.folder / f"{study.name}-{work.task}.json"
+def _identities_there(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {Setting(row["setting"], row["panel"]).label: row["identity"] for row in rows}
 
 
 def _part_path(work: Work, trial: Trial) -> Path:
     """Returns where a trial's result is kept until all that need it are written, and for those that come later."""
     return work.folder / "parts" / f"{trial.key()}.json"
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged, remove it: {error}") from None

@@ -82,13 +82,13 @@ class Options:
     """Options of the robot, as name=value: slowdown=1 and start_open=true of the arms, observation=official of
     Gymnasium-Robotics' Fetch. Those that the policy's file names are given already."""
     table: Annotated[Literal[4] | None, unless_given("none", "4")] = None
-    """Measure the rows of the paper's table 4 instead, into table4.csv."""
+    """Measure the rows of the paper's table 4 instead, into table4.json."""
     goal_source: Annotated[
         GoalSource | None, unless_given("exact; all with --table", f"{{{','.join(GOAL_SOURCES)}}}")
     ] = None
     """Where the target is exactly, or as two cameras or one over the workspace see it, with noise or without."""
     sweep: bool = False
-    """Measure success against disturbances and speed instead, into transfer-sweep.csv and .png."""
+    """Measure success against disturbances and speed instead, into transfer-sweep.json and .png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None

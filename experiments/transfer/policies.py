@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from experiments.transfer.paths import RESULTS
+from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import MeanPolicy, load_policy
 
 PLAIN = "plain"
@@ -15,8 +16,10 @@ Policies = Mapping[str, Mapping[str, Sequence[Path]]]
 
 
 def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
-    """Returns the files of the policies that come with the repository for a task, none if there are none."""
-    return sorted((RESULTS / "runs" / RUNS[label].format(task=task) / "policies").glob("*.npz"))
+    """Returns the files of a task's policies in the repository, none if there are none: its run's, or the package's."""
+    run = RUNS[label].format(task=task)
+    of_run = sorted((RESULTS / "runs" / run / "policies").glob("*.npz"))
+    return of_run or sorted((assets_directory() / "policies").glob(f"{run.replace('-hgail', '')}.npz"))
 
 
 def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:

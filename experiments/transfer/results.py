@@ -1,6 +1,5 @@
 """Measures table 4 and the robustness curves, draws the pictures, and writes their files into a folder."""
 
-import csv
 import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -11,12 +10,12 @@ from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.goal_sources import EXACT
 from experiments.transfer.measurement import measure_rows
-from experiments.transfer.policies import PLAIN, Policies, find_policies, load_policies
+from experiments.transfer.policies import Policies, find_policies, load_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
 from experiments.transfer.sweeps import FETCH, axes, fetch_points, fetch_rows, measured_pairs, robot_name, robot_points
 from experiments.transfer.tasks import TASKS
-from hgail_jax.io.files import write_csv, write_json
+from hgail_jax.io.files import write_json
 from hgail_jax.io.provenance import installed, provenance
 from hgail_jax.terminal.status import progress_bar
 
@@ -30,7 +29,7 @@ def write_table(
     seed: int,
     workers: int,
 ) -> None:
-    """Writes table4.csv, and table4.json that says what made it.
+    """Writes table4.json: the rows, and what made them.
 
     Rows that are there already stay, with what is said of them, where goal source, robot or task is another.
 
@@ -47,16 +46,16 @@ def write_table(
       RuntimeError: MuJoCo cannot render here, and the goal is to be seen.
 
     """
-    path = folder / "table4.csv"
+    path = folder / "table4.json"
     if set(sources) - {EXACT}:
         check_rendering()
     points = list(table(sources, robots, tasks, find_policies(tuple(TASKS))))
     measured = [_part(point.labels["stage"], ROBOTS[point.to].name, point.task) for point in points]
     rows, made_by = _kept(path, lambda row: _part(row["stage"], row["robot"], row["task"]) not in measured)
+    made_by |= dict.fromkeys(measured, _made_by(episodes, seed))
     for row in measure_rows(points, episodes, seed, workers):
         rows.append(row)
-        write_csv(path, rows)
-    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(measured, _made_by(episodes, seed)))
+        write_json(path, {"made_by": made_by, "rows": rows})
 
 
 def write_sweep(
@@ -68,7 +67,7 @@ def write_sweep(
     seed: int,
     workers: int,
 ) -> None:
-    """Writes transfer-sweep.csv, its .png, and the .json that says what made it.
+    """Writes transfer-sweep.json, the points of the curves and what made them, and transfer-sweep.png.
 
     Curves that are there already stay, with what is said of them, where they are of another robot or task.
 
@@ -82,17 +81,17 @@ def write_sweep(
       workers: processes that measure other robots side by side.
 
     """
-    path = folder / "transfer-sweep.csv"
+    path = folder / "transfer-sweep.json"
     curves = [_part(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
     rows, made_by = _kept(path, lambda row: _part(row["robot"], row["task"]) not in curves)
     points = list(robot_points(policies, [to for to in robots if to != FETCH], tasks))
     count = len(fetch_points(policies, tasks)) if FETCH in robots else 0
     on_fetch = progress_bar(fetch_rows(policies, tasks, episodes, seed), total=count, unit="point") if count else ()
     elsewhere = measure_rows(points, episodes, seed, workers) if points else ()
+    made_by |= dict.fromkeys(curves, _made_by(episodes, seed))
     for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)
-        write_csv(path, rows)
-    write_json(path.with_suffix(".json"), made_by | dict.fromkeys(curves, _made_by(episodes, seed)))
+        write_json(path, {"made_by": made_by, "rows": rows})
     draw_sweep(path.with_suffix(".png"), rows, axes())
 
 
@@ -113,26 +112,17 @@ def write_pictures(folder: Path, seed: int) -> None:
 
 
 def _part(*columns: str) -> str:
-    """Returns what the file beside a file of rows calls those with these values in common."""
+    """Returns what `made_by` of a file calls the rows with these values in common."""
     return ": ".join(columns)
 
 
 def _kept(path: Path, stays: Callable[[Mapping[str, Any]], bool]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Returns the rows of a file that stay, and what the file beside it says of all rows, if it is there yet."""
+    """Returns the rows of a file that stay, and what it says made all of its rows, if it is there yet."""
     if not path.exists():
         return [], {}
-    with path.open(newline="") as file:
-        rows = [{"policy": PLAIN} | {name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    kept, beside = [row for row in rows if stays(row)], path.with_suffix(".json")
-    return kept, json.loads(beside.read_text()) if kept and beside.exists() else {}
-
-
-def _parsed(text: str) -> Any:
-    """Returns what is written in a column: a number or a text."""
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
+    content = json.loads(path.read_text())
+    kept = [row for row in content["rows"] if stays(row)]
+    return kept, content["made_by"] if kept else {}
 
 
 def _made_by(episodes: int, seed: int) -> dict[str, Any]:

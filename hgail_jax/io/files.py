@@ -5,6 +5,7 @@ import csv
 import errno
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -15,6 +16,7 @@ import numpy as np
 from hgail_jax.terminal.signals import unfinished
 
 _PARTIAL = ".partial"
+_NUMBERS = re.compile(r'\[\n([^][{}"]*)\]')
 
 
 @contextlib.contextmanager
@@ -67,10 +69,10 @@ def remove_partial_files(folder: Path) -> None:
 
 
 def write_json(path: Path, content: dict) -> None:
-    """Writes a JSON file; NaN and infinities become null."""
+    """Writes a JSON file, a list of numbers on one line; NaN and infinities become null."""
+    text = json.dumps(_plain(content), indent=2)
     with replace_file(path) as file:
-        json.dump(_plain(content), file, indent=2)
-        file.write("\n")
+        file.write(_NUMBERS.sub(lambda numbers: f"[{' '.join(numbers[1].split())}]", text) + "\n")
 
 
 def write_csv(path: Path, rows: list[dict]) -> None:

@@ -1,6 +1,6 @@
 """Figures in README and pages: filled in from the results, or typed and listed with their source."""
 
-import csv
+import json
 import re
 import tomllib
 
@@ -45,11 +45,31 @@ def test_what_counts_as_a_figure(text):
     )
 
 
-def test_a_figure_is_never_the_first_of_a_line():
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_a_figure_of_the_text_is_a_name_and_never_the_first_of_a_line(path):
     """There Markdown would take its comment for a block of HTML, to which the whole line belongs."""
-    for path in pages.pages():
-        for line in path.read_text().splitlines():
-            assert not re.match(r"\s*<!--= .*<!---->|\s*<!--% .* -->.", line), f"{path.name}: {line}"
+    for line in path.read_text().splitlines():
+        assert not re.match(r"\s*<!--= .*<!---->", line), line
+        for expression in re.findall(r"<!--= (.*?) -->.*?<!---->", line):
+            assert expression.isidentifier(), line
+
+
+@pytest.mark.parametrize("path", pages.pages(), ids=lambda path: path.name)
+def test_a_page_names_at_its_head_what_it_cites(path):
+    page = path.read_text()
+    assert "<!-- figures" not in page or page.startswith("<!-- figures\n")
+    for name in (named := pages.names(page)):
+        others = " ".join(expression for other, expression in named.items() if other != name)
+        assert f"<!--= {name} -->" in page or re.search(rf"\b{name}\b", others), name
+
+
+def test_names_of_a_page():
+    head = '<!-- figures\nrow = trial(\n  "table1-reach", "HGAIL")\nsteps = count(row.env_steps_per_seed)\n-->\n\n'
+    assert pages.publish(f"{head}in <!--= steps -->?<!----> steps") == "in 320,000 steps"
+    assert pages.refresh(f"{head}in <!--= steps -->?<!----> steps") == f"{head}in <!--= steps -->320,000<!----> steps"
+    assert pages.typed(f"{head}in <!--= steps -->320,000<!----> steps") == "in  steps"
+    with pytest.raises(ValueError, match="twice"):
+        pages.publish("<!-- figures\na = 1\na = 2\n-->\n")
 
 
 def test_an_unknown_row_or_name_is_an_error():
@@ -59,10 +79,13 @@ def test_an_unknown_row_or_name_is_an_error():
         pages.publish("<!--= no_such_name --><!---->")
 
 
+def settings_of(study):
+    return json.loads((ROOT / "experiments" / "results" / "paper" / f"{study}.json").read_text())["settings"]
+
+
 def test_a_table_says_what_its_file_says():
     """Each row, read by other means: the last columns of a line are the file's."""
-    with (ROOT / "experiments/results/paper/table2-reach.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = settings_of("table2-reach")
     lines = tables.study("table2-reach").strip().splitlines()[2:]
     assert len(lines) == len(rows) == 4
     for line, row in zip(lines, rows, strict=True):
@@ -70,13 +93,13 @@ def test_a_table_says_what_its_file_says():
         assert cells[0] == f"{row['setting']}, {row['panel']}"
         assert cells[1].replace("0.", ".") == row["paper_success"]
         mean, interval = map(float, cells[2].split(" ± "))
-        assert mean == pytest.approx(float(row["success_rate"]), abs=5e-4)
-        assert interval == pytest.approx(float(row["success_ci95"]), abs=5e-4)
-        assert int(cells[6].replace(",", "")) == int(row["env_steps_per_seed"])
+        assert mean == pytest.approx(row["success_rate"], abs=5e-4)
+        assert interval == pytest.approx(row["success_ci95"], abs=5e-4)
+        assert int(cells[6].replace(",", "")) == row["env_steps_per_seed"]
 
 
 def test_curves_are_the_seeds_of_one_setting():
-    with (ROOT / "experiments/results/paper/figure3-reach.csv").open() as file:
-        rows = [row for row in csv.DictReader(file) if row["setting"] == "HGAIL" and row["env_steps"] == "166400"]
-    assert sorted(results.curve("figure3-reach", 166_400, "HGAIL")) == sorted(float(row["success"]) for row in rows)
-    assert len(rows) == 8
+    (curves,) = (row["curves"] for row in settings_of("table1-reach") if row["setting"] == "HGAIL")
+    found = results.curve("table1-reach", 166_400, "HGAIL")
+    assert found == dict(zip(curves["env_steps"], curves["success"], strict=True))[166_400]
+    assert len(found) == 8

@@ -1,4 +1,4 @@
-"""The pages as a whole: the site builds, names what is public, and its pictures and examples are current."""
+"""The pages as a whole: the site builds, names what is public, and its examples run."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ import pytest
 
 import hgail_envs
 import hgail_jax
-from docs._generate import diagrams, pages
+from docs._generate import pages
 from tests.support import ROOT
 
 _PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -50,16 +50,32 @@ def test_links_lead_somewhere_in_the_repository_too(path):
         assert target.startswith("http") or (path.parent / target).exists(), target
 
 
+def rows(path):
+    """Returns the names of each row of a table of questions: the files and folders, and what is to be found there."""
+    table = path.read_text().split("| question | file |\n|---|---|\n")[1].split("\n\n")[0]
+    for row in table.splitlines():
+        names = re.findall(r"`([\w./-]+)`", row)
+        yield [name for name in names if "/" in name or name.endswith(".py")], [n for n in names if n.isidentifier()]
+
+
+@pytest.mark.parametrize(
+    "path", [ROOT / "CONTRIBUTING.md", ROOT / "experiments" / "README.md"], ids=lambda path: path.name
+)
+def test_questions_lead_to_files_that_have_the_answer(path):
+    for names, identifiers in rows(path):
+        found = [next((p / name for p in (ROOT, path.parent) if (p / name).exists()), None) for name in names]
+        assert None not in found, names
+        files = [file for each in found for file in ([each] if each.is_file() else each.rglob("*.py"))]
+        text = " ".join(file.read_text() for file in files if file.suffix == ".py")
+        for name in identifiers:
+            assert re.search(rf"\b{name}\b", text), f"{name} is not in {names}"
+
+
 def test_public_names_are_documented():
     written = " ".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
     for package in (hgail_jax, hgail_envs):
         for name in package.__all__:
             assert re.search(rf"\b(hgail_jax|hgail_envs)\.{name}\b", written), name
-
-
-def test_diagrams_are_as_drawn():
-    for name, draw in diagrams.DIAGRAMS.items():
-        assert (diagrams.IMAGES / name).read_text() == draw(), "run `python -m docs._generate.diagrams`"
 
 
 QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust"]

@@ -1,6 +1,6 @@
-import csv
 import dataclasses
 import json
+import shutil
 import threading
 
 import numpy as np
@@ -8,19 +8,18 @@ import pytest
 
 import hgail_envs
 from experiments.paper import __main__ as paper
-from experiments.paper import work
+from experiments.paper import tables, work
 from experiments.paper.programs import group_by_program, make_program, train_program
-from experiments.paper.rows import table_rows
-from experiments.paper.seeds import REPORTED_SEEDS, TUNING_SEEDS, choose_seeds
 from experiments.paper.spread import carry_out
 from experiments.paper.studies import STUDIES, SWEEP, studies_of
-from experiments.paper.study import Study
-from experiments.paper.tables import write_markdown
+from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
+from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
 from experiments.paper.work import Unfinished
 from hgail_jax import PRESETS, env_steps, phase_table
 from hgail_jax.defaults import AS_WRITTEN
 from hgail_jax.train import EVALUATE
+from hgail_jax.trainer.loop import Program
 
 QUICK = ["--quick", "--seeds", "3"]
 BY_NAME = {study.name: study for study in STUDIES}
@@ -35,8 +34,12 @@ def phases_of(trial):
 
 
 def read(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
+    """The settings of a study's file."""
+    return json.loads(path.read_text())["settings"]
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def results_of(trials):
@@ -49,12 +52,9 @@ def results_of(trials):
         names = ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
         seconds = {"compile": 1.0, "train": 6.0, "evaluation": 1.0}
         found.append(
-            curve
-            | {
-                "rounds": list(range(len(steps))),
-                "env_steps": steps.tolist(),
+            {
+                "curves": curve | {"rounds": list(range(len(steps))), "env_steps": steps.tolist()},
                 "final": {name: rng.uniform(size=len(trial.seeds)).tolist() for name in names},
-                "evaluation_episodes": 8,
                 "diverged_seeds": 0,
                 "program": {"settings": len(trials), "seconds": seconds, "dropped": 0.0},
             }
@@ -93,102 +93,120 @@ def trained(monkeypatch):
     return asked
 
 
-def test_tables_and_figures_by_real_training(tmp_path, monkeypatch):
-    study = BY_NAME["rewards"]
-    with_pretraining = tuple(
-        dataclasses.replace(setting, steps=1) for setting in study.settings if setting.panel == "with pre-training"
-    )
-    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=with_pretraining),))
+@pytest.fixture(scope="module")
+def made_once(tmp_path_factory):
+    """A folder with table 3; not to be written to."""
+    folder = tmp_path_factory.mktemp("table3")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(work, "train_program", lambda env, trials, *others: results_of(trials))
+        paper.main([*QUICK, "--table", "3", "--out", str(folder)])
+    return folder
+
+
+@pytest.fixture
+def table3(made_once, tmp_path):
+    """A folder with table 3."""
+    return shutil.copytree(made_once, tmp_path / "paper")
+
+
+def test_a_study_by_real_training_and_that_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    study, prepared, compiled = BY_NAME["rewards"], [], []
+    settings = tuple(dataclasses.replace(setting, steps=1) for setting in study.settings[:4])  # one program
+    compile_program = Program.compile
+
+    def compile_once(program):
+        if not compiled:
+            compiled.append(compile_program(program))
+        return compiled[0]
+
+    monkeypatch.setattr(Program, "compile", compile_once)
+    monkeypatch.setattr(hgail_envs.find_class("point"), "prepare", lambda env: prepared.append(env))
+    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=settings),))
     paper.main(["--quick", "--figure", "7", "--out", str(tmp_path)])
-    rows = read(tmp_path / "rewards-point.csv")
+    rows = read(tmp_path / "rewards-point.json")
     assert [row["setting"] for row in rows] == ["r1", "r2", "r3", "r4"]
     for row in rows:
-        assert 0 <= float(row["success_rate"]) <= 1
-        assert float(row["distance_l1"]) >= float(row["distance_l2"]) > 0
-        assert int(row["diverged_seeds"]) == 0
-    curves = read(tmp_path / "figure7-point.csv")
-    last = [row for row in curves if row["env_steps"] == rows[0]["env_steps_per_seed"]]
-    assert {row["seed"] for row in last} == {"0", "1"}
+        assert row["success_rate"] == pytest.approx(np.mean(row["final"]["success"]))
+        assert row["distance_l1"] >= row["distance_l2"] > 0
+        assert (row["diverged_seeds"], row["program"]["settings"], row["identity"]["seeds"]) == (0, 4, [0, 1])
+        assert row["curves"]["env_steps"][-1] == row["env_steps_per_seed"]
+        assert len(row["curves"]["rounds"]) == len(row["curves"]["success"]) == 2
     # r4 is r3 by algebra, so nothing but rounding may tell them apart before many updates have been made
-    first = {row["setting"]: float(row["distance"]) for row in curves if row["round"] == "1" and row["seed"] == "0"}
-    assert first["r3"] == pytest.approx(first["r4"], rel=0.05)
-    said = json.loads((tmp_path / "rewards-point.json").read_text())
-    assert said["hash"] == hash_json(said["settings"])
-    assert said["made"]["r1, with pre-training"]["program"]["settings"] == 4
-    finals = [said["made"][f"{row['setting']}, with pre-training"]["final"]["success"] for row in rows]
-    assert [float(row["success_rate"]) for row in rows] == pytest.approx(np.mean(finals, axis=1))
+    assert rows[2]["curves"]["distance_l1"][1][0] == pytest.approx(rows[3]["curves"]["distance_l1"][1][0], rel=0.05)
 
-
-def test_a_program_that_is_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
-    prepared = []
-    monkeypatch.setattr(hgail_envs.find_class("point"), "prepare", lambda env: prepared.append(env))
     (planned,) = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")
-    trials = [planned.trial(setting) for setting in BY_NAME["rewards"].settings[:2]]
-    env, stopped = hgail_envs.make("point"), threading.Event()
-    (whole, *_) = train_program(env, trials, None, tmp_path / "whole", threading.Event())
+    trials, stopped = [planned.trial(setting) for setting in settings], threading.Event()
     stopped.set()
-    assert train_program(env, trials, None, tmp_path / "parts", stopped) is None  # after a round
-    (resumed, *_) = train_program(env, trials, None, tmp_path / "parts", threading.Event())
-    for name in ("rounds", "env_steps", "success", "distance_l1", "final"):
-        assert resumed[name] == whole[name]
-    assert prepared == [env] * 3
+    env = hgail_envs.make("point")
+    assert train_program(env, trials, None, tmp_path / "checkpoints", stopped) is None  # after a round
+    resumed = train_program(env, trials, None, tmp_path / "checkpoints", threading.Event())
+    assert [(row["curves"], row["final"]) for row in rows] == [(each["curves"], each["final"]) for each in resumed]
+    assert len(prepared) == 3
 
 
-def test_every_study_writes_its_files(tmp_path, trained):
+def test_every_study_writes_its_files_and_figures_are_drawn_from_them(tmp_path, trained, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(tables, "draw_figure", lambda folder, number: drawn.append(number))
     paper.main([*QUICK, "--all", "--out", str(tmp_path)])
-    names = {path.name for path in tmp_path.iterdir()} - {"parts", "demonstrations"}
-    tables = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations", "gasil", "standardization")
-    endings = (".csv", "-seeds.csv", "-improvement.csv", ".md", ".json")
-    expected = {f"{name}-point{ending}" for name in tables for ending in endings}
-    expected |= {f"figure{number}{ending}" for number in range(3, 8) for ending in ("-point.csv", ".png")}
-    assert names == expected | {"figure3-longer-point.csv"}
-    for number in range(3, 8):
-        assert (tmp_path / f"figure{number}.png").read_bytes().startswith(b"\x89PNG")
+    names = ("table1", "table1-longer", "table2", "table3", "p_ht", "rewards", "ablations", "gasil", "standardization")
+    files = {f"{name}-point.{ending}" for name in names for ending in ("md", "json")}
+    assert contents(tmp_path).keys() == files
+    assert sorted(drawn) == [3, 3, 4, 5, 6, 7]
+    paper.main(["--plots-only", "--out", str(tmp_path)])
+    figures = {f"figure{number}.png" for number in range(3, 8)}
+    assert contents(tmp_path).keys() == files | figures
+    assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in figures)
 
 
-def test_a_figure_s_data_is_what_was_measured(tmp_path, trained):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
+def test_a_study_s_file_is_what_was_measured(made_once):
     (planned,) = paper.plan(paper.Options(quick=True, seeds=3, table=(3,)), "cpu")
-    rows = read(tmp_path / "figure5-point.csv")
-    for trial in map(planned.trial, BY_NAME["table3"].settings):
+    rows = read(made_once / "table3-point.json")
+    for setting, row in zip(BY_NAME["table3"].settings, rows, strict=True):
+        trial = planned.trial(setting)
         (result,) = results_of([trial])
-        of_trial = [row for row in rows if (row["setting"], row["panel"]) == (trial.setting.name, trial.setting.panel)]
-        assert len(of_trial) == 3 * len(result["env_steps"])
-        for row in of_trial:
-            index, seed = int(row["round"]), int(row["seed"])
-            assert int(row["env_steps"]) == result["env_steps"][index]
-            assert float(row["success"]) == pytest.approx(result["success"][index][seed])
-            assert float(row["distance"]) == pytest.approx(result["distance_l1"][index][seed])
+        assert (row["setting"], row["panel"]) == (setting.name, setting.panel)
+        assert (row["identity"], row["identity"]["seeds"]) == (trial.identity(), [0, 1, 2])
+        assert (row["final"], row["curves"]) == (result["final"], result["curves"])
+        made_by = row["made_by"]
+        assert {"command", "commit", "device", "versions", "date"} <= made_by.keys()
+        assert {"hgail-jax", "mujoco", "mujoco-mjx", "warp-lang", "jax", "driver"} <= made_by["versions"].keys()
+
+
+def test_settings_are_compared_by_their_seeds(made_once):
+    rows = read(made_once / "table3-point.json")
+    for index, row in enumerate(rows):
+        others = rows[index + 1 :]
+        assert [*row["better_than"]] == [f"{other['setting']}, {other['panel']}" for other in others]
+        for other, (probability, low, high) in zip(others, row["better_than"].values(), strict=True):
+            pairs = [(x, y) for x in row["final"]["success"] for y in other["final"]["success"]]
+            assert probability == pytest.approx(np.mean([(x > y) + 0.5 * (x == y) for x, y in pairs]))
+            assert low <= probability <= high
 
 
 def test_a_table_has_the_paper_s_numbers_beside_ours():
     trials = trials_of(BY_NAME["table1"], "reach")
     results = made([results_of([trial])[0] for trial in trials], trials)
-    rows = table_rows("reach", BY_NAME["table1"], results)
+    rows = make_rows("reach", BY_NAME["table1"], results)
     by_name = {row["setting"]: row for row in rows if not row["panel"]}
     assert (by_name["GASIL"]["paper_success"], by_name["GASIL"]["paper_distance_l1"]) == (".42 ± .08", ".20 ± .07")
     assert by_name["PPO"]["paper_success"] == "0"
     assert by_name["GCSL"]["paper_success"] == ""
     final = results[0]["final"]
     assert rows[0]["success_rate"] == pytest.approx(np.mean(final["success"]))
-    assert (rows[0]["seeds"], rows[0]["device"], rows[0]["seconds"]) == (8, "a chip", 6.0)
+    assert rows[0]["seconds"] == 6.0
 
 
-def test_what_is_there_is_left_and_what_is_missing_comes_back(tmp_path, trained):
-    arguments = [*QUICK, "--table", "2", "--out", str(tmp_path)]
+def test_what_is_there_is_left_and_what_is_missing_comes_back(table3, trained):
+    arguments = [*QUICK, "--table", "3", "--out", str(table3)]
+    before, times = contents(table3), {path: path.stat().st_mtime_ns for path in table3.iterdir() if path.is_file()}
     paper.main(arguments)
-    asked = len(trained)
-    before = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir() if path.is_file()}
-    paper.main(arguments)
-    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir() if path.is_file()} == before
-    (tmp_path / "figure4.png").unlink()
-    paper.main(arguments)
-    assert (tmp_path / "figure4.png").exists()
-    (tmp_path / "table2-point.md").unlink()
-    (tmp_path / "table2-point.json").unlink()
-    paper.main(arguments)
-    assert (tmp_path / "table2-point.md").exists()
-    assert len(trained) == asked  # from what had been trained
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    for missing in (["figure5.png", "table3-point.md"], ["table3-point.md", "table3-point.json"]):
+        for name in missing:
+            (table3 / name).unlink()
+        paper.main(arguments)
+        assert contents(table3) == before
+    assert not trained  # from what had been trained
 
 
 def test_a_stopped_run_keeps_the_programs_that_it_has(tmp_path, trained, monkeypatch, capsys):
@@ -211,75 +229,36 @@ def test_a_stopped_run_keeps_the_programs_that_it_has(tmp_path, trained, monkeyp
     assert (tmp_path / "figure4.png").exists()
 
 
-def test_results_of_other_settings_are_set_aside_as_older_once_there_are_new_ones(tmp_path, trained, capsys):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    before = (tmp_path / "table3-point.csv").read_bytes()
-    old = json.loads((tmp_path / "table3-point.json").read_text())
-    paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
+def test_results_of_other_settings_are_set_aside_as_older_once_there_are_new_ones(table3, trained, monkeypatch, capsys):
+    before, old = contents(table3), read(table3 / "table3-point.json")
+    arguments = ["--quick", "--seeds", "4", "--table", "3", "--out", str(table3)]
+    with monkeypatch.context() as stopped:
+        stopped.setattr(work, "train_program", lambda *arguments: None)
+        paper.main(arguments)
+    assert contents(table3) == before
+    paper.main(arguments)
     assert "table3 of point is made again, and what is there goes to older/" in capsys.readouterr().out
-    older = tmp_path / "older" / old["hash"]
-    names = ("table3-point.csv", "table3-point-seeds.csv", "table3-point-improvement.csv", "table3-point.md")
-    assert {path.name for path in older.iterdir()} == {*names, "table3-point.json", "figure5-point.csv"}
-    assert (older / "table3-point.csv").read_bytes() == before
+    (older,) = (table3 / "older").iterdir()
+    assert older.name == hash_json({f"{row['setting']}, {row['panel']}": row["identity"] for row in old})
+    assert {path.name for path in older.iterdir()} == {"table3-point.md", "table3-point.json"}
+    assert (older / "table3-point.json").read_bytes() == before["table3-point.json"]
     assert (older / "table3-point.md").read_text().startswith("**Older:**")
-    assert {row["seeds"] for row in read(tmp_path / "table3-point.csv")} == {"4"}
-    assert "lder" not in (tmp_path / "table3-point.md").read_text()
-
-
-def test_results_of_other_settings_stay_until_there_are_new_ones(tmp_path, trained, monkeypatch):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
-    monkeypatch.setattr(work, "train_program", lambda *arguments: None)
-    paper.main(["--quick", "--seeds", "4", "--table", "3", "--out", str(tmp_path)])
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+    assert {len(row["identity"]["seeds"]) for row in read(table3 / "table3-point.json")} == {4}
+    assert "lder" not in (table3 / "table3-point.md").read_text()
 
 
 def test_rows_of_another_commit_than_the_newest_are_marked_as_older(tmp_path):
     study = Study("two", "two", tuple(BY_NAME["rewards"].settings[:3]))
     trials = trials_of(study, "point", "cpu")
     results = made(results_of(trials), trials, ("aaa1111", "bbb2222", "aaa1111"), ("2026-01-01", "2025-12-31"))
-    assert [row["older"] for row in table_rows("point", study, results)] == ["", "older", ""]
-    write_markdown(tmp_path / "two.md", "point", study, results)
+    rows = make_rows("point", study, results)
+    assert [row["older"] for row in rows] == [False, True, False]
+    write_markdown(tmp_path / "two.md", "point", study, rows)
     text = (tmp_path / "two.md").read_text()
     assert [*map(text.count, ("*older* (bbb2222)", "*older* (aaa1111)"))] == [1, 0]
     assert "commit aaa1111, a chip; jax 0.10.2; driver 580.1" in text and "commit bbb2222" in text
     same = made(results_of(trials), trials, ("bbb2222",), ("2026-01-01", "2025-12-31"))
-    assert not any(row["older"] for row in table_rows("point", study, same))
-
-
-def test_files_say_what_made_them(tmp_path, trained):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    said = json.loads((tmp_path / "table3-point.json").read_text())
-    for label, of_setting in said["made"].items():
-        made_by = of_setting["made_by"]
-        assert {"command", "commit", "device", "versions", "date"} <= made_by.keys()
-        assert {"hgail-jax", "mujoco", "mujoco-mjx", "warp-lang", "jax", "driver"} <= made_by["versions"].keys()
-        assert said["settings"][label]["seeds"] == [0, 1, 2]
-    for row in read(tmp_path / "table3-point.csv"):
-        assert all(row[name] for name in ("command", "commit", "device", "versions", "seeds"))
-        assert row["versions"].startswith("python 3")
-
-
-def test_each_seed_s_end_is_in_a_file(tmp_path, trained):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    said, rows = json.loads((tmp_path / "table3-point.json").read_text()), read(tmp_path / "table3-point-seeds.csv")
-    assert len(rows) == 4 * 3
-    for row in rows:
-        final = said["made"][f"{row['setting']}, {row['panel']}"]["final"]
-        assert float(row["success_rate"]) == final["success"][int(row["seed"])]
-        assert float(row["distance_l2"]) == final["distance_l2"][int(row["seed"])]
-
-
-def test_settings_are_compared_by_their_seeds(tmp_path, trained):
-    paper.main([*QUICK, "--table", "3", "--out", str(tmp_path)])
-    said = json.loads((tmp_path / "table3-point.json").read_text())["made"]
-    rows = read(tmp_path / "table3-point-improvement.csv")
-    assert len(rows) == 4 * 3 // 2
-    for row in rows:
-        pairs = [
-            (x, y) for x in said[row["setting"]]["final"]["success"] for y in said[row["than"]]["final"]["success"]
-        ]
-        assert float(row["probability"]) == pytest.approx(np.mean([(x > y) + 0.5 * (x == y) for x, y in pairs]))
+    assert not any(row["older"] for row in make_rows("point", study, same))
 
 
 def test_each_setting_is_compared_with_the_one_of_its_panel():
@@ -296,42 +275,27 @@ def test_each_setting_is_compared_with_the_one_of_its_panel():
 
 
 def test_several_tasks_are_one_command_and_their_seeds_one_mean(tmp_path, trained):
-    paper.main([*QUICK, "--table", "3", "--task", "point", "reach", "--out", str(tmp_path)])
-    rows = read(tmp_path / "table3-point-reach.csv")
-    seeds = [read(tmp_path / f"table3-{task}-seeds.csv") for task in ("point", "reach")]
-    assert len(rows) == 4
-    for row in rows:
-        values = sorted(
-            float(seed["success_rate"])
-            for of_task in seeds
-            for seed in of_task
-            if (seed["setting"], seed["panel"]) == (row["setting"], row["panel"])
-        )
-        assert float(row["success_iqm"]) == pytest.approx(np.mean(values[1:-1]))  # of six, one off either end
+    paper.main([*QUICK, "--study", "gasil", "--task", "point", "reach", "--out", str(tmp_path)])
+    means = json.loads((tmp_path / "gasil-point-reach.json").read_text())["means"]
+    of_tasks = [read(tmp_path / f"gasil-{task}.json") for task in ("point", "reach")]
+    for row, *of_setting in zip(means, *of_tasks, strict=True):
+        assert all(row["setting"] == each["setting"] and row["panel"] == each["panel"] for each in of_setting)
+        values = sorted(value for each in of_setting for value in each["final"]["success"])
+        assert row["success_iqm"] == pytest.approx(np.mean(values[1:-1]))  # of six, one off either end
 
 
 def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_path, trained, capsys):
     assert not set(REPORTED_SEEDS) & set(TUNING_SEEDS)
-    paper.main(["--quick", "--study", "rewards", "gail-demo-weight", "--out", str(tmp_path)])
+    paper.main(["--quick", "--study", "gasil", "gail-demo-weight", "--out", str(tmp_path)])
     for name, seeds, purpose in (
-        ("rewards", {"0", "1"}, "reporting"),
-        ("gail-demo-weight", {"1000", "1001"}, "choosing"),
+        ("gasil", [0, 1], "reporting"),
+        ("gail-demo-weight", [1000, 1001], "choosing"),
     ):
-        assert {row["seed"] for row in read(tmp_path / f"{name}-point-seeds.csv")} == seeds
+        assert all(row["identity"]["seeds"] == seeds for row in read(tmp_path / f"{name}-point.json"))
         assert f"Seeds {min(seeds)} to {max(seeds)} are for {purpose}" in (tmp_path / f"{name}-point.md").read_text()
     with pytest.raises(ValueError, match="from 1000 on they are for choosing"):
         choose_seeds(tuning=False, count=1001)
     assert not any(study.tuning for task in ("reach", "grasp") for study in studies_of(task))
-
-
-def test_figures_are_drawn_again_from_their_data(tmp_path, trained, monkeypatch):
-    paper.main([*QUICK, "--figure", "5", "7", "--out", str(tmp_path)])
-    pictures = {name: (tmp_path / name).read_bytes() for name in ("figure5.png", "figure7.png")}
-    for path in list(tmp_path.iterdir()):
-        if path.suffix in (".png", ".json"):
-            path.unlink()
-    paper.main(["--plots-only", "--out", str(tmp_path)])
-    assert {name: (tmp_path / name).read_bytes() for name in pictures} == pictures
 
 
 @pytest.mark.parametrize(
@@ -418,8 +382,8 @@ def test_likelihoods_are_weighed_as_their_names_say(task):
         trial = trials[f"GAIL-demo (20), {name}"]
         assert (trial.setting.method, trial.setting.demonstrations) == ("gail-demo", 20)
         assert float(trial.hyperparameters.bc_weight) == weight
-        assert trial.config.bc_batch > 0
-    assert trials["GAIL-demo (20), no likelihood"].config.bc_batch == 0
+        assert trial.config.learner.bc_batch > 0
+    assert trials["GAIL-demo (20), no likelihood"].config.learner.bc_batch == 0
 
 
 def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
@@ -428,8 +392,11 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
     second = [trial for trial in trials if trial.setting.panel == "phases 1 + 3"]
     preset = PRESETS["paper"].config
     for trial in second:
-        assert (trial.config.policy_phases, trial.config.discriminator_phases) == (1, 3)
-        assert (trial.config.num_envs, trial.config.minibatches) == (preset.num_envs, preset.minibatches)
+        assert (trial.config.learner.policy_phases, trial.config.learner.discriminator_phases) == (1, 3)
+        assert (trial.config.num_envs, trial.config.learner.minibatches) == (
+            preset.num_envs,
+            preset.learner.minibatches,
+        )
     assert len(second) == 6
     for trial in trials_of(BY_NAME["paper-sizes"], "reach", "cpu"):
         steps = env_steps(hgail_envs.find_class("reach"), trial.config, phase_table(trial.config)).sum()
@@ -440,10 +407,10 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
         changes = {name: value for name, value in wanted.items() if value != AS_WRITTEN.get(name)}
         changes.pop("pretrain", None)
         assert len(changes) <= 2 or trial.setting.name == "raw rewards and advantages"
-        assert trial.config.policy_phases == changes.get("policy_phases", 16)
+        assert trial.config.learner.policy_phases == changes.get("policy_phases", 16)
         assert float(trial.hyperparameters.action_std) == changes.get("action_std", 1.0)
         assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
-        samples = trial.config.num_envs * 50 // trial.config.minibatches
+        samples = trial.config.num_envs * 50 // trial.config.learner.minibatches
         assert samples == pytest.approx(128, abs=6) or set(changes) <= {"epochs", "minibatches"}
     programs = group_by_program(trials)
     assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
@@ -472,11 +439,9 @@ def test_several_processes_train_what_one_does(tmp_path, monkeypatch):
     monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(BY_NAME["rewards"], settings=settings),))
     for count in ("1", "2"):
         paper.main(["--quick", "--figure", "7", "--processes", count, "--out", str(tmp_path / count)])
-    one, two = (json.loads((tmp_path / count / "rewards-point.json").read_text()) for count in ("1", "2"))
-    assert one["settings"] == two["settings"]
-    for label in one["made"]:
-        assert one["made"][label]["final"] == two["made"][label]["final"]
-        assert two["made"][label]["made_by"]["command"] == one["made"][label]["made_by"]["command"]
+    for one, two in zip(*(read(tmp_path / count / "rewards-point.json") for count in ("1", "2")), strict=True):
+        assert all(one[name] == two[name] for name in ("setting", "panel", "identity", "final", "curves"))
+        assert one["made_by"]["command"] == two["made_by"]["command"]
     assert not [path for path in (tmp_path / "2" / "parts").iterdir() if path.is_dir()]
 
 
@@ -504,9 +469,9 @@ def test_the_paper_s_sizes_are_trained(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=settings[:18] + settings[-2:]),))
     paper.main(["--quick", "--study", "paper-sizes", "--out", str(tmp_path)])
-    rows = read(tmp_path / "paper-sizes-point.csv")
-    assert len(rows) == 20 and {row["first_seed"] for row in rows} == {"1000"}
-    assert all(int(row["diverged_seeds"]) == 0 for row in rows)
+    rows = read(tmp_path / "paper-sizes-point.json")
+    assert len(rows) == 20 and all(row["identity"]["seeds"] == [1000, 1001] for row in rows)
+    assert all(row["diverged_seeds"] == 0 for row in rows)
     ends = {row["setting"]: row["distance_l1"] for row in rows[:18]}
     assert len(set(ends.values())) == len(ends)  # each change changes something
 
@@ -517,5 +482,5 @@ def test_everything_runs_and_the_sweep_is_timed(tmp_path):
     timed = json.loads((tmp_path / "sweep-point.json").read_text())
     assert timed["ratio"] == timed["one_after_another_seconds"]["train"] / timed["one_program_seconds"]["train"]
     assert len(timed["settings"]) == len(SWEEP)
-    assert len(read(tmp_path / "table1-point.csv")) == len(BY_NAME["table1"].settings)
+    assert len(read(tmp_path / "table1-point.json")) == len(BY_NAME["table1"].settings)
     assert not [path for path in (tmp_path / "parts").iterdir() if path.is_dir()]  # no checkpoint is left

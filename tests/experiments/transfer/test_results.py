@@ -1,7 +1,6 @@
 """The table, its rows that are kept, and a robot of one's own in table and curves."""
 
 import contextlib
-import csv
 import json
 import types
 
@@ -21,12 +20,12 @@ from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from hgail_jax.io.files import write_csv
 
 
-def read_csv(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+def read(folder, name="table4"):
+    """The rows of a file, and what made them."""
+    content = json.loads((folder / f"{name}.json").read_text())
+    return content["rows"], content["made_by"]
 
 
 @pytest.fixture(autouse=True)
@@ -51,16 +50,15 @@ def test_the_table(tmp_path, monkeypatch):
     both = {"plain": plain, "other": {"grasp": plain["grasp"][:1]}}
     monkeypatch.setattr(results, "find_policies", lambda tasks: both)
     transfer.main(["--table", "4", "--workers", "1", "--episodes", "2", "--out", str(tmp_path)])
-    rows = read_csv(tmp_path / "table4.csv")
+    rows, made_by = read(tmp_path)
     seen = [("reach", "plain"), ("grasp", "plain"), ("grasp", "other")]
     assert [(row["stage"], row["task"], row["policy"]) for row in rows] == [
         *[("exact goal", *row) for row in [*seen, ("pick-and-place", "plain")]],
         *[("second goal", *row) for row in seen],
     ]
-    assert all(row["episodes"] == "2" and 0 <= float(row["success_low"]) <= float(row["success_rate"]) for row in rows)
+    assert all(row["episodes"] == 2 and 0 <= row["success_low"] <= row["success_rate"] for row in rows)
     assert [row["distance_l2"] for row in rows[:3]] == [row["distance_l2"] for row in rows[4:]]
-    assert {row["paper_success"] for row in rows if row["task"] == "pick-and-place"} == {""}
-    made_by = json.loads((tmp_path / "table4.json").read_text())
+    assert {row["paper_success"] for row in rows if row["task"] == "pick-and-place"} == {None}
     assert set(made_by) == {f"{row['stage']}: {row['robot']}: {row['task']}" for row in rows}
     of_grasp = made_by[f"second goal: {GymnasiumFetch.name}: grasp"]
     assert of_grasp == made_by[f"exact goal: {GymnasiumFetch.name}: pick-and-place"]
@@ -92,22 +90,6 @@ def half_blind(monkeypatch):
     return counts
 
 
-def test_rows_of_an_older_table_are_of_plain_policies(tmp_path, monkeypatch):
-    for robot in ("ur5e", "franka"):
-        monkeypatch.delitem(ROBOTS, robot)
-    measure_table(tmp_path, "exact")
-    path = tmp_path / "table4.csv"
-    older = [{**row, "stage": "camera goal"} for row in read_csv(path)]
-    for row in older:
-        del row["policy"]
-    write_csv(path, older)
-    path.with_suffix(".json").unlink()  # as after a table that was broken off
-    measure_table(tmp_path, "exact")
-    rows = read_csv(path)
-    assert [row["stage"] for row in rows] == ["camera goal"] * 3 + ["exact goal"] * 3
-    assert {row["policy"] for row in rows} == {"plain"}
-
-
 def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_blind):
     """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
     for robot in ("ur5e", "franka"):
@@ -115,14 +97,14 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
     monkeypatch.setattr(results, "find_policies", lambda tasks: find_policies(("reach", "grasp")))
     for source in ("exact", "camera", "camera"):
         measure_table(tmp_path, source)
-    rows = read_csv(tmp_path / "table4.csv")
+    rows, made_by = read(tmp_path)
     assert [row["stage"] for row in rows] == ["exact goal"] * 2 + ["camera goal"] * 2
-    assert [row["not_seen"] for row in rows] == ["0.0"] * 2 + ["0.5"] * 2
-    assert [row["success_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
-    assert [row["achieved_rate"] for row in rows] == ["1.0"] * 2 + ["0.5"] * 2
-    assert all(0.0 < float(row["distance_l2"]) < 0.05 for row in rows)
+    assert [row["not_seen"] for row in rows] == [0.0] * 2 + [0.5] * 2
+    assert [row["success_rate"] for row in rows] == [1.0] * 2 + [0.5] * 2
+    assert [row["achieved_rate"] for row in rows] == [1.0] * 2 + [0.5] * 2
+    assert all(0.0 < row["distance_l2"] < 0.05 for row in rows)
     assert half_blind.closed == 4
-    assert list(json.loads((tmp_path / "table4.json").read_text())) == [
+    assert list(made_by) == [
         f"{source} goal: {GymnasiumFetch.name}: {task}" for source in ("exact", "camera") for task in ("reach", "grasp")
     ]
 
@@ -135,7 +117,7 @@ def test_goals_come_from_the_cameras_that_they_are_said_to(tmp_path, monkeypatch
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
     measure_table(tmp_path, source)
-    assert {row["stage"] for row in read_csv(tmp_path / "table4.csv")} == {f"{source} goal"}
+    assert {row["stage"] for row in read(tmp_path)[0]} == {f"{source} goal"}
     assert half_blind.kinds == [(cameras, noise)] * 2
 
 
@@ -194,20 +176,19 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
     write_table(tmp_path, ["exact"], ["crane"], ["reach", "grasp"], episodes=2, seed=0, workers=1)
-    rows = read_csv(tmp_path / "table4.csv")
+    rows, _ = read(tmp_path)
     assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
-    assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", "80")}
-    assert [float(row["success_rate"]) for row in rows] == [1.0, 1.0, 0.0]
+    assert {(row["robot"], row["milliseconds_per_action"]) for row in rows} == {("Crane, no simulator", 80)}
+    assert [row["success_rate"] for row in rows] == [1.0, 1.0, 0.0]
     policies = find_policies(["reach", "grasp"], [f"other={shipped_policy}"])
     write_sweep(tmp_path, policies, ["crane"], ["reach", "grasp", "slide"], episodes=1, seed=0, workers=1)
-    rows = read_csv(tmp_path / "transfer-sweep.csv")
+    rows, made_by = read(tmp_path, "transfer-sweep")
     plain, other = ([row for row in rows if row["policy"] == label] for label in ("plain", "other"))
     assert len(plain) + len(other) == len(rows)
     assert [row["quantity"] for row in plain][:2] == ["reel, wet"] * 2
     on_robots = {name for name, disturbance in DISTURBANCES.items() if disturbance.conditions}
     assert {row["quantity"] for row in plain[2:]} == on_robots
     assert {row["quantity"] for row in other[2:]} == on_robots - {"mass"}  # a policy of reach has no object
-    made_by = json.loads((tmp_path / "transfer-sweep.json").read_text())
     assert set(made_by) == {"Crane, no simulator: reach", "Crane, no simulator: grasp"}  # it cannot slide
     assert made_by["Crane, no simulator: grasp"]["versions"]["no-such-package"] is None
     assert imageio.imread(tmp_path / "transfer-sweep.png").std() > 10
@@ -219,8 +200,8 @@ def test_rows_of_another_task_stay(tmp_path, monkeypatch):
     monkeypatch.setitem(ROBOTS, "crane", Crane)
     for seed, tasks in enumerate([["reach", "grasp"], ["grasp"]]):
         write_table(tmp_path, ["exact"], ["crane"], tasks, episodes=1, seed=seed, workers=1)
-    assert [row["task"] for row in read_csv(tmp_path / "table4.csv")] == ["reach", "reach", "grasp"]
-    made_by = json.loads((tmp_path / "table4.json").read_text())
+    rows, made_by = read(tmp_path)
+    assert [row["task"] for row in rows] == ["reach", "reach", "grasp"]
     assert {name.split(": ")[-1]: made["seed"] for name, made in made_by.items()} == {"reach": 0, "grasp": 1}
 
 
@@ -232,12 +213,11 @@ def test_curves_of_another_task_stay(tmp_path, monkeypatch):
     for seed, task in enumerate(["reach", "grasp", "grasp"]):
         write_sweep(tmp_path, policies, ["crane"], [task], episodes=1, seed=seed, workers=1)
         if task == "reach":
-            of_reach = read_csv(tmp_path / "transfer-sweep.csv")
-    rows = read_csv(tmp_path / "transfer-sweep.csv")
+            of_reach, _ = read(tmp_path, "transfer-sweep")
+    rows, made_by = read(tmp_path, "transfer-sweep")
     assert [row for row in rows if row["task"] == "reach"] == of_reach
     assert [row["task"] for row in rows].count("grasp") == len(rows) - len(of_reach) > 0
     assert len({(row["task"], row["quantity"], row["value"]) for row in rows}) == len(rows)  # none is there twice
-    made_by = json.loads((tmp_path / "transfer-sweep.json").read_text())
     assert {name: made["seed"] for name, made in made_by.items()} == {
         "Crane, no simulator: reach": 0,
         "Crane, no simulator: grasp": 2,

@@ -68,6 +68,14 @@ def test_json_has_plain_numbers_and_null_for_what_is_none(tmp_path):
     assert json.loads((tmp_path / "a.json").read_text()) == expected
 
 
+def test_json_has_a_list_of_numbers_on_one_line_and_texts_as_they_are(tmp_path):
+    content = {"rows": [[1.5, float("nan")], []], "text": "a [1,  2] b\n[3,\n 4]", "names": ["x", "[\n5]"]}
+    write_json(tmp_path / "a.json", content)
+    written = (tmp_path / "a.json").read_text()
+    assert "    [1.5, null],\n    []\n" in written
+    assert json.loads(written) == content | {"rows": [[1.5, None], []]}
+
+
 def test_csv_has_a_column_per_name_and_leaves_none_empty(tmp_path):
     write_csv(tmp_path / "a.csv", [{"x": None, "y": 1.5}, {"x": 2, "y": "z"}])
     assert (tmp_path / "a.csv").read_text().split() == ["x,y", ",1.5", "2,z"]
