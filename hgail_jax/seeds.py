@@ -152,7 +152,9 @@ def _lower(jitted: Any, *arguments: Any) -> Any:
 def _compile(lowered: Any) -> Any:
     """Compiles with XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
     quickly = {"xla_backend_optimization_level": 1}
-    options = {"cpu": quickly, "gpu": quickly | {"xla_gpu_autotune_level": 0}}.get(jax.default_backend(), {})
+    # without autotuning XLA's own matrix products run with poor tiles: 4.1 ms for 1.3 ms an update of TD3 by cuBLAS
+    on_gpu = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
+    options = {"cpu": quickly, "gpu": quickly | on_gpu}.get(jax.default_backend(), {})
     flags = os.environ.get("XLA_FLAGS", "")
     return lowered.compile(compiler_options={name: value for name, value in options.items() if name not in flags})
 
