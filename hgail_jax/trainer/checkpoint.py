@@ -190,8 +190,8 @@ class Checkpoints:
                 file.flush()
                 os.fsync(file.fileno())  # a name can reach the disk before the content does
             with np.load(temporary, allow_pickle=False) as written:
-                if set(written.files) != set(content) or _read_body(written) != body:
-                    raise OSError("it is not there as it was written")
+                if set(written.files) != set(content) or str(written[_RECORD]) != str(content[_RECORD]):
+                    raise OSError("the file is not as it was written")
         on_disk, scores = self._rounds_on_disk(), body["scores"]
         best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
         for old in set(on_disk[KEPT:]) - {best}:
