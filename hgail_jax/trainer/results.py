@@ -20,7 +20,9 @@ from hgail_jax.trainer.run import Run
 def write_results(run: Run, folder: Path, states: TrainState, history: list[dict[str, Any]]) -> None:
     """Writes the policies and the curves."""
     (folder / "policies").mkdir(exist_ok=True)
-    on_host = jax.device_get(states.replace(rng=None, expert=None))  # on a device each slice would be compiled
+    on_host = jax.device_get(
+        states.replace(rng=None, expert=None, buffer=None)
+    )  # on a device each slice would be compiled
     for index in range(run.seeds):
         state = jax.tree.map(lambda leaf, i=index: leaf[i], on_host)
         policy = from_state(run.task, run.env, run.config, state, run.task_options)

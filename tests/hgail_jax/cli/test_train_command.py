@@ -250,12 +250,6 @@ def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
     assert "--num-envs INT" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("name", "value"), [("out", 3), ("resume", 3), ("demos", 3), ("logger", None)])
-def test_options_of_another_type_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"{name} is {value}; it must be "):
-        plan(TrainOptions(task="point", **{name: value}), "cpu")
-
-
 def test_a_wheel_finds_its_assets(tmp_path):
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, ROOT]
     subprocess.run(build, check=True, capture_output=True)
