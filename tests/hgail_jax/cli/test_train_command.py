@@ -14,8 +14,8 @@ from hgail_envs.engines.c import usable_cores
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.trainer.checkpoint import Checkpoints
+from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.options import plan
-from hgail_jax.trainer.run_folder import RunFolder
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.support import ROOT, compile_once, make_runs_tiny
 
