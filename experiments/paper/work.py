@@ -19,7 +19,7 @@ from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
 from hgail_jax.io.provenance import own_command, provenance
 from hgail_jax.play.recording import load_or_record, make_for_demonstrations
-from hgail_jax.trainer.folder import AnotherRunError, refuse_another_run
+from hgail_jax.trainer.checkpoint import AnotherRunError, refuse_another_run
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from hgail_envs.validation import MOST_SEED, check_count, counted
-from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_writable
 from hgail_jax.play.recording import make_for_demonstrations, record
@@ -50,9 +50,3 @@ def main(arguments: list[str] | None = None) -> None:
         f"{counted(options.episodes, 'episode')} of {options.task}: return {demonstrations.returns.mean():.1f},"
         f" L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )
-
-
-if __name__ == "__main__":
-    with one_line_errors(PROGRAM):
-        prepare_process()
-        main()

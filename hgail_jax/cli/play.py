@@ -14,7 +14,7 @@ from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_envs.vision.rgbd import RenderingError
-from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.play.film import check_film
@@ -196,9 +196,3 @@ def _serve(options: Options, shown: str) -> None:
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)
     page.run()
-
-
-if __name__ == "__main__":
-    with one_line_errors(PROGRAM):
-        prepare_process()
-        main()

@@ -29,9 +29,9 @@ from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.terminal.signals import stop_on_signal
+from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
-from hgail_jax.trainer.run_folder import RunFolder, open_run_folder
 from hgail_jax.trainer.statistics import confidence_interval
 from hgail_jax.trainer.training import train_run
 

@@ -69,8 +69,9 @@ class _Mp4:
     def append(self, frame: np.ndarray) -> None:
         if self._encoder is None:
             height, width, _ = frame.shape
+            output = f"file:{self._path}"  # without which FFmpeg reads a:b as b by the protocol a
             self._encoder = imageio_ffmpeg.write_frames(
-                str(self._path), (width, height), fps=self._rate, quality=_MP4_QUALITY, output_params=["-f", "mp4"]
+                output, (width, height), fps=self._rate, quality=_MP4_QUALITY, output_params=["-f", "mp4"]
             )
             self._encoder.send(None)
         self._encoder.send(np.ascontiguousarray(frame))

@@ -5,7 +5,7 @@
     trainer = Trainer(task="reach", seeds=2)
     summary = trainer.train()
 
-A run goes through these modules: `options` (plans it), `run_folder` (opens its folder), `training` (one run), `loop`
+A run goes through these modules: `options` (plans it), `folder` (opens its folder), `training` (one run), `loop`
 (the rounds, with `checkpoint` and `loggers`), `results` (policies, `curves` and the summary).
 """
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from hgail_jax.devices.sharding import is_first_process, is_key, without_keys
 from hgail_jax.io.files import remove_partial_files, replace_path
-from hgail_jax.trainer.folder import AnotherRunError, as_json, refuse_another_run
 
 SCHEMA = 2
 """Version of the content of a checkpoint; one of another schema is refused."""
@@ -28,6 +27,10 @@ KEPT = 3
 """Number of the last checkpoints that are kept, besides the best."""
 
 _RECORD, _STATE = "record", "state/"  # the arrays' names begin with the latter, so that none is called "file"
+
+
+class AnotherRunError(ValueError):
+    """A folder or checkpoint belongs to another run; the message names the first difference."""
 
 
 class Checkpoint(NamedTuple):
@@ -190,8 +193,8 @@ class Checkpoints:
                 file.flush()
                 os.fsync(file.fileno())  # a name can reach the disk before the content does
             with np.load(temporary, allow_pickle=False) as written:
-                if set(written.files) != set(content) or _read_body(written) != body:
-                    raise OSError("it is not there as it was written")
+                if set(written.files) != set(content) or str(written[_RECORD]) != str(content[_RECORD]):
+                    raise OSError("the file is not as it was written")
         on_disk, scores = self._rounds_on_disk(), body["scores"]
         best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
         for old in set(on_disk[KEPT:]) - {best}:
@@ -245,3 +248,26 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+
+
+def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
+    """Raises an AnotherRunError that names the first entry in which two nested dicts, of JSON's types, differ."""
+    difference = _difference(there, as_json(here))
+    if difference is not None:
+        name, of_there, of_here = difference
+        raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
+
+
+def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
+    if not (isinstance(there, dict) and isinstance(here, dict)):
+        return None if there == here else (name, there, here)
+    for key in [*here, *(key for key in there if key not in here)]:
+        found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)
+        if found is not None:
+            return found
+    return None
+
+
+def as_json(content: Any) -> Any:
+    """Returns `content` as JSON gives it back: tuples are lists, keys are text."""
+    return json.loads(json.dumps(content))

@@ -145,17 +145,15 @@ def train(
         while progress.rounds < len(phases) and not is_stopped(stop):
             index = progress.rounds
             progress.states, measured = step(progress.states, phases[index])
-            metrics: RoundMetrics = jax.tree.map(np.asarray, measured)
-            _refuse(metrics, index)
-            progress.seconds = time.perf_counter() - started
-            progress.history.append(round_record(metrics, index, int(steps[index]), progress.seconds))
+            _record(progress, measured, int(steps[index]), started)
             after_round(progress)
             if progress.rounds % saving.rounds == 0 and time.perf_counter() - saved >= saving.seconds:
                 save(checkpoints, progress)
                 saved = time.perf_counter()
-            left = (time.perf_counter() - begun) / (progress.rounds - done) * (len(phases) - progress.rounds)
-            known = left if steps[index] else None  # a round 0 without pre-training takes no time
-            line.show(_status(program, progress), known, log=phases[index, -1] == EVALUATE)
+            # A round 0 without pre-training takes no time, by which no other can be told.
+            per_round = (time.perf_counter() - begun) / (progress.rounds - done)
+            left = per_round * (len(phases) - progress.rounds) if steps[index] else None
+            line.show(_status(program, progress), left, log=phases[index, -1] == EVALUATE)
     save(checkpoints, progress)
 
 
@@ -220,11 +218,15 @@ def diverged_seeds(program: Program, progress: Progress) -> list[str]:
     return [program.label(int(index)) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
 
 
-def _refuse(metrics: RoundMetrics, index: int) -> None:
+def _record(progress: Progress, measured: RoundMetrics, steps: int, started: float) -> None:
+    """Waits for the measurements of a round and adds its record, unless its results are wrong."""
+    index, metrics = progress.rounds, jax.tree.map(np.asarray, measured)
     try:
         check_metrics(metrics)
     except (OverflowError, FloatingPointError) as error:
         raise type(error)(f"{error} in round {index}") from None
+    progress.seconds = time.perf_counter() - started
+    progress.history.append(round_record(metrics, index, steps, progress.seconds))
 
 
 def _beginning(program: Program, progress: Progress) -> str:

@@ -100,7 +100,7 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
         "iterations": config.rounds,
         **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
         "p_ht": hyperparameters.p_ht,
-        "bc_weight": hyperparameters.bc_weight if config.learner.bc_batch else 0,
+        "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 0) else 0,
         "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
     }
     return {name: value for name, value in values.items() if name not in METHODS[method].without_effect}
@@ -115,8 +115,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     """
     started = time.perf_counter()
     _check(options)
-    preset = _with_sizes(options, task_preset(_find(options.task), platform, options.preset))
-    preset = _with_hyperparameters(options, METHODS[options.method].apply(preset))
+    preset = METHODS[options.method].apply(task_preset(_find(options.task), platform, options.preset))
+    preset = _with_options(options, preset)
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     task_options = dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size
@@ -162,44 +162,38 @@ def _check(options: TrainOptions) -> None:
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     check_name("randomize", options.randomize, LEVELS)
-    for name in ("out", "resume", "demos"):
-        if not isinstance(getattr(options, name), str | Path | None):
-            raise ValueError(f"{name} is {getattr(options, name)!r}; it must be a path")
-    if not isinstance(options.logger, str):
-        raise ValueError(f"logger is {options.logger!r}; it must be names with commas between them")
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
 
 
-def _with_sizes(options: TrainOptions, preset: Preset) -> Preset:
-    """Returns a preset with the sizes that are given."""
-    given: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
-    sizes = {name: value for name, value in given.items() if value is not None}
-    if options.bc_weight:
-        sizes["bc_batch"] = preset.config.learner.bc_batch or BC_BATCH
-    return dataclasses.replace(preset, config=preset.config.replace(pretrain=options.pretrain, **sizes))
-
-
-def _with_hyperparameters(options: TrainOptions, preset: Preset) -> Preset:
-    """Returns a method's preset with the hyperparameters that are given."""
-    given: dict[str, Any] = {
+def _with_options(options: TrainOptions, preset: Preset) -> Preset:
+    """Returns a method's preset with the sizes and hyperparameters that are given."""
+    sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
+    if not options.pretrain:
+        sizes["pretrain"] = False
+    if options.bc_weight is not None:
+        # A weight of 0 leaves the BC loss out of the program, even for a method that has it by default.
+        sizes["bc_batch"] = (getattr(preset.config.learner, "bc_batch", 0) or BC_BATCH) if options.bc_weight else 0
+    std = options.action_std
+    scalars = {
         "p_ht": options.p_ht,
         "bc_weight": options.bc_weight,
-        "action_std": options.action_std,
+        "action_std": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
+        "strategy": STRATEGIES[options.strategy],
+        "reward": REWARDS[options.reward],
+        "standardize_reward": options.standardize_reward,
     }
-    if isinstance(options.action_std, tuple) and len(options.action_std) == 1:
-        given["action_std"] = options.action_std[0]
-    hyperparameters = preset.hyperparameters.replace(
-        strategy=STRATEGIES[options.strategy],
-        reward=REWARDS[options.reward],
-        standardize_reward=options.standardize_reward,
-        **{name: value for name, value in given.items() if value is not None},
+    return dataclasses.replace(
+        preset,
+        config=preset.config.replace(**_given(sizes)),
+        hyperparameters=preset.hyperparameters.replace(**_given(scalars)),
     )
-    # A weight of 0 leaves the BC loss out of the program, even for a method that has it by default.
-    config = preset.config.replace(bc_batch=0) if options.bc_weight == 0 else preset.config
-    return dataclasses.replace(preset, config=config, hyperparameters=hyperparameters)
+
+
+def _given(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _find(task: str) -> type[hgail_envs.GoalEnv]:

@@ -7,9 +7,9 @@ from typing import Any
 
 from hgail_jax.defaults import platform_name
 from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan
 from hgail_jax.trainer.run import Run
-from hgail_jax.trainer.run_folder import open_run_folder
 from hgail_jax.trainer.training import train_run
 
 

@@ -17,11 +17,11 @@ from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.provenance import provenance
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.terminal.status import StatusLine
+from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
-from hgail_jax.trainer.run_folder import RunFolder
 
 
 def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 """Films, read back by imageio and Pillow."""
 
 import os
+from pathlib import Path
 
 import imageio
 import numpy as np
@@ -19,12 +20,14 @@ def picture(index):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_film_has_the_pictures_that_it_was_given(tmp_path, suffix):
-    path = tmp_path / f"film{suffix}"
+def test_a_film_has_the_pictures_that_it_was_given(tmp_path, monkeypatch, suffix):
+    monkeypatch.chdir(tmp_path)
+    path = Path("[re:1] %d") / f"film{suffix}"
+    path.parent.mkdir()
     with open_film(path, 0.04) as append:
         for index in range(len(COLOURS)):
             append(picture(index))
-    assert list(tmp_path.iterdir()) == [path]
+    assert list(path.parent.iterdir()) == [path]
     if suffix == ".mp4":
         with imageio.get_reader(path, format="FFMPEG") as reader:
             assert reader.get_meta_data()["fps"] == 25

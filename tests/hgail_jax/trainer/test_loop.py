@@ -119,11 +119,11 @@ def test_checkpoints_are_saved_when_they_are_due_and_at_the_end(tmp_path, saving
 
 
 def test_a_round_that_is_refused_is_neither_recorded_nor_saved(tmp_path):
-    sound, full = measured([0.0] * 2, [1.0] * 2), measured([0.0] * 2, [1.0] * 2, overflow=np.array([0.0, 0.1]))
+    valid, full = measured([0.0] * 2, [1.0] * 2), measured([0.0] * 2, [1.0] * 2, overflow=np.array([0.0, 0.1]))
     progress = start(program())
     refused = pytest.raises(OverflowError, match="the simulation ran out of room for contacts in round 2")
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints, refused:
-        train(program(), told(sound, sound, full), progress, checkpoints)
+        train(program(), told(valid, valid, full), progress, checkpoints)
     assert progress.rounds == 2
     assert saved(tmp_path / "checkpoints") == [1, 2]
 

@@ -13,9 +13,9 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Checkpoints, Trainer, TrainOptions, load_policy
-from hgail_jax.trainer import curves, results, training
+from hgail_jax.trainer import results, training
+from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.options import plan
-from hgail_jax.trainer.run_folder import open_run_folder
 from tests.hgail_jax.trainer.test_checkpoint import record_of, saved_in
 from tests.support import compile_once, make_runs_tiny
 
@@ -191,5 +191,5 @@ def test_a_trainer_without_a_folder_says_so():
 
 def test_curves_are_drawn_where_some_rounds_measured_nothing(tmp_path):
     values = np.array([[0.1, 0.2], [np.nan, 0.3], [np.nan, np.nan]])
-    curves.draw_curves(tmp_path / "curves.png", "title", np.arange(3), values, values)
+    results.draw_curves(tmp_path / "curves.png", "title", np.arange(3), values, values)
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
