@@ -33,6 +33,10 @@ class PPO:
     """
 
     name: ClassVar[str] = "ppo"
+    without_effect: ClassVar[tuple[str, ...]] = ()
+    """Options of `hgail train` that change nothing with this learner, and are refused."""
+    hyperparameters: ClassVar[tuple[str, ...]] = ()
+    """Fields of `Hyperparameters` that this learner alone reads."""
     pretrain: bool = True
     """Whether to pre-train policy and discriminator before the first round."""
     policy_phases: int = 3
@@ -69,6 +73,10 @@ class TD3:
     """
 
     name: ClassVar[str] = "td3"
+    without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
+    hyperparameters: ClassVar[tuple[str, ...]] = (
+        *("random_actions", "target_rate", "target_noise", "discriminator_steps"),
+    )
     rollouts: int = 5
     """Roll-outs in a round, each added to the buffer and followed by `updates`."""
     updates: int = 256
@@ -87,7 +95,7 @@ class TD3:
         check_share("final_learning_rate", self.final_learning_rate)
 
 
-LEARNERS: dict[str, type] = {learner.name: learner for learner in (PPO, TD3)}
+LEARNERS: dict[str, type[PPO] | type[TD3]] = {learner.name: learner for learner in (PPO, TD3)}
 """Sizes of each learner, by the learner's name; its code is the module of that name in `hgail_jax.learners`."""
 
 
@@ -244,6 +252,11 @@ class Hyperparameters(struct.PyTreeNode):
     discriminator_steps: jax.Array | int = 2**30
     """Steps after a sample in which its hindsight goal is achieved at most, for the discriminator's expert (TD3). Many
     leave it to Algorithm 1; 1 makes it learn which actions reach a goal at once."""
+
+    def as_dict(self, learner: PPO | TD3) -> dict[str, Any]:
+        """Returns the fields as JSON has them, less those that another learner alone reads."""
+        others = {name for other in LEARNERS.values() if other.name != learner.name for name in other.hyperparameters}
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items() if name not in others}
 
     def validate(self, action_size: int | None = None) -> "Hyperparameters":
         """Returns itself.

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from hgail_jax.config import BEST, DEMONSTRATIONS
+from hgail_jax.config import BEST, DEMONSTRATIONS, LEARNERS
 from hgail_jax.defaults import Preset
 
 BC_BATCH = 512
@@ -20,15 +20,29 @@ class Method:
     """Counts of the config that the method raises to these."""
     without_effect: tuple[str, ...] = ()
     """Options of `hgail train` that change nothing for its policy, and are refused."""
+    learners: tuple[str, ...] = tuple(LEARNERS)
+    """Learners that it makes sense with."""
+    off_policy: dict = dataclasses.field(default_factory=dict)
+    """Changes to the hyperparameters with the learner td3."""
 
     def apply(self, preset: Preset) -> Preset:
-        """Returns `preset` as this method runs it."""
+        """Returns `preset` as this method runs it.
+
+        Raises:
+          ValueError: it makes no sense with the preset's learner.
+
+        """
+        learner = preset.config.learner.name
+        if learner not in self.learners:
+            raise ValueError(f"this method has no learner {learner}; choose from {', '.join(self.learners)}")
         sizes = vars(preset.config) | vars(preset.config.learner)
-        raised = {name: max(sizes[name], least) for name, least in self.at_least.items()}
+        raised = {name: max(sizes[name], least) for name, least in self.at_least.items() if name in sizes}
         return dataclasses.replace(
             preset,
             config=preset.config.replace(**self.config, **raised),
-            hyperparameters=preset.hyperparameters.replace(**self.hyperparameters),
+            hyperparameters=preset.hyperparameters.replace(
+                **self.hyperparameters | (self.off_policy if learner == "td3" else {})
+            ),
         )
 
 
@@ -41,6 +55,8 @@ METHODS = {
         {"bc_weight": 1.0},
         {"bc_batch": BC_BATCH},
         without_effect=("p_ht", "strategy"),
+        # with TD3 it is the discriminator-actor-critic (Kostrikov et al. 2019), which relabels nothing
+        off_policy={"p_ht": 0.0, "bc_weight": 0.0},
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
@@ -48,19 +64,29 @@ METHODS = {
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "training_goals": False},
         without_effect=("p_ht", "strategy"),
+        off_policy={"p_ht": 0.0},
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",
         {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
         {"environment_reward": 1.0, "ppo_weight": 1.0},
-        without_effect=("pretrain", "p_ht", "strategy", "reward", "bc_weight"),
+        without_effect=("pretrain", "p_ht", "strategy", "reward", "bc_weight", "environment_reward"),
+        learners=("ppo",),
     ),
     "gcsl": Method(
         "behaviour cloning of relabelled samples alone: the pre-training's loss, iterated (Ghosh et al. 2021)",
         {"discriminator_phases": 0},
         {"ppo_weight": 0.0, "environment_reward": 1.0},
         {"bc_batch": BC_BATCH},
-        without_effect=("reward", "standardize_reward"),
+        without_effect=("reward", "standardize_reward", "environment_reward"),
+        learners=("ppo",),
+    ),
+    "her": Method(
+        "hindsight experience replay: the goal test is the reward (Andrychowicz et al. 2017)",
+        {"discriminator_minibatches": 0},
+        {"environment_reward": 1.0},
+        without_effect=("environment_reward",),
+        learners=("td3",),
     ),
 }
 """Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is

@@ -35,6 +35,17 @@ def apply(network: nn.Module, params: Any, inputs: jax.Array) -> jax.Array:
     return cast(jax.Array, network.apply(params, inputs))
 
 
+def dense_layers(params: Any) -> list[tuple[jax.Array, ...]]:
+    """Returns the layers of an `MLP`: weights, biases and, of a layer normalisation, scale and offset."""
+    found = params["params"]
+    dense = [found[f"Dense_{index}"] for index in range(sum(name.startswith("Dense") for name in found))]
+    norms = [found.get(f"LayerNorm_{index}") for index in range(len(dense))]
+    return [
+        (layer["kernel"], layer["bias"], *(() if norm is None else (norm["scale"], norm["bias"])))
+        for layer, norm in zip(dense, norms, strict=True)
+    ]
+
+
 def gaussian_log_prob(action: jax.Array, mean: jax.Array, std: jax.Array | float) -> jax.Array:
     """Log-density of actions, `[..., action_size]`, under N(mean, std² I): `[...]`."""
     return jnp.sum(-0.5 * jnp.square((action - mean) / std) - jnp.log(std) - _LOG_SQRT_2PI, axis=-1)

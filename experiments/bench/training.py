@@ -13,6 +13,7 @@ from jax.sharding import Mesh
 from experiments.bench.timing import compile_timed
 from experiments.bench.workload import Workload
 from hgail_jax.devices.sharding import shard
+from hgail_jax.learners.ppo import ppo_sizes
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
@@ -56,9 +57,9 @@ class Training:
 
     def updates(self) -> list[Phase]:
         """Returns the phases of a round that learn."""
-        return [Phase.POLICY] * self.config.learner.policy_phases + [
-            Phase.DISCRIMINATOR
-        ] * self.config.learner.discriminator_phases
+        return [Phase.POLICY] * ppo_sizes(self.config).policy_phases + [Phase.DISCRIMINATOR] * ppo_sizes(
+            self.config
+        ).discriminator_phases
 
 
 class RollingOut:
@@ -134,11 +135,11 @@ def shares(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
     A phase is a roll-out, perhaps the relabelling of its samples, and an update, which is the rest.
     """
     config = workload.preset().config
-    policy, discriminator = config.learner.policy_phases, config.learner.discriminator_phases
+    policy, discriminator = ppo_sizes(config).policy_phases, ppo_sizes(config).discriminator_phases
     stepping = workload.env_steps / row["raw_env_steps_per_second"]
     rolling_out = workload.env_steps / row["rollout_env_steps_per_second"]
     relabelling = row["relabel_seconds"]
-    policy_relabelling = relabelling if config.learner.bc_batch else 0.0  # PPO alone needs no expert samples
+    policy_relabelling = relabelling if ppo_sizes(config).bc_batch else 0.0  # PPO alone needs no expert samples
     seconds = {
         "physics": (policy + discriminator) * stepping,
         "policy_and_bookkeeping": (policy + discriminator) * (rolling_out - stepping),

@@ -5,8 +5,6 @@ import json
 from hashlib import sha256
 from typing import Any
 
-import numpy as np
-
 import hgail_envs
 from experiments.paper.study import Setting
 from hgail_envs.engines import resolve_impl
@@ -97,7 +95,7 @@ class Trial:
             "physics": physics | self.task_options,
             "demonstrations": self.demonstrations_sha256,
             "config": self.config.as_dict(),
-            "hyperparameters": {name: np.asarray(value).tolist() for name, value in vars(self.hyperparameters).items()},
+            "hyperparameters": self.hyperparameters.as_dict(self.config.learner),
         }
         return json.loads(json.dumps(identity))
 

@@ -1,6 +1,5 @@
 """Measures policies on this package's Fetch, on C MuJoCo with all episodes of a point at once."""
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -48,10 +47,13 @@ class ParallelFetch:
         parts = [(policy.mean, policy.std, policy.layers) for policy in policies]
         stacked = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)[turns]), *parts)
 
+        def mean_action_of(mean: Any, std: Any, layers: Any, observation: jax.Array) -> jax.Array:
+            return mean_action(mean, std, layers, policies[0].squash, observation, xp=jnp)
+
         def act(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
             del rng
             mean, std, layers = stacked
-            action = jax.vmap(functools.partial(mean_action, xp=jnp))(mean, std, layers, observation)
+            action = jax.vmap(mean_action_of)(mean, std, layers, observation)
             return action, jnp.zeros(episodes)
 
         def run(sizes: Mapping[str, Any], rng: jax.Array) -> EpisodeMetrics:

@@ -6,7 +6,7 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
     {"format": "hgail_jax policy 2", "task": "reach",
      "observation": {"features": 6, "goal": 3, "clip": 5.0},   # features first, then the goal; clipped once normalised
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
-     "layers": 3, "activation": "tanh",                        # tanh between the layers, nothing after the last
+     "layers": 3, "activation": "tanh", "squash": false,       # between the layers; whether tanh stands after the last
      "randomization": {},                                      # of its training: fields of `Randomization`
      "task_options": {},                                       # of the task's class, as --task-options gave them
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
@@ -30,12 +30,13 @@ from hgail_jax.io.files import replace_file
 from hgail_jax.io.npz import load_npz
 from hgail_jax.io.provenance import installed
 from hgail_jax.learners import find_learner
-from hgail_jax.state import TrainState
+from hgail_jax.state import MAX_NORMALIZED, TrainState
 
 _FORMAT = "hgail_jax policy 2"
-_CLIP = 5.0
 _ACTION = {"low": -1.0, "high": 1.0}
-_ACTIVATION = "tanh"
+_TANH, _LAYER_NORM_RELU = "tanh", "layer-norm-relu"
+_ARRAYS = ("weights", "biases", "scale", "offset")  # of a layer
+_EPSILON = 1e-6  # of layer normalisation, as flax has it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +55,9 @@ class MeanPolicy:
     """Mean of the observations, `[observation_size]`, for normalisation."""
     std: np.ndarray = dataclasses.field(repr=False)
     """Their standard deviation, `[observation_size]`."""
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...] = dataclasses.field(repr=False)
-    """Weights `[inputs, outputs]` and biases `[outputs]`; tanh stands between the layers."""
+    layers: tuple[tuple[np.ndarray, ...], ...] = dataclasses.field(repr=False)
+    """Weights `[inputs, outputs]` and biases `[outputs]`, and, of hidden layers with layer normalisation, its scale and
+    offset `[outputs]`. After those stands ReLU, after the others tanh; after the last neither."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
     """Versions of the packages that trained it."""
     randomization: Randomization = Randomization()  # noqa: RUF009  (frozen)
@@ -63,16 +65,20 @@ class MeanPolicy:
     task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's class that it was trained with, e.g. `observation`."""
 
+    squash: bool = False
+    """Whether tanh brings the last layer's outputs into [-1, 1]; else they are clipped."""
+
     def __post_init__(self) -> None:
         arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
         if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays):
             raise ValueError("not all of its arrays are finite float32 numbers")
         if not (0 < self.goal_size < self.mean.size and self.mean.shape == self.std.shape and (self.std > 0).all()):
             raise ValueError("its normalisation does not fit its observation")
-        sizes = [self.mean.shape, *(biases.shape for _, biases in self.layers)]
+        sizes = [self.mean.shape, *(layer[1].shape for layer in self.layers)]
         shapes = [before + after for before, after in itertools.pairwise(sizes)]
         fit = [
-            len(shape) == 2 and weights.shape == shape for shape, (weights, _) in zip(shapes, self.layers, strict=True)
+            len(shape) == 2 and weights.shape == shape and all(array.shape == biases.shape for array in norm)
+            for shape, (weights, biases, *norm) in zip(shapes, self.layers, strict=True)
         ]
         if not (fit and all(fit)):
             raise ValueError("its layers do not fit together")
@@ -100,29 +106,38 @@ class MeanPolicy:
         """
         if np.shape(observation)[-1:] != self.mean.shape:
             raise ValueError(f"an observation of {self.task} has {self.observation_size} numbers")
-        return mean_action(self.mean, self.std, self.layers, observation, xp)
+        return mean_action(self.mean, self.std, self.layers, self.squash, observation, xp)
 
 
-def mean_action(mean: Any, std: Any, layers: Any, observation: Any, xp: Any = np) -> Any:
-    """Returns the actions of a `MeanPolicy`, from its arrays, which JAX may trace or batch."""
-    hidden = xp.clip((observation - mean) / std, -_CLIP, _CLIP)
-    for weights, biases in layers[:-1]:
-        hidden = xp.tanh(hidden @ weights + biases)
+def mean_action(mean: Any, std: Any, layers: Any, squash: bool, observation: Any, xp: Any = np) -> Any:
+    """Returns the action of `MeanPolicy` from its arrays, which JAX may trace or batch."""
+    hidden = xp.clip((observation - mean) / std, -MAX_NORMALIZED, MAX_NORMALIZED)
+    for weights, biases, *norm in layers[:-1]:
+        hidden = hidden @ weights + biases
+        if norm:
+            scale, offset = norm
+            centred = hidden - hidden.mean(axis=-1, keepdims=True)
+            variance = xp.square(centred).mean(axis=-1, keepdims=True)
+            hidden = xp.maximum(centred / xp.sqrt(variance + _EPSILON) * scale + offset, 0.0)
+        else:
+            hidden = xp.tanh(hidden)
     weights, biases = layers[-1]
-    return xp.clip(hidden @ weights + biases, _ACTION["low"], _ACTION["high"])
+    action = hidden @ weights + biases
+    return xp.tanh(action) if squash else xp.clip(action, _ACTION["low"], _ACTION["high"])
 
 
 def from_state(
     task: str, env: GoalEnv, config: Config, state: TrainState, task_options: Mapping[str, Any] | None = None
 ) -> MeanPolicy:
     """Takes the policy out of the state of one seed, trained on `env`, which `task` and its options name."""
-    layers = find_learner(config).layers(state)
+    learner = find_learner(config)
     return MeanPolicy(
         task=task,
         goal_size=env.goal_size,
         mean=np.asarray(state.statistics.mean),
         std=np.asarray(state.statistics.std),
-        layers=tuple((np.asarray(weights), np.asarray(biases)) for weights, biases in layers),
+        layers=tuple(tuple(map(np.asarray, layer)) for layer in learner.layers(state)),
+        squash=learner.squashes,
         versions=installed("hgail-jax", "jax", "mujoco-mjx"),
         randomization=getattr(env, "randomization", Randomization()),
         task_options=dict(task_options or {}),
@@ -137,18 +152,19 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "observation": {
             "features": policy.observation_size - policy.goal_size,
             "goal": policy.goal_size,
-            "clip": _CLIP,
+            "clip": MAX_NORMALIZED,
         },
         "action": {"size": policy.action_size, **_ACTION},
         "layers": len(policy.layers),
-        "activation": _ACTIVATION,
+        "activation": _LAYER_NORM_RELU if len(policy.layers[0]) > 2 else _TANH,
+        "squash": policy.squash,
         "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
         "task_options": policy.task_options,
         "versions": policy.versions,
     }
     arrays = {"mean": policy.mean, "std": policy.std}
-    for index, (weights, biases) in enumerate(policy.layers):
-        arrays |= {f"weights_{index}": weights, f"biases_{index}": biases}
+    for index, layer in enumerate(policy.layers):
+        arrays |= {f"{name}_{index}": array for name, array in zip(_ARRAYS, layer, strict=False)}
     with replace_file(path, "wb") as file:
         np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
 
@@ -172,11 +188,15 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
         raise ValueError("it names no task")
     observation, action = header["observation"], header["action"]
     computes = (header["activation"], observation["clip"], action["low"], action["high"])
-    if computes != (_ACTIVATION, _CLIP, _ACTION["low"], _ACTION["high"]):
+    if computes not in [(known, MAX_NORMALIZED, *_ACTION.values()) for known in (_TANH, _LAYER_NORM_RELU)]:
         raise ValueError(f"this version does not compute {computes}")
-    if not 0 < header["layers"] <= len(file):
-        raise ValueError(f"it has no {header['layers']} layers")
-    layers = tuple((file[f"weights_{index}"], file[f"biases_{index}"]) for index in range(header["layers"]))
+    count, plain = header["layers"], header["activation"] == _TANH
+    if not 0 < count <= len(file):
+        raise ValueError(f"it has no {count} layers")
+    layers = tuple(
+        tuple(file[f"{name}_{index}"] for name in (_ARRAYS[:2] if index + 1 == count or plain else _ARRAYS))
+        for index in range(count)
+    )
     policy = MeanPolicy(
         header["task"],
         observation["goal"],
@@ -186,6 +206,7 @@ def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
         dict(header["versions"]),
         Randomization.from_json(header.get("randomization", {})),  # older files have none
         dict(header.get("task_options", {})),  # nor these
+        bool(header.get("squash", False)),
     )
     if (policy.observation_size, policy.action_size) != (observation["features"] + observation["goal"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")

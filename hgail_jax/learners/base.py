@@ -47,6 +47,8 @@ class Learner(abc.ABC):
     """What its updates measure, with a meaning for each name."""
     updates: ClassVar[Mapping[Phase, Update]]
     """The update of each phase that learns."""
+    squashes: ClassVar[bool] = False
+    """Whether tanh brings its actions into [-1, 1]; else they are clipped."""
 
     @abc.abstractmethod
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> Any:
@@ -76,5 +78,5 @@ class Learner(abc.ABC):
         """Returns the phases of a whole run, integers `[rounds + 1, phases]`, each row ending with an evaluation."""
 
     @abc.abstractmethod
-    def layers(self, state: TrainState) -> list[tuple[jax.Array, jax.Array]]:
-        """Returns weights and biases of the mean action's network, as a policy file keeps them."""
+    def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
+        """Returns the layers of the mean action's network, as `MeanPolicy.layers` has them."""

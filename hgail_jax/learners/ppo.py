@@ -20,7 +20,7 @@ from hgail_jax.discriminator import discriminate, fit_discriminator, imitation_r
 from hgail_jax.experts import expert_samples
 from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, Learner
 from hgail_jax.learners.ppo_loss import generalized_advantages, policy_loss, standardize, weighted_mean
-from hgail_jax.networks import MLP, apply, gaussian_log_prob
+from hgail_jax.networks import MLP, apply, dense_layers, gaussian_log_prob
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
 from hgail_jax.state import TrainState
@@ -77,22 +77,20 @@ class PPOLearner(Learner):
 
     def progress(self, config: Config, state: TrainState) -> jax.Array:
         """See `Learner`; from the optimiser's step count."""
-        if not _sizes(config).policy_phases:  # there are no steps to count
+        if not ppo_sizes(config).policy_phases:  # there are no steps to count
             return jnp.ones(())
         return 1.0 - decay_schedule(config, 0.0)(_gradient_steps(state))
 
     def phase_table(self, config: Config) -> np.ndarray:
         """See `Learner`; row 0 is the pre-training, if there is one."""
-        sizes = _sizes(config)
+        sizes = ppo_sizes(config)
         updates = [POLICY] * sizes.policy_phases + [DISCRIMINATOR] * sizes.discriminator_phases
         first = [PRETRAIN if sizes.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
         return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
 
-    def layers(self, state: TrainState) -> list[tuple[jax.Array, jax.Array]]:
+    def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
         """See `Learner`."""
-        dense = state.learner.actor_critic["policy"]["params"]
-        found = [dense[f"Dense_{index}"] for index in range(len(dense))]
-        return [(layer["kernel"], layer["bias"]) for layer in found]
+        return dense_layers(state.learner.actor_critic["policy"])
 
 
 def decay_schedule(config: Config, final: jax.Array | float) -> optax.Schedule:
@@ -100,7 +98,7 @@ def decay_schedule(config: Config, final: jax.Array | float) -> optax.Schedule:
 
     The learning rate falls by it, and so does the policy's standard deviation.
     """
-    sizes = _sizes(config)
+    sizes = ppo_sizes(config)
     pretraining = sizes.pretrain_policy_minibatches if sizes.pretrain else 0
     rounds = config.rounds * sizes.policy_phases * sizes.epochs * sizes.minibatches
     return optax.linear_schedule(1.0, final, rounds, transition_begin=pretraining)
@@ -121,7 +119,7 @@ def pretrain(
     """
     relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
     state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
-    policy, sizes = policy_samples(env, trajectory), _sizes(config)
+    policy, sizes = policy_samples(env, trajectory), ppo_sizes(config)
     state = _count(state, expert)
     state, cloning = _clone(env, config, state, expert, policy_rng)
     state, metrics = fit_discriminator(
@@ -148,7 +146,7 @@ def update_policy(
 
     With a `bc_batch` each gradient also follows the behaviour-cloning loss of that many expert samples.
     """
-    hyper, sizes = state.hyperparameters, _sizes(config)
+    hyper, sizes = state.hyperparameters, ppo_sizes(config)
     relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
     batch, reward = _ppo_batch(env, config, state, trajectory)
     indices: dict[str, jax.Array] = {
@@ -236,7 +234,7 @@ def _bc_loss(
 def _clone(
     env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array
 ) -> tuple[TrainState, Metrics]:
-    bc_loss, sizes = _bc_loss(env, config, state, samples), _sizes(config)
+    bc_loss, sizes = _bc_loss(env, config, state, samples), ppo_sizes(config)
 
     def loss(params: Any, indices: jax.Array) -> tuple[jax.Array, Metrics]:
         value = bc_loss(params, indices)
@@ -283,7 +281,15 @@ def _count(state: TrainState, samples: Samples) -> TrainState:
     return state.count(samples.observation, (samples.weight > 0).astype(jnp.float32))
 
 
-def _sizes(config: Config) -> PPO:
+def ppo_sizes(config: Config) -> PPO:
+    """Returns the sizes of PPO.
+
+    Raises:
+      TypeError: the config is of another learner.
+
+    """
+    if not isinstance(config.learner, PPO):
+        raise TypeError(f"{config.learner} is not PPO")
     return config.learner
 
 
@@ -293,15 +299,15 @@ def _gradient_steps(state: TrainState) -> jax.Array:
 
 def _optimizer(config: Config) -> optax.GradientTransformation:
     """Adam for policy and value function, without the learning rate, which is a hyperparameter of the state."""
-    decay = decay_schedule(config, _sizes(config).final_learning_rate)
+    decay = decay_schedule(config, ppo_sizes(config).final_learning_rate)
     return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(decay))
 
 
 def _policy_network(config: Config, action_size: int) -> MLP:
     """Normalised observation to mean action; starts near zero, so that the first policy explores evenly."""
-    return MLP(config.policy_hidden, action_size, output_scale=1e-4)
+    return MLP(config.policy_hidden, action_size, 1e-4, config.layer_norm)
 
 
 def _value_network(config: Config) -> MLP:
     """Normalised observation to the expected return, `[..., 1]`."""
-    return MLP(config.policy_hidden, 1)
+    return MLP(config.policy_hidden, 1, layer_norm=config.layer_norm)

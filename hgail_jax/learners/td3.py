@@ -4,7 +4,7 @@ It is TD3 (Fujimoto et al. 2018) with hindsight: every time a sample is drawn it
 computed for that goal. Below, `U` is the gradient steps after a roll-out and `B` the samples in one of them.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP, Learner
-from hgail_jax.networks import MLP, apply
+from hgail_jax.networks import MLP, apply, dense_layers
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.samples import Samples, policy_samples
 from hgail_jax.state import TrainState
@@ -49,7 +49,9 @@ class TD3State(struct.PyTreeNode):
 
 
 class TD3Learner(Learner):
-    """Twin delayed DDPG without the delay, on samples relabelled in hindsight."""
+    """TD3 without its delay of the actor, on samples relabelled in hindsight."""
+
+    squashes = True
 
     metrics = {  # noqa: RUF012  (a ClassVar of the base)
         "reward": "mean reward of the samples drawn",
@@ -107,9 +109,9 @@ class TD3Learner(Learner):
         first = [PRETRAIN] + [SKIP] * (rollouts - 1) + [EVALUATE]
         return np.array([first] + [[POLICY] * rollouts + [EVALUATE]] * config.rounds)
 
-    def layers(self, state: TrainState) -> list[tuple[jax.Array, jax.Array]]:
+    def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
         """See `Learner`."""
-        raise NotImplementedError
+        return dense_layers(state.learner.target.actor)
 
 
 def fill(
@@ -262,7 +264,7 @@ def _progress(config: Config, state: TD3State) -> jax.Array:
 
 
 def _sizes(config: Config) -> TD3:
-    return config.learner
+    return cast(TD3, config.learner)
 
 
 def _actor_network(config: Config, action_size: int) -> MLP:

@@ -104,6 +104,8 @@ class SavingPolicy:
 
     rounds: int = 1
     seconds: float = 0.0
+    most: float = 1.0
+    """Fraction of the time that saving may take: after a checkpoint the next waits until this is kept."""
 
 
 def train(
@@ -140,16 +142,19 @@ def train(
     if progress.rounds == len(phases):  # no round is left, so that no status line is shown
         return
     begun, done = time.perf_counter(), progress.rounds
-    started, saved = begun - progress.seconds, begun
+    started, saved, cost = begun - progress.seconds, begun, 0.0
     with StatusLine(_beginning(program, progress)) as line:
         while progress.rounds < len(phases) and not is_stopped(stop):
             index = progress.rounds
             progress.states, measured = step(progress.states, phases[index])
             _record(progress, measured, int(steps[index]), started)
             after_round(progress)
-            if progress.rounds % saving.rounds == 0 and time.perf_counter() - saved >= saving.seconds:
+            wait = max(saving.seconds, cost / saving.most - cost)
+            if progress.rounds % saving.rounds == 0 and time.perf_counter() - saved >= wait:
+                saving_from = time.perf_counter()
                 save(checkpoints, progress)
                 saved = time.perf_counter()
+                cost = saved - saving_from
             # A round 0 without pre-training takes no time, by which no other can be told.
             per_round = (time.perf_counter() - begun) / (progress.rounds - done)
             left = per_round * (len(phases) - progress.rounds) if steps[index] else None

@@ -13,8 +13,8 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
-from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.defaults import EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.config import LEARNERS, PPO, REWARDS, STRATEGIES
+from hgail_jax.defaults import DEFAULT_LEARNERS, EVALUATION_EPISODES, PRESETS, Preset, task_preset
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.methods import BC_BATCH, METHODS
@@ -42,6 +42,8 @@ class TrainOptions:
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
     method: Annotated[str, _choices("Method to train", METHODS)] = "hgail"
+    learner: Annotated[str | None, unless_given("the task's", f"{{{','.join(LEARNERS)}}}")] = None
+    """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer."""
     demos: Annotated[Path | None, unless_given("none", "FILE")] = None
     """Demonstrations of the task, from the command demos; gail-demo needs them."""
     seeds: int = 8
@@ -67,6 +69,8 @@ class TrainOptions:
     reward: Annotated[str, _choices("How the discriminator's logit becomes a reward", REWARDS)] = "r1"
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
+    environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
+    """Weight of the environment's reward, the discriminator's has the rest: 0 is no reward, 1 no discriminator."""
     bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the behaviour-cloning (BC) loss of expert samples in the policy's updates, 0 for the paper's."""
     action_std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
@@ -79,13 +83,28 @@ class TrainOptions:
     """Folder of a run to go on with; auto takes the run of the task and method in runs/ that was saved last, or
     begins one."""
     checkpoint_every: int = 1
-    """Rounds from one checkpoint to the next."""
+    """Rounds from one checkpoint to the next; more where saving would take a twentieth of the time."""
     evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds from one evaluation to the next; the last round always has one. Training does not depend on it."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
-def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[str, Any]:
+def choose_learner(task: str, method: str, preset: str, learner: str | None = None) -> str:
+    """Returns the learner that is named, or else the task's if the method and the preset have it.
+
+    Raises:
+      ValueError: there is no such learner, or the method does not have it.
+
+    """
+    if learner is not None:
+        check_name("learner", learner, LEARNERS)
+        check_name(f"learner of the method {method}", learner, METHODS[method].learners)
+        return learner
+    usual = DEFAULT_LEARNERS.get(task, PPO.name) if preset == "parallel" else PPO.name
+    return usual if usual in METHODS[method].learners else METHODS[method].learners[0]
+
+
+def task_defaults(task: str, method: str, preset: str, platform: str, learner: str | None = None) -> dict[str, Any]:
     """Returns the task's, or the method's, values of the options that are None by default.
 
     Raises:
@@ -93,14 +112,17 @@ def task_defaults(task: str, method: str, preset: str, platform: str) -> dict[st
 
     """
     check_name("method", method, METHODS)
-    whole = METHODS[method].apply(task_preset(_find(task), platform, preset))
+    chosen = choose_learner(task, method, preset, learner)
+    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen))
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
+        "learner": chosen,
         "num_envs": config.num_envs,
         "iterations": config.rounds,
         **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
         "p_ht": hyperparameters.p_ht,
-        "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 0) else 0,
+        "environment_reward": hyperparameters.environment_reward,
+        "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
     }
     return {name: value for name, value in values.items() if name not in METHODS[method].without_effect}
@@ -115,7 +137,9 @@ def plan(options: TrainOptions, platform: str) -> Run:
     """
     started = time.perf_counter()
     _check(options)
-    preset = METHODS[options.method].apply(task_preset(_find(options.task), platform, options.preset))
+    learner = choose_learner(options.task, options.method, options.preset, options.learner)
+    _refuse_without_effect(options, learner)
+    preset = METHODS[options.method].apply(task_preset(_find(options.task), platform, options.preset, learner))
     preset = _with_options(options, preset)
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     task_options = dict(_parse_task_option(option) for option in options.task_options)
@@ -155,10 +179,6 @@ def _check(options: TrainOptions) -> None:
     if options.iterations is not None:
         check_count("iterations", options.iterations, least=0)
     check_name("method", options.method, METHODS)
-    for name in METHODS[options.method].without_effect:
-        if getattr(options, name) != (default := getattr(TrainOptions, name)):
-            flag = ("no-" if default is True else "") + name.replace("_", "-")
-            raise ValueError(f"--{flag} changes nothing for the method {options.method}")
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     check_name("randomize", options.randomize, LEVELS)
@@ -168,17 +188,29 @@ def _check(options: TrainOptions) -> None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
 
 
+def _refuse_without_effect(options: TrainOptions, learner: str) -> None:
+    for owner, names in (
+        (f"method {options.method}", METHODS[options.method].without_effect),
+        (f"learner {learner}", LEARNERS[learner].without_effect),
+    ):
+        for name in names:
+            if getattr(options, name) != (default := getattr(TrainOptions, name)):
+                flag = ("no-" if default is True else "") + name.replace("_", "-")
+                raise ValueError(f"--{flag} changes nothing for the {owner}")
+
+
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     """Returns a method's preset with the sizes and hyperparameters that are given."""
     sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
     if not options.pretrain:
         sizes["pretrain"] = False
-    if options.bc_weight is not None:
+    if options.bc_weight is not None and isinstance(preset.config.learner, PPO):
         # A weight of 0 leaves the BC loss out of the program, even for a method that has it by default.
         sizes["bc_batch"] = (getattr(preset.config.learner, "bc_batch", 0) or BC_BATCH) if options.bc_weight else 0
     std = options.action_std
     scalars = {
         "p_ht": options.p_ht,
+        "environment_reward": options.environment_reward,
         "bc_weight": options.bc_weight,
         "action_std": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
         "strategy": STRATEGIES[options.strategy],

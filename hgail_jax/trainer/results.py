@@ -62,6 +62,8 @@ def summarize(
     return {
         "task": run.task,
         "method": run.method,
+        "learner": run.config.learner.name,
+        "environment_reward": float(run.hyperparameters.environment_reward),
         "seeds": run.seeds,
         "mesh": dict(run.mesh.shape),
         "success_rate": over_seeds(final.success),

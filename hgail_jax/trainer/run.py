@@ -49,7 +49,7 @@ class Run:
             "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")} | self._randomization(),
             "task_options": self.task_options,
             "config": self.config.as_dict(),
-            "hyperparameters": dataclasses.asdict(self.hyperparameters),
+            "hyperparameters": self.hyperparameters.as_dict(self.config.learner),
             "demonstrations": None if self.demonstrations is None else self.demonstrations.sha256,
         }
 

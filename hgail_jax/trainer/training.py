@@ -12,6 +12,7 @@ import jax
 
 from hgail_envs import GoalEnv
 from hgail_envs.randomized import RandomizedEnv
+from hgail_jax.config import TD3
 from hgail_jax.devices.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.provenance import provenance
@@ -22,6 +23,8 @@ from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
+
+_MOST_OF_SAVING = 0.05  # of the time of a run with a replay buffer
 
 
 def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:
@@ -127,7 +130,8 @@ def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progres
             logger.rounds(progress.history)
 
     log(progress)
-    saving = SavingPolicy(rounds=run.checkpoint_every)
+    # a replay buffer of hundreds of megabytes takes a second to copy
+    saving = SavingPolicy(run.checkpoint_every, most=_MOST_OF_SAVING if run.config.learner.name == TD3.name else 1.0)
     folder.in_rounds.set()
     try:
         with folder.checkpoints as checkpoints:
