@@ -27,29 +27,29 @@ ROOT = Path(__file__).parent.parent
 TIMEOUT = 120.0  # seconds
 LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
-SAMPLES, UPDATES, LEARNING = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "updates", "learning"))
-EXPERTS, PPO, ROLLOUT, TRAIN = (f"tests/hgail_jax/test_{name}.py" for name in ("experts", "ppo", "rollout", "train"))
-GOALS, PRESETS = "tests/hgail_envs/test_goals.py", "tests/hgail_jax/test_presets.py"
-OBJECTS = "tests/hgail_envs/fetch/test_objects.py"
+SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "learning", "experts"))
+ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "train", "discriminator"))
+PPO, PPO_LOSS = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss"))
+GOALS, OBJECTS = "tests/hgail_envs/test_goals.py", "tests/hgail_envs/fetch/test_objects.py"
 
 TESTS = {
     "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
-    "hgail_jax/samples": [SAMPLES, UPDATES],
+    "hgail_jax/samples": [SAMPLES, PPO],
     "hgail_jax/experts": [SAMPLES, EXPERTS],
-    "hgail_jax/rewards": ["tests/hgail_jax/test_rewards.py", UPDATES],
-    "hgail_jax/learners/ppo_loss": [PPO, UPDATES],
-    "hgail_jax/discriminator": ["tests/hgail_jax/test_discriminator.py", UPDATES],
-    "hgail_jax/networks": [PPO, UPDATES, LEARNING],
-    "hgail_jax/learners/ppo": [UPDATES, LEARNING],
-    "hgail_jax/train": [UPDATES, TRAIN, LEARNING],
-    "hgail_jax/rollout": [SAMPLES, ROLLOUT, UPDATES],
-    "hgail_jax/evaluate": [SAMPLES, UPDATES],
-    "hgail_jax/state": [UPDATES, TRAIN, LEARNING],
+    "hgail_jax/discriminator": [DISCRIMINATOR, PPO],
+    "hgail_jax/networks": [PPO_LOSS, PPO, LEARNING],
+    "hgail_jax/descent": [PPO, LEARNING],
+    "hgail_jax/learners/ppo_loss": [PPO_LOSS, PPO],
+    "hgail_jax/learners/ppo": [PPO, TRAIN, LEARNING],
+    "hgail_jax/train": [PPO, TRAIN, LEARNING],
+    "hgail_jax/rollout": [SAMPLES, ROLLOUT, PPO],
+    "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN],
+    "hgail_jax/state": [PPO, TRAIN, LEARNING],
     "hgail_jax/methods": [LEARNING, EXPERTS],
-    "envs/base": [GOALS, SAMPLES],
-    "envs/point": [GOALS, SAMPLES],
-    "envs/hgail_envs/fetch/reach": [GOALS, PRESETS],
-    "envs/hgail_envs/fetch/grasp": [GOALS, PRESETS],
+    "envs/hgail_envs/base": [GOALS, SAMPLES],
+    "envs/hgail_envs/point": [GOALS, SAMPLES],
+    "envs/hgail_envs/fetch/reach": [GOALS],
+    "envs/hgail_envs/fetch/grasp": [GOALS],
     "envs/hgail_envs/fetch/objects": [OBJECTS],
     "envs/hgail_envs/fetch/push": [OBJECTS],
     "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
@@ -78,21 +78,24 @@ EQUIVALENT = {
     ],
     "hgail_jax/learners/ppo": [
         # Of an axis of one number JAX takes that one for any index.
-        'value = apply(value_network(config), state.learner.actor_critic["value"], observation)[..., 1]',
-        'predicted = apply(value_network(config), params["value"], part["observation"])[..., 1]',
-        "return apply(discriminator_network(config), params, inputs)[..., 1]",
+        'value = apply(_value_network(config), state.learner.actor_critic["value"], observation)[..., 1]',
+        'predicted = apply(_value_network(config), params["value"], part["observation"])[..., 1]',
+    ],
+    "hgail_jax/discriminator": [
+        # Of an axis of one number JAX takes that one for any index.
+        "return apply(_network(config), params, inputs)[..., 1]",
     ],
     "hgail_jax/rollout": [
         # It only spares the compiler a branch.
-        "if (env.lift_test_steps or probe is not False):",
+        "if (not env.lift_test_steps and wanted is False):  # so that nothing is compiled for it",
         # A choice between equals, there for the compiler.
         "always = jnp.all(jax.random.key_data(rng) >= 0)",
         "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)",
     ],
     "hgail_jax/train": [
         # Integers are finite too.
-        "floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.floating, jnp.floating)]",
-        "floating = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, leaf.dtype)]",
+        "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.floating, jnp.floating)]",
+        "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, leaf.dtype)]",
         # The key is replaced right after.
         "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
     ],
@@ -210,7 +213,8 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Imports the mutant in its module's place."""
 
     def __init__(self, mutant: Mutant):
-        self.name, self.path, self.source = mutant.module.replace("/", "."), f"{mutant.module}.py", mutant.source
+        self.path, self.source = f"{mutant.module}.py", mutant.source
+        self.name = mutant.module.removeprefix("envs/").replace("/", ".")
 
     def find_spec(self, name, path, target=None):
         return importlib.util.spec_from_loader(name, self, origin=self.path) if name == self.name else None

@@ -1,10 +1,7 @@
 import csv
 import json
-import os
 import shlex
-import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +14,7 @@ from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.options import plan
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
-from tests.support import ROOT, compile_once, make_runs_tiny
+from tests.support import compile_once, make_runs_tiny
 
 TINY = ["--seeds", "2", "--num-envs", "2", "--iterations", "1"]
 
@@ -248,23 +245,6 @@ def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
         run.main(["--task", "poke", "--help"])
     assert exit_info.value.code == 0
     assert "--num-envs INT" in capsys.readouterr().out
-
-
-def test_a_wheel_finds_its_assets(tmp_path):
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", tmp_path, ROOT]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
-    code = "import hgail_envs.scenes as s; print(s.assets_directory(), s.load_scene('fetch/reach').nv)"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path / "site")},
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.split() == [str(tmp_path / "site" / "hgail_envs" / "assets"), "13"]
 
 
 TASK_WITH_A_MISTAKE = """

@@ -1,0 +1,73 @@
+"""The wheel, in a project whose folders are named as this one's are."""
+
+import os
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from tests.support import ROOT
+
+FOLDERS = ("assets", "docs", "envs", "experiments", "tests")
+TRAINS = f"""
+import sys
+import hgail_envs.scenes, hgail_jax.cli.train
+
+at_the_end = set(sys.modules) & {{"matplotlib", "scipy.stats"}}  # of the run, which starts the sooner without them
+assert not at_the_end, at_the_end
+import {", ".join(FOLDERS)}
+assert {{{", ".join(f"{name}.OF" for name in FOLDERS)}}} == {{"this project"}}
+print(hgail_jax.__file__, hgail_envs.__file__, hgail_envs.scenes.assets_directory(), sep="\\n")
+print(hgail_envs.scenes.load_scene("fetch/reach").nv)
+
+from hgail_jax.defaults import FEW_UPDATES
+from hgail_jax import Config, Hyperparameters, init_state, make, phase_table, train_step
+import functools, jax
+
+env, config = make("point"), Config().replace(num_envs=2, rounds=1, **FEW_UPDATES)
+state = init_state(env, config, Hyperparameters(), jax.random.key(0))
+step = jax.jit(functools.partial(train_step, env, config))
+for phases in phase_table(config):
+    state, metrics = step(state, phases)
+print(metrics.evaluation.success, metrics.diverged)
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT]
+    subprocess.run(build, check=True, capture_output=True)
+    (path,) = folder.glob("*.whl")
+    return zipfile.ZipFile(path)
+
+
+def test_a_wheel_holds_two_packages_and_nothing_else(wheel):
+    folders = {name.split("/")[0] for name in wheel.namelist()}
+    assert {name for name in folders if not name.endswith(".dist-info")} == {"hgail_envs", "hgail_jax"}
+    assert len(folders) == 3
+    assert not [name for name in wheel.namelist() if "__pycache__" in name or "/tests/" in name]
+
+
+def test_a_project_with_folders_of_the_same_names_trains_with_it(wheel, tmp_path):
+    site, project = tmp_path / "site", tmp_path / "project"
+    wheel.extractall(site)
+    for name in FOLDERS:
+        (project / name).mkdir(parents=True)
+        (project / name / "__init__.py").write_text('OF = "this project"\n')
+    (project / "train.py").write_text(TRAINS)
+    done = subprocess.run(
+        [sys.executable, "train.py"],
+        cwd=project,
+        env=os.environ | {"PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    *found, velocities, measured = done.stdout.splitlines()
+    assert found == [f"{site}/hgail_jax/__init__.py", f"{site}/hgail_envs/__init__.py", f"{site}/hgail_envs/assets"]
+    assert velocities == "13"
+    success, diverged = map(float, measured.split())
+    assert 0.0 <= success <= 1.0
+    assert diverged == 0.0
