@@ -19,7 +19,7 @@ FEW_UPDATES: dict[str, Any] = {
     "pretrain_discriminator_minibatches": 5,
 }
 """Changes to a `Config` that show in seconds that everything runs, and nothing else."""
-EVALUATION_EPISODES = {"cpu": 128, "gpu": 1024}
+EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Least number of episodes per seed in a final evaluation, by platform."""
 
 

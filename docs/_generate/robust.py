@@ -31,7 +31,7 @@ def robust() -> str:
     for folder in sorted((RESULTS / "runs").glob("*-hgail-robust")):
         row = read_json(f"runs/{folder.name}/summary")
         plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
-        shares = [row["success_rate"], row["undisturbed_success_rate"], plain["success_rate"]]
+        shares = [row["success_rate"], row["nominal_success_rate"], plain["success_rate"]]
         steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
         rows.append([row["task"], *(fixed(share["mean"], 3) for share in shares), steps, time])
     return markdown(header, rows)
@@ -45,7 +45,7 @@ def robust_tuning() -> str:
     return markdown(
         ["rounds", "ramp", "width of the cube", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
-            [str(row["rounds"]), f"{row['growth']:g}", _range(row["object_size"]), *_successes(row)]
+            [str(row["rounds"]), f"{row['ramp']:g}", _range(row["object_size"]), *_successes(row)]
             for row in read_json("suite/grasp")["robust_tuning"]["rows"]
         ],
     )

@@ -148,7 +148,7 @@ def grasp_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['likelihood_weight']:g}",
+                f"{row['bc_weight']:g}",
                 "{} to {}".format(*row["seeds"]),
                 fixed(row["success_rate"], 3),
                 fixed(row["worst_seed"], 3),
@@ -167,7 +167,7 @@ def push_on_two_cores() -> str:
             [
                 str(row["num_envs"]),
                 str(row["rounds"]),
-                f"{row['likelihood_weight']:g}",
+                f"{row['bc_weight']:g}",
                 str(row["seed"]),
                 fixed(row["success_rate"], 3),
                 count(row["env_steps"]),

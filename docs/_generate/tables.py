@@ -76,7 +76,7 @@ def tried() -> str:
         [
             [
                 "{}; {}".format(row["action_std"][0], row["action_std"][-1]),
-                f"{row['likelihood_weight']:g}",
+                f"{row['bc_weight']:g}",
                 "yes" if row["ppo_weight"] else "no",
                 ", ".join(fixed(each, 2) for each in row["success_per_seed"]),
                 f"{fixed(row['distance_l1'], 3)} m",
