@@ -86,6 +86,8 @@ class TrainOptions:
     """Rounds from one checkpoint to the next; more where saving would take a twentieth of the time."""
     evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds from one evaluation to the next; the last round always has one. Training does not depend on it."""
+    evaluation_episodes: Annotated[int | None, unless_given("128 on a CPU, 512 on a GPU", "INT")] = None
+    """Episodes per seed in the final evaluation, rounded up to whole roll-outs."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
@@ -160,7 +162,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
         task_options=task_options,
         config=preset.config.validate(env),
         hyperparameters=preset.hyperparameters.validate(env.action_size),
-        evaluation_episodes=EVALUATION_EPISODES[platform],
+        evaluation_episodes=options.evaluation_episodes or EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
         evaluate_every=options.evaluate_every or preset.evaluate_every,
         mesh=mesh,
@@ -178,6 +180,8 @@ def _check(options: TrainOptions) -> None:
         check_count("evaluate_every", options.evaluate_every)
     if options.iterations is not None:
         check_count("iterations", options.iterations, least=0)
+    if options.evaluation_episodes is not None:
+        check_count("evaluation_episodes", options.evaluation_episodes)
     check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)

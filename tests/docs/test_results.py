@@ -10,7 +10,6 @@ from experiments.paper.study import choose_seeds
 from experiments.paper.trials import Scale, work_out
 from hgail_jax.config import LEARNERS, Config, Hyperparameters
 
-
 OLDER = ("gasil-grasp.json", "table1-longer-grasp.json")  # made before some of the hyperparameters were there
 
 
