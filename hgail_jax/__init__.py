@@ -5,7 +5,7 @@ and the round's metrics.
 """
 
 from hgail_envs import EpisodeMetrics, GoalEnv, make
-from hgail_jax.config import EXPERT_SOURCES, PPO, REWARDS, STRATEGIES, Config, Hyperparameters
+from hgail_jax.config import EXPERT_SOURCES, PPO, REWARDS, STRATEGIES, TD3, Config, Hyperparameters
 from hgail_jax.defaults import PRESETS, Preset
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.hindsight import Hindsight, relabel
@@ -38,6 +38,7 @@ __all__ = [
     "PRESETS",
     "REWARDS",
     "STRATEGIES",
+    "TD3",
     "Checkpoint",
     "Checkpoints",
     "Config",

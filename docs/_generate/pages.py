@@ -26,7 +26,7 @@ from typing import Any
 
 import jinja2
 
-from docs._generate import claims, results, robust, suite, tables, withstood
+from docs._generate import claims, off_policy, results, robust, suite, tables, withstood
 
 _NAMES = re.compile(r"<!-- figures\n(.*?)\n-->\n+", re.DOTALL)
 _FIGURE = re.compile(r"(<!--= (.*?) -->).*?(<!---->)", re.DOTALL)
@@ -83,7 +83,7 @@ def names(page: str) -> dict[str, str]:
 
 def _figures(page: str) -> Callable[[str], str]:
     """Returns what writes the value of an expression of a page; unknown names and rows are errors."""
-    modules = (results, tables, suite, robust, withstood, claims)
+    modules = (results, tables, suite, robust, withstood, claims, off_policy)
     known = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
 
     def value(expression: str) -> Any:

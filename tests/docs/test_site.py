@@ -79,7 +79,7 @@ def test_public_names_are_documented():
 
 
 QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust"]
-TRAINING = ["README", "index", "getting-started", "sweeps"]
+TRAINING = ["README", "index", "getting-started", "sweeps", "off-policy"]
 
 
 def blocks(page):

@@ -1,0 +1,75 @@
+"""Writes the tables about the learner TD3, as Markdown."""
+
+from docs._generate.results import Row, count, fixed, mean, of_seeds, read_csv, read_json, seconds
+from docs._generate.tables import markdown
+
+_RUNS = ("push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "push-hgail", "pick-and-place-hgail")
+_TRIALS = "suite/off-policy"
+
+
+def off_policy() -> str:
+    """Eight seeds of push and of pick and place by either learner."""
+    header = [
+        "task",
+        "learner",
+        "reward",
+        "success",
+        "worst seed",
+        "steps to .95",
+        "all steps",
+        "training",
+        "whole run",
+    ]
+    return markdown(header, [_run(name) for name in _RUNS])
+
+
+def _run(name: str) -> list[str]:
+    row = read_json(f"runs/{name}/summary")
+    weight = row.get("environment_reward", 0.0)
+    return [
+        row["task"],
+        row.get("learner", "ppo").upper(),
+        f"{fixed(1 - weight, 2)} discriminator, {fixed(weight, 2)} goal test" if weight else "discriminator alone",
+        of_seeds(row["success_rate"]),
+        fixed(min(row["success_rate"]["per_seed"]), 3),
+        count(steps_to(name)),
+        count(row["env_steps_per_seed"]),
+        *(seconds(row["wall_seconds"][part]) for part in ("train", "total")),
+    ]
+
+
+def steps_to(name: str, least: float = 0.95) -> int:
+    """Returns the steps of a seed after which the mean of a run's seeds was first measured at `least`."""
+    rows = [row for row in read_csv(f"runs/{name}/metrics") if row["success_rate"] != ""]
+    steps = sorted({row["env_steps"] for row in rows})
+    return next(
+        int(each) for each in steps if mean([row["success_rate"] for row in rows if row["env_steps"] == each]) >= least
+    )
+
+
+def off_policy_trials(name: str) -> str:
+    """Returns the success of settings that one program trained side by side, after some of its rounds."""
+    (trial,) = (program for program in read_json(_TRIALS)["programs"] if program["name"] == name)
+    shown = [point for index, point in enumerate(trial["curve"]) if index % 2 == 0 or point is trial["curve"][-1]][1:]
+    header = ["setting", *(f"{round(point['env_steps'] / 1000)} k" for point in shown)]
+    return markdown(
+        header,
+        [
+            [setting, *(_mean_and_worst(point, index) for point in shown)]
+            for index, setting in enumerate(trial["settings"])
+        ],
+    )
+
+
+def _mean_and_worst(point: Row, index: int) -> str:
+    if "mean_and_worst" in point:
+        average, worst = point["mean_and_worst"][index]
+    else:
+        average, worst = mean(point["success"][index]), min(point["success"][index])
+    return f"{fixed(average, 2)} ({fixed(worst, 2)})"
+
+
+def update_times() -> str:
+    """Milliseconds of a gradient step of TD3, by the way in which XLA multiplies matrices."""
+    rows = read_json(_TRIALS)["update_milliseconds"]["rows"]
+    return markdown(["matrix products", "ms a step"], [[name, fixed(value, 2)] for name, value in rows])
