@@ -12,14 +12,18 @@ from hypothesis import strategies as st
 import hgail_envs
 from hgail_envs.validation import MOST
 from hgail_jax import PPO, Config, Hyperparameters, evaluate, init_state, relabel, rollout
+from hgail_jax.config import LEARNERS
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.seeds import seed_keys
 
 many = settings(max_examples=300, deadline=None, derandomize=True, database=None)
 no_number = st.one_of(st.none(), st.text(), st.lists(st.text(), min_size=1), st.just({}), st.complex_numbers())
 no_integer = st.one_of(no_number, st.floats(), st.booleans())
-COUNTS = {field.name: 1 for sizes in (Config, PPO) for field in dataclasses.fields(sizes) if field.type is int}
-COUNTS |= {"rounds": 0, "policy_phases": 0, "discriminator_phases": 0, "bc_batch": 0}
+MAY_BE_0 = ("rounds", "policy_phases", "discriminator_phases", "bc_batch", "discriminator_minibatches")
+COUNTS = {
+    sizes: {field.name: int(field.name not in MAY_BE_0) for field in dataclasses.fields(sizes) if field.type is int}
+    for sizes in (Config, *LEARNERS.values())
+}
 SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
 POSITIVE = (
     "action_std",
@@ -50,20 +54,24 @@ no_widths = st.one_of(
 @many
 @given(
     bad=st.one_of(
-        *(st.tuples(st.just(name), no_integer | outside(least, MOST)) for name, least in COUNTS.items()),
-        st.tuples(st.just("pretrain"), st.one_of(no_number, st.integers(), st.floats())),
-        st.tuples(st.just("final_learning_rate"), no_share),
-        st.tuples(st.sampled_from(["policy_hidden", "discriminator_hidden"]), no_widths),
+        *(
+            st.tuples(st.just(sizes), st.just(name), no_integer | outside(least, MOST))
+            for sizes, counts in COUNTS.items()
+            for name, least in counts.items()
+        ),
+        st.tuples(st.just(PPO), st.just("pretrain"), st.one_of(no_number, st.integers(), st.floats())),
+        st.tuples(st.sampled_from([*LEARNERS.values()]), st.just("final_learning_rate"), no_share),
+        st.tuples(st.just(Config), st.sampled_from(["policy_hidden", "discriminator_hidden"]), no_widths),
     )
 )
 def test_bad_sizes_are_refused_by_name(bad):
-    name, value = bad
-    sizes = Config if name in vars(Config()) else PPO
+    sizes, name, value = bad
     with pytest.raises(ValueError, match=name) as error:
         sizes(**{name: value})
     assert len(str(error.value).splitlines()) == 1
+    config = Config() if sizes is Config else Config(learner=sizes())
     with pytest.raises(ValueError, match=name):
-        Config().replace(**{name: value})
+        config.replace(**{name: value})
 
 
 @many
@@ -84,17 +92,24 @@ def test_bad_hyperparameters_are_refused_by_name(bad):
 
 @many
 @given(
-    counts=st.fixed_dictionaries({}, optional={name: st.integers(least, MOST) for name, least in COUNTS.items()}),
+    learner=st.sampled_from([*LEARNERS.values()]),
+    draw=st.data(),
     share=st.floats(0.0, 1.0),
     positive=st.floats(1e-30, 1e30),
     widths=st.lists(st.integers(1, MOST), max_size=4).map(tuple),
 )
-def test_good_values_are_taken(counts, share, positive, widths):
-    changes = counts | {"final_learning_rate": share, "policy_hidden": widths, "discriminator_hidden": widths}
-    config = Config().replace(**changes)
-    assert config.as_dict() == {
-        name: changes.get(name, value) for name, value in Config().as_dict().items() if name != "learner"
-    } | {"learner": {name: changes.get(name, value) for name, value in Config().as_dict()["learner"].items()}}
+def test_good_values_are_taken(learner, draw, share, positive, widths):
+    least = COUNTS[Config] | COUNTS[learner]
+    counts = {name: st.integers(value, MOST) for name, value in least.items()}
+    changes = draw.draw(st.fixed_dictionaries({}, optional=counts)) | {
+        "final_learning_rate": share,
+        "policy_hidden": widths,
+        "discriminator_hidden": widths,
+    }
+    before = Config(learner=learner()).as_dict()
+    own = {name: changes.get(name, value) for name, value in before.pop("learner").items()}
+    expected = {name: changes.get(name, value) for name, value in before.items()} | {"learner": own}
+    assert Config(learner=learner()).replace(**changes).as_dict() == expected
     for good in (Hyperparameters(p_ht=share), Hyperparameters(action_std=positive, reward=3, include_current=True)):
         assert good.validate() is good
 
@@ -125,7 +140,7 @@ def test_a_config_is_changed_by_the_names_of_its_own_fields_and_of_its_learner_s
     with pytest.raises(ValueError, match="Config has no field 'phases', nor has the learner ppo"):
         given.replace(phases=2)
     for learner in ("ppo", None, Config()):
-        with pytest.raises(ValueError, match=r"learner is .*; it must be one of ppo, with its sizes"):
+        with pytest.raises(ValueError, match=r"learner is .*; it must be one of ppo, .*with its sizes"):
             Config(learner=learner)
 
 

@@ -1,3 +1,4 @@
+import functools
 from typing import ClassVar
 
 import pytest
@@ -81,12 +82,15 @@ def test_defaults_that_name_no_fields_are_refused(training):
         task_preset(type("Odd", (Point,), {"training": training}), "cpu")
 
 
+made = functools.cache(hgail_envs.make)
+
+
 def test_every_task_of_the_package_has_defaults_on_either_platform_that_it_can_be_made_and_trained_with():
     assert set(DEFAULTS) == set(hgail_envs.TASKS)
     for task, presets in DEFAULTS.items():
         assert set(presets) == {"cpu", "gpu"}
         for preset in presets.values():
-            env = hgail_envs.make(task, **preset.task_options)
+            env = made(task, **preset.task_options)
             preset.config.validate(env)
             preset.hyperparameters.validate(env.action_size)
 

@@ -10,7 +10,7 @@ import pytest
 import hgail_envs
 from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, phase_table
 from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
+from hgail_jax.seeds import init_sweep, seed_keys
 from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
 from tests.support import TINY
 
@@ -18,13 +18,6 @@ ENV = hgail_envs.make("point")
 SOUND = Hyperparameters()
 # With such steps the policy's weights overflow in their second; the discriminator's are as ever.
 DIVERGES = SOUND.replace(policy_learning_rate=1e38)
-
-
-@pytest.fixture(scope="module")
-def step():
-    """The step of two settings of one seed."""
-    states = init_sweep(ENV, TINY, [SOUND, SOUND], seed_keys(0, 1))
-    return compile_train_step(ENV, TINY, states, phase_table(TINY)[0])
 
 
 def start(*settings):
@@ -44,8 +37,10 @@ def row(*phases):
     return np.array([*phases, *[SKIP] * (phase_table(TINY).shape[1] - len(phases))])
 
 
-def test_a_round_that_diverges_for_one_leaves_the_others_to_the_bit_what_they_are_without_it(step):
-    (mixed, among), (sound, apart) = (step(start(SOUND, other), row(PRETRAIN, POLICY)) for other in (DIVERGES, SOUND))
+def test_a_round_that_diverges_for_one_leaves_the_others_to_the_bit_what_they_are_without_it(step_of_two):
+    (mixed, among), (sound, apart) = (
+        step_of_two(start(SOUND, other), row(PRETRAIN, POLICY)) for other in (DIVERGES, SOUND)
+    )
     assert_same(one(mixed, 0), one(sound, 0))
     np.testing.assert_array_equal(among.diverged, [0.0, 1.0])
     np.testing.assert_array_equal(apart.diverged, [0.0, 0.0])
@@ -53,16 +48,16 @@ def test_a_round_that_diverges_for_one_leaves_the_others_to_the_bit_what_they_ar
 
 
 @pytest.mark.parametrize("phase", [PRETRAIN, POLICY])
-def test_an_update_that_diverges_is_undone_in_all_its_parts(step, phase):
+def test_an_update_that_diverges_is_undone_in_all_its_parts(step_of_two, phase):
     before = one(start(SOUND, DIVERGES), 1)
-    after, metrics = step(start(SOUND, DIVERGES), row(phase))
+    after, metrics = step_of_two(start(SOUND, DIVERGES), row(phase))
     assert_same(one(after, 1), before)
     np.testing.assert_array_equal(metrics.diverged, [0.0, 1.0])
 
 
-def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step):
+def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step_of_two):
     """The discriminator's phase is not undone with the policy's; and an evaluation is none of the updates counted."""
-    after, metrics = step(start(SOUND, DIVERGES), row(POLICY, POLICY, DISCRIMINATOR, EVALUATE))
+    after, metrics = step_of_two(start(SOUND, DIVERGES), row(POLICY, POLICY, DISCRIMINATOR, EVALUATE))
     before = one(start(SOUND, DIVERGES), 1)
     assert_same(one(after, 1).learner.actor_critic, before.learner.actor_critic)
     assert not np.array_equal(*(jax.tree.leaves(state.discriminator)[1] for state in (one(after, 1), before)))
@@ -70,11 +65,11 @@ def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step):
     assert np.isfinite(metrics.evaluation.distance_l1).all()
 
 
-def test_each_try_has_data_of_its_own(step):
+def test_each_try_has_data_of_its_own(step_of_two):
     """So that who diverged by bad luck can go on: the key is not undone."""
     states = start(SOUND, DIVERGES)
     keys = np.asarray(jax.random.key_data(states.rng))
-    after, _ = step(states, row(POLICY))
+    after, _ = step_of_two(states, row(POLICY))
     assert (np.asarray(jax.random.key_data(after.rng)) != keys).any(axis=1).all()
 
 
@@ -111,10 +106,10 @@ def program(*settings):
     return Program(ENV, TINY, settings, seeds=1, first_seed=3)
 
 
-def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_do(step):
+def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_do(step_of_two):
     mixed = program(SOUND, DIVERGES)
     progress = begin(mixed, mixed.init())
-    train(mixed, step, progress)
+    train(mixed, step_of_two, progress)
     assert progress.rounds == 3
     np.testing.assert_allclose(
         [record["diverged_rate"] for record in progress.history], [[0, 1], [0, 2 / 3], [0, 2 / 3]]
@@ -124,25 +119,25 @@ def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_
     assert progress.history[1]["policy_loss"][1] is None
     alone = program(SOUND, SOUND)
     of_sound = begin(alone, alone.init())
-    train(alone, step, of_sound)
+    train(alone, step_of_two, of_sound)
     assert_same(one(progress.states, 0), one(of_sound.states, 0))
     assert diverged_seeds(alone, of_sound) == []
 
 
-def test_a_training_stops_where_all_diverge(step):
+def test_a_training_stops_where_all_diverge(step_of_two):
     all_of_them = program(DIVERGES, DIVERGES)
     progress = begin(all_of_them, all_of_them.init())
     with pytest.raises(FloatingPointError, match=r"^no seed's update is finite in round 0$"):
-        train(all_of_them, step, progress)
+        train(all_of_them, step_of_two, progress)
     assert progress.rounds == 0
 
 
-def test_a_training_stops_where_every_episode_breaks_down(step):
+def test_a_training_stops_where_every_episode_breaks_down(step_of_two):
     sound = program(SOUND, SOUND)
     progress = begin(sound, sound.init())
 
     def broken_step(states, phases):
-        states, metrics = step(states, phases)
+        states, metrics = step_of_two(states, phases)
         return states, metrics.replace(dropped=np.ones_like(metrics.dropped))
 
     with pytest.raises(FloatingPointError, match=r"^the simulation of every episode broke down in round 0$"):

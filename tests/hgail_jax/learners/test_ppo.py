@@ -272,7 +272,7 @@ def test_networks_start_apart_and_the_state_holds_what_it_is_given():
     assert not np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(jax.random.key(0)))
     given = init(CONFIG.replace(expert_source=DEMONSTRATIONS), HYPER, jax.random.key(0), DEMONSTRATION)
     assert_close(given.expert, DEMONSTRATION)
-    with pytest.raises(ValueError, match="action_std"):
+    with pytest.raises(ValueError, match=r"action_std is .* it must be one number or 2"):
         init_state(ENV, CONFIG, HYPER.replace(action_std=(0.1, 0.2, 0.3)), jax.random.key(0))
 
 
@@ -739,11 +739,12 @@ def test_nothing_is_learnt_where_every_episode_breaks_down():
     params = state.learner.actor_critic["policy"]["params"] | bias
     actor_critic = state.learner.actor_critic | {"policy": {"params": params}}
     state = state.replace(learner=state.learner.replace(actor_critic=actor_critic))
-    after, metrics = run(state, POLICY, DISCRIMINATOR, PRETRAIN)
+    after, metrics = run(state, POLICY, DISCRIMINATOR, PRETRAIN, EVALUATE)
     assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
     assert (metrics.dropped, metrics.diverged) == (1.0, 0.0)
-    assert metrics.training.success == 0.0
-    assert np.isnan(metrics.training.distance_l1)
+    for episodes in (metrics.training, metrics.evaluation):
+        assert episodes.success == 0.0
+        assert np.isnan([episodes.distance_l1, episodes.distance_l2]).all()
     key = state.rng
     for _ in range(3):
         key = split_key(key).following
