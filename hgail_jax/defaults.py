@@ -1,4 +1,4 @@
-"""Default settings: the presets, and a table of what each task is trained with on each platform."""
+"""Default settings: the presets, and a table of each task's settings on each platform."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -62,8 +62,8 @@ PRESETS = {
 }
 """`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes."""
 AS_WRITTEN: dict[str, Any] = {"policy_phases": 16}
-"""Changes to the `Config` of `paper` that make it what we read in the paper. With them the policy unlearns what its
-pre-training taught it: it is updated 16 times against a discriminator that stays as it is."""
+"""Changes to the `Config` of `paper` that make it the paper's, as we read it. With them the policy unlearns its
+pre-training: it is updated 16 times against a discriminator that stays as it is."""
 
 _REACH_SUBSTEPS, _OBJECT_SUBSTEPS = {"substeps": 4}, {"substeps": 8}  # a cube's contacts need shorter physics steps
 
@@ -73,7 +73,7 @@ def _with_object(
 ) -> Preset:
     """Returns the settings that the tasks with an object share: BC beside PPO, few and large updates.
 
-    They were chosen on grasp (table "what was tried" of docs/grasp.md) and kept for the others.
+    They were chosen on grasp (docs/lab/grasp.md) and kept for the others.
     """
     widths: dict[str, Any] = (
         {} if hidden is None else {"policy_hidden": (hidden, hidden), "discriminator_hidden": (hidden, hidden)}
@@ -183,7 +183,7 @@ def _off_policy(
 ) -> dict[str, Preset]:
     """Returns the settings that tasks share with the learner TD3, by platform (docs/lab/off-policy.md)."""
     shared: dict[str, Any] = {
-        "p_ht": 0.8,  # without goals pursued the critics never see what is not reached: at 1 picking is not learnt
+        "p_ht": 0.8,  # without goals pursued the critics never see a goal that is missed: at 1 picking is not learnt
         "bc_weight": 0.0,
         "action_std": 0.2,
         "policy_learning_rate": 1e-3,

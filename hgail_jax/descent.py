@@ -40,3 +40,10 @@ def descend(
 
     (params, optimizer_state), metrics = jax.lax.scan(step, (params, optimizer_state), minibatches)
     return params, optimizer_state, jax.tree.map(jnp.mean, metrics)
+
+
+def shuffled_minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) -> jax.Array:
+    """Indices `[epochs * minibatches, B]`: every pass goes through the samples in a new order, less a remainder."""
+    size = samples // minibatches
+    orders = jax.vmap(lambda rng: jax.random.permutation(rng, samples))(jax.random.split(rng, epochs))
+    return orders[:, : size * minibatches].reshape(epochs * minibatches, size)

@@ -1,7 +1,5 @@
 """The one evaluation: episodes of a policy, and the means of how they ended."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 
@@ -14,11 +12,21 @@ def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
     """Returns the means over a trajectory's episodes, `[]`.
 
     An episode whose simulation broke down counts as a failure, and in no distance; where all did, the distances are
-    NaN.
+    infinite.
     """
-    means = jax.tree.map(jnp.mean, trajectory.outcome)
-    valid = jnp.where(trajectory.valid.any(), trajectory.valid.mean(), jnp.nan)
-    return means.replace(distance_l1=means.distance_l1 / valid, distance_l2=means.distance_l2 / valid)
+    outcome, valid = trajectory.outcome, trajectory.valid
+    distances = {name: measured_mean(getattr(outcome, name), valid) for name in ("distance_l1", "distance_l2")}
+    return jax.tree.map(jnp.mean, outcome).replace(**distances)
+
+
+def measured_mean(values: jax.Array, measured: jax.Array) -> jax.Array:
+    """Returns the mean, `[]`, of the finite values that were measured, `[N]`; infinity where none was.
+
+    It is not NaN there, so that `jax_debug_nans` finds only what is wrong.
+    """
+    measured = measured & jnp.isfinite(values)
+    count = measured.sum()
+    return jnp.where(count > 0, jnp.where(measured, values, 0.0).sum() / jnp.maximum(count, 1), jnp.inf)
 
 
 def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) -> EpisodeMetrics:
@@ -37,7 +45,7 @@ def evaluate_rollouts(
 
     Args:
       env: the task.
-      policy: what acts.
+      policy: to be evaluated.
       rng: a PRNG key.
       rollouts: their number.
       num_envs: episodes side by side in each.
@@ -54,7 +62,7 @@ def evaluate_rollouts(
 
     outcomes, overflow = jax.lax.map(roll_out, jax.random.split(rng, rollouts))
     # A roll-out in which every episode broke has no distance; the others have the mean one.
-    return jax.tree.map(functools.partial(jnp.nanmean, axis=0), outcomes), overflow.any()
+    return jax.tree.map(lambda values: measured_mean(values, jnp.ones(rollouts, bool)), outcomes), overflow.any()
 
 
 def whole_rollouts(num_episodes: int, num_envs: int) -> int:

@@ -5,7 +5,7 @@ fitted to, are
 
 - `"relabelled"`: the roll-out at hand, relabelled in hindsight (HGAIL);
 - `"frozen"`: the first roll-out of all, relabelled once (the paper's "no curriculum", Table 2);
-- `"demonstrations"`: what somebody else did (GAIL, Ho & Ermon 2016);
+- `"demonstrations"`: another's episodes (GAIL, Ho & Ermon 2016);
 - `"best"`: the policy's own best episodes so far (GASIL, generative adversarial self-imitation, Guo et al. 2018).
 
 All but the first are kept in the training state, as its `expert`.
@@ -38,7 +38,7 @@ class BestEpisodes(struct.PyTreeNode):
 
 
 def init_expert(env: GoalEnv, config: Config, demonstrations: Samples | None) -> Any:
-    """Returns what a training state keeps of expert samples at first: `Samples`, `BestEpisodes` or None.
+    """Returns the expert samples that a training state begins with: `Samples`, `BestEpisodes` or None.
 
     Raises:
       ValueError: there are demonstrations and the config asks for none, or the other way round; or they are not of
@@ -65,7 +65,7 @@ def init_expert(env: GoalEnv, config: Config, demonstrations: Samples | None) ->
 def expert_samples(
     env: GoalEnv, config: Config, hyper: Hyperparameters, expert: Any, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[Any, Samples]:
-    """Returns what is kept after a roll-out, given what was kept before it, and the samples to learn from."""
+    """Returns (new expert buffer, expert samples) after a roll-out."""
     if config.expert_source == RELABELLED:
         return expert, relabelled_samples(env, hyper, trajectory, rng)
     if config.expert_source == FROZEN:

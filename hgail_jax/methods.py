@@ -20,6 +20,8 @@ class Method:
     """Counts of the config that the method raises to these."""
     without_effect: tuple[str, ...] = ()
     """Options of `hgail train` that change nothing for its policy, and are refused."""
+    decides: tuple[str, ...] = ()
+    """Options that the method itself decides, and that are refused."""
     learners: tuple[str, ...] = tuple(LEARNERS)
     """Learners that it makes sense with."""
     off_policy: dict = dataclasses.field(default_factory=dict)
@@ -70,7 +72,8 @@ METHODS = {
         "PPO on the environment's sparse reward alone",
         {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
         {"environment_reward": 1.0, "ppo_weight": 1.0},
-        without_effect=("pretrain", "p_ht", "strategy", "reward", "bc_weight", "environment_reward"),
+        without_effect=("pretrain", "p_ht", "strategy", "reward", "bc_weight"),
+        decides=("environment_reward",),
         learners=("ppo",),
     ),
     "gcsl": Method(
@@ -85,7 +88,7 @@ METHODS = {
         "hindsight experience replay: the goal test is the reward (Andrychowicz et al. 2017)",
         {"discriminator_minibatches": 0},
         {"environment_reward": 1.0},
-        without_effect=("environment_reward",),
+        decides=("environment_reward",),
         learners=("td3",),
     ),
 }

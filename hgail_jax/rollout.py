@@ -58,7 +58,7 @@ def rollout(
 
     Args:
       env: the task.
-      policy: what acts.
+      policy: of the actions.
       rng: a PRNG key.
       num_envs: environments, that is, episodes.
       training_goals: whether the goals are those to learn from, see `GoalEnv`; may be traced.
@@ -98,7 +98,7 @@ def rollout(
 
 
 def _seen(state: State) -> dict[str, jax.Array]:
-    """Returns what a trajectory keeps of a state, by its fields' names."""
+    """Returns the fields of a trajectory that come from a state."""
     info = state.info
     return {"features": info["observation"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
 

@@ -1,4 +1,4 @@
-"""Samples: the steps of roll-outs, as what the discriminator and the likelihood are fitted to.
+"""Samples: the steps of roll-outs, which discriminator and behaviour cloning are fitted to.
 
 Below, `T` is the steps of an episode, `N` the episodes of a roll-out and `S` their product.
 """
@@ -26,7 +26,7 @@ class Samples(struct.PyTreeNode):
     action: jax.Array
     """`[S, action_size]`, not clipped."""
     weight: jax.Array
-    """`[S]`: how often to draw each, relative to the others; 0 for what the simulation spoilt."""
+    """`[S]`: how often to draw each, relative to the others; 0 for episodes whose simulation broke down."""
 
     def draw(self, rng: jax.Array, shape: tuple[int, ...]) -> jax.Array:
         """Returns indices of samples, drawn with replacement by their weights.
@@ -96,7 +96,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
 
 
 def kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
-    """Share of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
+    """Fraction of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
     of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)
     return jnp.einsum("tnk,tn->k", of_kind, weight) / jnp.maximum(weight.sum(), 1.0) + _LEAST_SHARE
 

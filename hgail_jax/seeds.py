@@ -77,7 +77,7 @@ def init_sweep(
 
     """
     check_count("the number of settings", len(settings))
-    for setting in settings:  # once they are being traced, nobody can see them
+    for setting in settings:  # while they are being traced they have no values
         setting.validate()
     swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
     swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
@@ -150,7 +150,7 @@ def _lower(jitted: Any, *arguments: Any) -> Any:
 
 
 def _compile(lowered: Any) -> Any:
-    """Compiles with XLA's options for programs of thousands of small kernels; what `XLA_FLAGS` names is left to it."""
+    """Compiles with XLA's options for thousands of small kernels; options that `XLA_FLAGS` names are left to it."""
     quickly = {"xla_backend_optimization_level": 1}
     # without autotuning XLA's own matrix products run with poor tiles: 4.1 ms for 1.3 ms an update of TD3 by cuBLAS
     on_gpu = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
@@ -189,7 +189,7 @@ def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any,
 def evaluate_seeds(
     env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
 ) -> EpisodeMetrics:
-    """Evaluates every seed once; see `trace_evaluation` for the arguments, and what is returned and raised."""
+    """Evaluates every seed once; see `trace_evaluation` for arguments, result and errors."""
     return trace_evaluation(env, config, states, num_episodes, mesh)()(states)
 
 

@@ -19,7 +19,7 @@ class TrainState(struct.PyTreeNode):
     """Networks, optimisers, observation statistics, hyperparameters and the PRNG key."""
 
     learner: Any
-    """Networks and optimisers of the learner, and what else it keeps; see `hgail_jax.learners`."""
+    """Networks, optimisers and counters of the learner; see `hgail_jax.learners`."""
     discriminator: Any
     discriminator_optimizer: optax.OptState
     statistics: running_statistics.RunningStatisticsState

@@ -1,6 +1,6 @@
 """The training step: one round of Algorithm 2 as a pure function.
 
-A round is a row of phases, each of which is one roll-out and what is done with it. A scan over the phases runs them,
+A round is a row of phases, each of which is one roll-out and its use. A scan over the phases runs them,
 so the roll-out is traced and compiled once whatever the round holds, and `phase_table` lists the rounds of a whole run:
 
     state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, phase_table(config))
@@ -19,7 +19,7 @@ from hgail_envs import EpisodeMetrics, GoalEnv
 from hgail_jax.buffer import init_buffer
 from hgail_jax.config import TD3, Config, Hyperparameters
 from hgail_jax.discriminator import init_discriminator
-from hgail_jax.evaluate import mean_outcome
+from hgail_jax.evaluate import mean_outcome, measured_mean
 from hgail_jax.experts import init_expert
 from hgail_jax.learners import find_learner
 from hgail_jax.learners.base import EVALUATE, LEARNING, SKIP, Phase
@@ -79,7 +79,7 @@ class PhaseMetrics(struct.PyTreeNode):
 
     episodes: EpisodeMetrics
     update: Metrics
-    """By the names of `Learner.metrics`; NaN where the phase does not measure it."""
+    """By the names of `Learner.metrics`; infinite where the phase does not measure it."""
     dropped: jax.Array | float = 0.0
     """Fraction of the episodes whose simulation broke down."""
     overflow: jax.Array | float = 0.0
@@ -89,7 +89,7 @@ class PhaseMetrics(struct.PyTreeNode):
 
 
 class RoundMetrics(struct.PyTreeNode):
-    """Means over the phases of a round, all `[]`; NaN where no phase of the round measured it."""
+    """Means over the phases of a round, all `[]`; infinite where no phase of the round measured it."""
 
     evaluation: EpisodeMetrics
     """Episodes under the mean action."""
@@ -123,7 +123,7 @@ def train_step(
 ) -> tuple[TrainState, RoundMetrics]:
     """Runs one round. Pure: bind `env` and `config`, then jit, scan over a table of phases, or vmap over states.
 
-    What went wrong cannot be raised from within: `check_metrics` does so from what is returned.
+    Errors cannot be raised from within: `check_metrics` raises them from the metrics.
 
     Args:
       env: the task.
@@ -134,7 +134,7 @@ def train_step(
       axis: within a `jax.shard_map`, the mesh axis that the environments are split along; see `rollout`.
 
     Returns:
-      The learner after the round, and what the round measured.
+      The learner after the round, and the round's metrics.
 
     """
     phases = jnp.asarray(phases)
@@ -142,7 +142,7 @@ def train_step(
     learns = jnp.isin(phases, jnp.array(LEARNING))
 
     def over(values: Any, mask: jax.Array) -> Any:
-        return jax.tree.map(lambda leaf: _masked_mean(leaf, mask), values)
+        return jax.tree.map(lambda leaf: measured_mean(leaf, mask), values)
 
     return state, RoundMetrics(
         evaluation=over(measured.episodes, phases == EVALUATE),
@@ -200,16 +200,16 @@ def _run_phase(
 
 
 def _keys_of_evaluation(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns the key of what follows an evaluation, and of the evaluation.
+    """Returns the key after an evaluation, and the key of the evaluation.
 
-    The first is the key itself, so that an evaluation changes nothing in the training: the next phase splits it again,
+    The former is the key itself, so that an evaluation changes nothing in the training: the next phase splits it again,
     and takes other parts of it.
     """
     return jax.random.clone(rng), split_key(rng).evaluation
 
 
 def _keys_of_learning(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns the key of what follows a phase that learns, and of the phase."""
+    """Returns the key after a phase that learns, and the key of the phase."""
     keys = split_key(rng)
     return keys.following, keys.phase
 
@@ -249,16 +249,10 @@ def _is_finite(tree: Any) -> jax.Array:
 
 
 def _named(config: Config, metrics: Metrics) -> Metrics:
-    """Returns a number for each of the learner's metrics, NaN for those that were not measured."""
+    """Returns a number for each of the learner's metrics, infinity for those that were not measured."""
     names = find_learner(config).metrics
-    return {name: jnp.asarray(metrics.get(name, jnp.nan), jnp.float32) for name in names}
+    return {name: jnp.asarray(metrics.get(name, jnp.inf), jnp.float32) for name in names}
 
 
 def _as_arrays(metrics: Any) -> Any:
     return jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), metrics)
-
-
-def _masked_mean(values: jax.Array, mask: jax.Array) -> jax.Array:
-    """Returns the mean over the phases of `mask` that have a finite value; NaN where there is none."""
-    mask = mask & jnp.isfinite(values)
-    return jnp.where(mask, values, 0.0).sum() / jnp.where(mask.any(), mask.sum(), jnp.nan)

@@ -1,4 +1,4 @@
-"""The interface of a learner: what it keeps, how it acts, and how a roll-out changes it."""
+"""The interface of a learner: its state, its policy, and how a roll-out changes it."""
 
 import abc
 import enum
@@ -34,7 +34,7 @@ LEARNING = (PRETRAIN, POLICY, DISCRIMINATOR)
 """The phases that learn."""
 
 Update = Callable[[GoalEnv, Config, TrainState, Trajectory, jax.Array], tuple[TrainState, dict[str, jax.Array]]]
-"""Task, sizes, state, a roll-out and a PRNG key to the new state and what the update measured, `[]` by name."""
+"""Task, sizes, state, a roll-out and a PRNG key to the new state and the update's metrics, `[]` by name."""
 
 
 class Learner(abc.ABC):
@@ -44,7 +44,7 @@ class Learner(abc.ABC):
     """
 
     metrics: ClassVar[Mapping[str, str]]
-    """What its updates measure, with a meaning for each name."""
+    """Names of its updates' metrics, with their meanings."""
     updates: ClassVar[Mapping[Phase, Update]]
     """The update of each phase that learns."""
     squashes: ClassVar[bool] = False

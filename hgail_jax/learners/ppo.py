@@ -14,7 +14,7 @@ from flax import struct
 
 from hgail_envs import GoalEnv
 from hgail_jax.config import PPO, Config, Hyperparameters
-from hgail_jax.descent import descend
+from hgail_jax.descent import descend, shuffled_minibatches
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator, imitation_reward
 from hgail_jax.experts import expert_samples
@@ -79,7 +79,7 @@ class PPOLearner(Learner):
         """See `Learner`; from the optimiser's step count."""
         if not ppo_sizes(config).policy_phases:  # there are no steps to count
             return jnp.ones(())
-        return 1.0 - decay_schedule(config, 0.0)(_gradient_steps(state))
+        return 1.0 - decay_schedule(config, 0.0)(state.learner.optimizer[-1].count)
 
     def phase_table(self, config: Config) -> np.ndarray:
         """See `Learner`; row 0 is the pre-training, if there is one."""
@@ -107,7 +107,9 @@ def decay_schedule(config: Config, final: jax.Array | float) -> optax.Schedule:
 def action_std(config: Config, state: TrainState) -> jax.Array:
     """Returns the policy's standard deviation after the gradient steps so far, `[]` or `[action_size]`."""
     hyper = state.hyperparameters
-    return jnp.asarray(hyper.action_std) * decay_schedule(config, hyper.final_action_std)(_gradient_steps(state))
+    return jnp.asarray(hyper.action_std) * decay_schedule(config, hyper.final_action_std)(
+        state.learner.optimizer[-1].count
+    )
 
 
 def pretrain(
@@ -150,7 +152,7 @@ def update_policy(
     relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
     batch, reward = _ppo_batch(env, config, state, trajectory)
     indices: dict[str, jax.Array] = {
-        "ppo": _minibatches(order_rng, batch["return"].shape[0], sizes.epochs, sizes.minibatches)
+        "ppo": shuffled_minibatches(order_rng, batch["return"].shape[0], sizes.epochs, sizes.minibatches)
     }
     state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
     if sizes.bc_batch:
@@ -256,13 +258,6 @@ def _improve(config: Config, state: TrainState, loss: Callable, indices: Any) ->
     return state.replace(learner=PPOState(params, optimizer)), metrics
 
 
-def _minibatches(rng: jax.Array, samples: int, epochs: int, minibatches: int) -> jax.Array:
-    """Indices `[epochs * minibatches, B]`: every pass goes through the samples in a new order, less a remainder."""
-    size = samples // minibatches
-    orders = jax.vmap(lambda rng: jax.random.permutation(rng, samples))(jax.random.split(rng, epochs))
-    return orders[:, : size * minibatches].reshape(epochs * minibatches, size)
-
-
 def _expert_samples(
     env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, Samples]:
@@ -282,19 +277,10 @@ def _count(state: TrainState, samples: Samples) -> TrainState:
 
 
 def ppo_sizes(config: Config) -> PPO:
-    """Returns the sizes of PPO.
-
-    Raises:
-      TypeError: the config is of another learner.
-
-    """
+    """Returns the sizes of PPO; a TypeError if the config is of another learner."""
     if not isinstance(config.learner, PPO):
         raise TypeError(f"{config.learner} is not PPO")
     return config.learner
-
-
-def _gradient_steps(state: TrainState) -> jax.Array:
-    return state.learner.optimizer[-1].count
 
 
 def _optimizer(config: Config) -> optax.GradientTransformation:

@@ -31,11 +31,11 @@ def generalized_advantages(
 
 
 class PolicyLoss(NamedTuple):
-    """PPO's clipped loss and what to watch about it, all `[]`."""
+    """PPO's clipped loss and its diagnostics, all `[]`."""
 
     loss: jax.Array
     clip_fraction: jax.Array
-    """Share of samples whose probability ratio is outside the bounds."""
+    """Fraction of samples whose probability ratio is outside the bounds."""
     kl: jax.Array
     """Estimate of KL(old policy ‖ new policy), nats."""
 

@@ -204,7 +204,7 @@ def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
 
 
 def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
-    """Returns a gradient step: the state and a minibatch to the new state and what it measured."""
+    """Returns a gradient step: the state and a minibatch to the new state and the step's metrics."""
     actor, critic = _actor_network(config, env.action_size), _critic_network(config)
     least = -1.0 / (1.0 - hyper.discount)  # the return of -1 at every step for ever, which no value can be below
 

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import numpy as np
 import tyro
 
@@ -138,6 +139,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
 
     """
     started = time.perf_counter()
+    if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
     learner = choose_learner(options.task, options.method, options.preset, options.learner)
     _refuse_without_effect(options, learner)
@@ -193,14 +196,16 @@ def _check(options: TrainOptions) -> None:
 
 
 def _refuse_without_effect(options: TrainOptions, learner: str) -> None:
-    for owner, names in (
-        (f"method {options.method}", METHODS[options.method].without_effect),
-        (f"learner {learner}", LEARNERS[learner].without_effect),
+    method = METHODS[options.method]
+    for names, why in (
+        (method.without_effect, f"changes nothing for the method {options.method}"),
+        (LEARNERS[learner].without_effect, f"changes nothing for the learner {learner}"),
+        (method.decides, f"is decided by the method {options.method}"),
     ):
         for name in names:
             if getattr(options, name) != (default := getattr(TrainOptions, name)):
                 flag = ("no-" if default is True else "") + name.replace("_", "-")
-                raise ValueError(f"--{flag} changes nothing for the {owner}")
+                raise ValueError(f"--{flag} {why}")
 
 
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:

@@ -513,7 +513,7 @@ def test_means_count_broken_episodes_as_failures_and_in_no_distance():
     blank = jax.tree.map(np.zeros_like, outcome)
     means = mean_outcome(trajectory(4, outcome=blank, valid=np.zeros(4, bool)))
     assert means.success == means.achieved == means.success_l1 == 0.0
-    assert np.isnan([means.distance_l1, means.distance_l2]).all()
+    assert np.isinf([means.distance_l1, means.distance_l2]).all()
 
 
 def test_an_evaluation_tests_the_lift_and_has_no_training_goals():

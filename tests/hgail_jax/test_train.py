@@ -129,7 +129,7 @@ def test_learning_has_the_goals_and_the_progress_that_it_should_and_evaluations_
     metrics = scanned(config)[1]
     np.testing.assert_array_equal(metrics.evaluation.success, np.full(5, Telling.MEASURED))
     np.testing.assert_array_equal(metrics.evaluation.achieved, np.ones(5))
-    pretrained = 1.0 if config.learner.pretrain else np.nan
+    pretrained = 1.0 if config.learner.pretrain else np.inf
     purpose = Telling.LEARNT_FROM if config.training_goals else Telling.MEASURED
     np.testing.assert_array_equal(metrics.training.success, purpose * np.array([pretrained, 1, 1, 1, 1]))
     # In each round one phase before the policy's update, and `discriminator_phases` after it.

@@ -23,6 +23,7 @@ from hgail_jax import (
     rollout,
 )
 from hgail_jax.config import DEMONSTRATIONS, FROZEN, REWARDS
+from hgail_jax.descent import shuffled_minibatches
 from hgail_jax.discriminator import (
     _network,
     discriminator_accuracy,
@@ -35,7 +36,6 @@ from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, S
 from hgail_jax.learners.ppo import (
     PPOLearner,
     _expert_samples,
-    _minibatches,
     _optimizer,
     _policy_network,
     _ppo_batch,
@@ -412,17 +412,17 @@ def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():
 
 
 def test_minibatches_pass_through_all_samples_in_a_new_order_each_time():
-    found = np.asarray(_minibatches(jax.random.key(0), 12, 5, 3))
+    found = np.asarray(shuffled_minibatches(jax.random.key(0), 12, 5, 3))
     assert found.shape == (15, 4)
     passes = found.reshape(5, 12)
     np.testing.assert_array_equal(np.sort(passes), np.broadcast_to(np.arange(12), (5, 12)))
     assert len(np.unique(passes, axis=0)) == 5
     assert not (passes == np.arange(12)).all(axis=1).any()
-    rest = np.asarray(_minibatches(jax.random.key(0), 14, 40, 3))
+    rest = np.asarray(shuffled_minibatches(jax.random.key(0), 14, 40, 3))
     assert rest.shape == (120, 4)
     assert all(len(np.unique(order)) == 12 for order in rest.reshape(40, 12))
     np.testing.assert_array_equal(np.unique(rest), np.arange(14))
-    assert not np.array_equal(_minibatches(jax.random.key(1), 12, 5, 3), found)
+    assert not np.array_equal(shuffled_minibatches(jax.random.key(1), 12, 5, 3), found)
 
 
 # Updates
@@ -659,7 +659,7 @@ def test_an_evaluation_is_the_mean_action_s_roll_out_with_a_key_of_its_own():
     episodes = jax.jit(lambda state: rollout(ENV, mean_policy(state), rng, EPISODES))(state)
     assert_close(metrics.evaluation, mean_outcome(episodes))
     assert float(metrics.evaluation.distance_l1) > 0
-    assert all(np.isnan(leaf) for leaf in jax.tree.leaves((metrics.training, metrics.update, metrics.diverged)))
+    assert all(np.isinf(leaf) for leaf in jax.tree.leaves((metrics.training, metrics.update, metrics.diverged)))
     assert metrics.dropped == 1 - np.mean(episodes.valid)
     assert same_key(after.rng, state.rng)
     assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
@@ -696,8 +696,8 @@ def test_a_phase_learns_from_a_noisy_roll_out_to_the_training_goals(phase):
     assert set(update) == MEASURED[phase]
     assert set(metrics.update) == set(PPOLearner.metrics)
     for name, value in metrics.update.items():
-        assert_close(value, update.get(name, np.nan))
-    assert all(np.isnan(leaf) for leaf in jax.tree.leaves(metrics.evaluation))
+        assert_close(value, update.get(name, np.inf))
+    assert all(np.isinf(leaf) for leaf in jax.tree.leaves(metrics.evaluation))
     np.testing.assert_allclose(
         (metrics.dropped, metrics.overflow), (1 - episodes.valid.mean(), episodes.overflow.mean())
     )
@@ -715,7 +715,7 @@ def test_a_round_means_over_the_phases_that_measured():
     assert same_key(together.rng, state.rng)
     for leaf, *each in zip(*map(jax.tree.leaves, (metrics, *parts)), strict=True):
         finite = [value for value in each if np.isfinite(value)]
-        np.testing.assert_allclose(leaf, np.mean(finite) if finite else np.nan, rtol=1e-4)
+        np.testing.assert_allclose(leaf, np.mean(finite) if finite else np.inf, rtol=1e-4)
 
 
 def test_an_update_that_is_not_finite_is_undone_and_counted():
@@ -744,7 +744,7 @@ def test_nothing_is_learnt_where_every_episode_breaks_down():
     assert (metrics.dropped, metrics.diverged) == (1.0, 0.0)
     for episodes in (metrics.training, metrics.evaluation):
         assert episodes.success == 0.0
-        assert np.isnan([episodes.distance_l1, episodes.distance_l2]).all()
+        assert np.isinf([episodes.distance_l1, episodes.distance_l2]).all()
     key = state.rng
     for _ in range(3):
         key = split_key(key).following
