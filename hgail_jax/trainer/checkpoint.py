@@ -1,15 +1,16 @@
 """Checkpoints: the whole state of a run on disk, written beside the training and checked when read.
 
-A checkpoint is an npz file, `<rounds done>.npz`: an array for each leaf of the state, by name, and a record in JSON.
-Arrays are stored whole, each with a hash, so that a state can be restored onto any number of devices and damage is
-noticed. Nothing in the file is code.
+A checkpoint is a folder, `<rounds done>`: in `state` an array for each leaf of the state, by name, written by orbax,
+and `record.json`. Arrays are stored whole, each with a hash, so that a state can be restored onto any number of devices
+and damage is noticed. Nothing in them is code.
 """
 
 import hashlib
 import json
+import logging
 import os
-import re
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,16 +18,20 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import orbax.checkpoint as ocp
 
 from hgail_jax.devices.sharding import is_first_process, is_key, without_keys
-from hgail_jax.io.files import remove_partial_files, replace_path
+from hgail_jax.io.files import write_json
 
 SCHEMA = 2
 """Version of the content of a checkpoint; one of another schema is refused."""
 KEPT = 3
 """Number of the last checkpoints that are kept, besides the best."""
 
-_RECORD, _STATE = "record", "state/"  # the arrays' names begin with the latter, so that none is called "file"
+_RECORD, _STATE, _PARTIAL = "record.json", "state", ".partial"
+
+# orbax tells of each write over several lines; its errors are raised as well.
+logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
 
 
 class AnotherRunError(ValueError):
@@ -82,8 +87,8 @@ class Checkpoints:
             self._writer.shutdown()
 
     def path(self, rounds: int) -> Path:
-        """Returns the file of the checkpoint after so many rounds."""
-        return self.folder / f"{rounds}.npz"
+        """Returns the folder of the checkpoint after so many rounds."""
+        return self.folder / str(rounds)
 
     def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole and was read back.
@@ -132,15 +137,14 @@ class Checkpoints:
         damaged: list[str] = []
         for rounds in self._rounds_on_disk():
             try:
-                with np.load(self.path(rounds), allow_pickle=False) as file:
-                    body = _read_body(file)
-                    self._refuse_others(body, template)
-                    if body["rounds"] != rounds:
-                        raise ValueError(f"it was renamed; it is checkpoint {body['rounds']}")
-                    arrays = _read_arrays(file, body["arrays"])
+                body = self._read_body(rounds)
+                self._refuse_others(body, template)
+                if body["rounds"] != rounds:
+                    raise ValueError(f"it was renamed; it is checkpoint {body['rounds']}")
+                arrays = _read_arrays(self.path(rounds) / _STATE, body["arrays"])
             except AnotherRunError:
                 raise
-            except Exception as error:  # numpy, zipfile and json raise errors of many types
+            except Exception as error:  # orbax, tensorstore and json raise errors of many types
                 damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_reason(error)}")
                 continue
             self._scores, self.saved = body["scores"], rounds
@@ -152,10 +156,15 @@ class Checkpoints:
     def _rounds_on_disk(self) -> list[int]:
         """Returns the rounds done in the checkpoints that have their name, latest first."""
         names = os.listdir(self.folder) if self.folder.is_dir() else []
-        if any(name.isdecimal() for name in names):  # folders, by orbax
+        return sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
+
+    def _read_body(self, rounds: int) -> dict:
+        if (self.path(rounds) / "record").is_dir():
             raise AnotherRunError(f"{self.folder} has checkpoints of schema 1; this version reads {SCHEMA}")
-        found = (re.fullmatch(r"(0|[1-9][0-9]*)\.npz", name) for name in names)
-        return sorted((int(match[1]) for match in found if match), reverse=True)
+        record = json.loads((self.path(rounds) / _RECORD).read_text())
+        if _hash_json(record["body"]) != record["sha256"]:
+            raise ValueError("its record was altered")
+        return record["body"]
 
     def _refuse_others(self, body: dict, template: Any) -> None:
         if body["schema"] != SCHEMA:
@@ -176,42 +185,54 @@ class Checkpoints:
             raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
 
     def _prepare(self) -> None:
-        """Makes the folder and removes the files that the run writes anew."""
+        """Makes the folder, and removes checkpoints that are not whole and those that the run writes anew."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        remove_partial_files(self.folder)
+        for path in self.folder.iterdir():
+            if path.name.endswith(_PARTIAL):
+                shutil.rmtree(path)
         for rounds in self._rounds_on_disk():
             if self.saved is not None and rounds > self.saved:  # damaged, or `restore` had taken it
-                self.path(rounds).unlink()
+                shutil.rmtree(self.path(rounds))
 
     def _write(self, rounds: int, arrays: dict[str, np.ndarray], body: dict) -> None:
         body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
-        content = {_STATE + name: array for name, array in arrays.items()}
-        content[_RECORD] = np.array(json.dumps({"body": body, "sha256": _hash_json(body)}))
-        with replace_path(self.path(rounds)) as temporary:
-            with temporary.open("wb") as file:
-                np.savez(file, **content)  # type: ignore[arg-type]
-                file.flush()
-                os.fsync(file.fileno())  # a name can reach the disk before the content does
-            with np.load(temporary, allow_pickle=False) as written:
-                if set(written.files) != set(content) or str(written[_RECORD]) != str(content[_RECORD]):
-                    raise OSError("the file is not as it was written")
+        temporary = self.folder / f".{rounds}{_PARTIAL}"
+        try:
+            temporary.mkdir()
+            with _checkpointer() as orbax:
+                orbax.save(temporary / _STATE, args=ocp.args.PyTreeSave(arrays))
+                index = orbax.metadata(temporary / _STATE).item_metadata
+            if {name: tuple(index[name].shape) for name in index} != {name: arrays[name].shape for name in arrays}:
+                raise OSError("the checkpoint is not as it was written")
+            write_json(temporary / _RECORD, {"body": body, "sha256": _hash_json(body)})
+            temporary.rename(self.path(rounds))
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
         on_disk, scores = self._rounds_on_disk(), body["scores"]
         best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
         for old in set(on_disk[KEPT:]) - {best}:
-            self.path(old).unlink()
+            shutil.rmtree(self.path(old))
 
 
-def _read_body(file: Mapping[str, np.ndarray]) -> dict:
-    record = json.loads(str(file[_RECORD]))
-    if _hash_json(record["body"]) != record["sha256"]:
-        raise ValueError("its record was altered")
-    return record["body"]
+def _checkpointer() -> ocp.Checkpointer:
+    """Returns orbax's checkpointer of trees of arrays, of which each is a folder of its own.
+
+    The one store of OCDBT would be merged from parts, which are looked for by a pattern: a folder called `[lab] run`
+    finds none. Processes other than the first know of no checkpoints, so that orbax must not wait for them.
+    """
+    first = ocp.options.MultiprocessingOptions(primary_host=0, active_processes={0})
+    alone = ocp.options.MultiprocessingOptions() if jax.process_count() == 1 else first
+    handler = ocp.PyTreeCheckpointHandler(use_ocdbt=False, multiprocessing_options=alone)
+    return ocp.Checkpointer(handler, multiprocessing_options=alone)
 
 
-def _read_arrays(file: Mapping[str, np.ndarray], described: dict) -> dict[str, np.ndarray]:
-    arrays = {name: file[_STATE + name] for name in described}
-    for name, array in arrays.items():
-        if _describe(array) != described[name]:
+def _read_arrays(folder: Path, described: dict) -> dict[str, np.ndarray]:
+    as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in described}
+    with _checkpointer() as orbax:
+        arrays = orbax.restore(folder, args=ocp.args.PyTreeRestore(restore_args=as_numpy))
+    for name in described:
+        if _describe(arrays[name]) != described[name]:
             raise ValueError(f"{name} is not as it was saved")
     return arrays
 
