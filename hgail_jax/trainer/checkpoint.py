@@ -5,6 +5,7 @@ and `record.json`. Arrays are stored whole, each with a hash, so that a state ca
 and damage is noticed. Nothing in them is code.
 """
 
+import errno
 import hashlib
 import json
 import logging
@@ -137,7 +138,7 @@ class Checkpoints:
         damaged: list[str] = []
         for rounds in self._rounds_on_disk():
             try:
-                body = self._read_body(rounds)
+                body = _read_body(self.path(rounds))
                 self._refuse_others(body, template)
                 if body["rounds"] != rounds:
                     raise ValueError(f"it was renamed; it is checkpoint {body['rounds']}")
@@ -156,15 +157,10 @@ class Checkpoints:
     def _rounds_on_disk(self) -> list[int]:
         """Returns the rounds done in the checkpoints that have their name, latest first."""
         names = os.listdir(self.folder) if self.folder.is_dir() else []
-        return sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
-
-    def _read_body(self, rounds: int) -> dict:
-        if (self.path(rounds) / "record").is_dir():
+        found = sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
+        if any((self.path(rounds) / "record").is_dir() for rounds in found):
             raise AnotherRunError(f"{self.folder} has checkpoints of schema 1; this version reads {SCHEMA}")
-        record = json.loads((self.path(rounds) / _RECORD).read_text())
-        if _hash_json(record["body"]) != record["sha256"]:
-            raise ValueError("its record was altered")
-        return record["body"]
+        return found
 
     def _refuse_others(self, body: dict, template: Any) -> None:
         if body["schema"] != SCHEMA:
@@ -205,6 +201,7 @@ class Checkpoints:
             if {name: tuple(index[name].shape) for name in index} != {name: arrays[name].shape for name in arrays}:
                 raise OSError("the checkpoint is not as it was written")
             write_json(temporary / _RECORD, {"body": body, "sha256": _hash_json(body)})
+            _read_body(temporary)
             temporary.rename(self.path(rounds))
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -213,6 +210,13 @@ class Checkpoints:
         best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
         for old in set(on_disk[KEPT:]) - {best}:
             shutil.rmtree(self.path(old))
+
+
+def _read_body(folder: Path) -> dict:
+    record = json.loads((folder / _RECORD).read_text())
+    if _hash_json(record["body"]) != record["sha256"]:
+        raise ValueError("its record was altered")
+    return record["body"]
 
 
 def _checkpointer() -> ocp.Checkpointer:
@@ -263,12 +267,12 @@ def _hash_json(content: Any) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    """Returns an error's message in one line; of one that hides an error of the system, the system's."""
-    while not isinstance(error, OSError) and error.__context__ is not None:
-        error = error.__context__
+    """Returns an error's message in one line; the operating system's, if it is one of its own or quotes one."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+    text = str(error).strip()
+    quoted = (os.strerror(code) for code in errno.errorcode if os.strerror(code) in text)
+    return next(quoted, (text.splitlines() or [type(error).__name__])[0][:200])
 
 
 def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:

@@ -82,7 +82,7 @@ def outcome(folder):
     for path in sorted((folder / "policies").iterdir()):
         with np.load(path) as file:
             policies[path.name] = {name: file[name].tobytes() for name in file.files}
-    record = json.loads(record_of(folder / "checkpoints" / f"{ROUNDS + 1}.npz"))
+    record = json.loads(record_of(folder / "checkpoints" / str(ROUNDS + 1)))
     return summary, policies, read_metrics(folder), record["body"]["arrays"]
 
 
@@ -210,7 +210,7 @@ def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
         start("--out", "run")
-    os.truncate("run/checkpoints/3.npz", 100)
+    os.truncate("run/checkpoints/3/record.json", 100)
     start("--resume", "run")
     shown = capsys.readouterr()
     assert f"checkpoint 3 in {tmp_path}/run/checkpoints is damaged" in shown.err
@@ -297,7 +297,7 @@ def test_divergence_of_all_seeds_stops_the_run_at_the_last_good_checkpoint(tmp_p
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == (
         "hgail train: the training stops: no seed's update is finite in round 3;"
-        f" the last good checkpoint: {tmp_path}/run/checkpoints/3.npz"
+        f" the last good checkpoint: {tmp_path}/run/checkpoints/3"
     )
     assert len(read_metrics(tmp_path / "run")) == 3 * 2
     start("--resume", "run")
