@@ -5,11 +5,21 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from tests.support import SOURCES
+
 NOTEBOOK = Path(__file__).parent.parent.parent / "experiments" / "explore_train_step.ipynb"
+
+TINY = f"""
+import sys
+sys.path[:0] = {SOURCES.split(":")}
+from tests.support import make_runs_tiny
+make_runs_tiny()
+"""
 
 
 def test_the_notebook_runs_from_top_to_bottom():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(TINY))
     updates = []
     client = NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOK.parent)}})
     process = client.process_message

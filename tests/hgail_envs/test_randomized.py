@@ -15,7 +15,6 @@ from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv, randomize
 from hgail_jax.hindsight import relabel
-from hgail_jax.rollout import rollout
 
 STEP = 0.03  # metres by which a whole action moves the point
 MANY = 2000
@@ -57,7 +56,7 @@ def test_each_delay_is_as_frequent_and_differs_between_episodes():
 
 def test_displacements_are_scaled_and_sink():
     env = RandomizedEnv(Point(), Randomization(step_size=(0.6, 1.4), z_bias=(0.02, 0.05)))
-    drawn = jax.vmap(env.reset)(KEYS).pipeline_state.drawn
+    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn
     for values, (low, high) in ((drawn.step_size, (0.6, 1.4)), (drawn.z_bias, (0.02, 0.05))):
         assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-4
     states = follow(env)
@@ -105,16 +104,14 @@ def test_the_desired_goal_has_the_error_of_the_achieved_one():
 def test_relabelled_goals_are_positions_as_observed():
     """Each is what was observed of a later step, error and all, and not where the point truly was."""
     env = RandomizedEnv(Point(), Randomization(goal_noise=0.02, goal_offset=0.05))
-
-    def random_policy(observation, rng):
-        return jax.random.uniform(rng, (*observation.shape[:-1], 3), minval=-1.0), jnp.zeros(observation.shape[:-1])
-
-    trajectory = jax.jit(lambda rng: rollout(env, random_policy, rng, 2))(jax.random.key(0))
-    achieved, features = np.asarray(trajectory.achieved[:, 0]), np.asarray(trajectory.features[:, 0])
-    relabelled = relabel(jax.random.key(1), trajectory.achieved[:, 0], trajectory.desired[:-1, 0], p_ht=1.0)
+    states = follow(env, np.tile(ACTIONS, (4, 1)))
+    achieved, desired, features = (
+        np.array([state.info[name] for state in states]) for name in ("achieved_goal", "desired_goal", "observation")
+    )
+    relabelled = jax.jit(relabel)(jax.random.key(1), achieved, desired[:-1], p_ht=1.0)
     np.testing.assert_array_equal(relabelled.goal, achieved[relabelled.source])
     errors = achieved - features  # the robot's own position is exact here
-    assert 0.5 * 0.05 < np.sqrt(np.mean(np.asarray(trajectory.achieved - trajectory.features) ** 2)) < 2 * 0.06
+    assert 0.5 * 0.05 < np.sqrt(np.mean(errors**2)) < 2 * 0.06
     np.testing.assert_allclose(relabelled.goal, features[relabelled.source] + errors[relabelled.source], atol=1e-6)
 
 
@@ -178,14 +175,14 @@ def test_seeds_side_by_side_are_what_each_is_alone():
     env = RandomizedEnv(Point(), Randomization(delay=(0, 3), goal_noise=0.01, robot_offset=0.01, history=2))
 
     def run(rng):
-        return rollout(env, lambda obs, rng: (0.1 * obs[:, :3], obs[:, 0]), rng, 3, training_goals=True)
+        return jax.lax.scan(lambda state, action: 2 * (env.step(state, action),), env.reset(rng, True), ACTIONS)[1].info
 
     rngs = jax.random.split(jax.random.key(0), 2)
-    together = jax.jit(jax.vmap(run))(rngs)
+    together, of_one = jax.jit(jax.vmap(run))(rngs), jax.jit(run)
     for index, rng in enumerate(rngs):
-        alone = jax.jit(run)(rng)
-        jax.tree.map(lambda both, one, i=index: np.testing.assert_allclose(both[i], one, atol=1e-6), together, alone)
-    assert np.abs(np.asarray(together.features[0] - together.features[1])).max() > 1e-3
+        each = jax.tree.map(lambda leaf, i=index: leaf[i], together)
+        jax.tree.map(lambda *leaves: np.testing.assert_allclose(*leaves, atol=1e-6), each, of_one(rng))
+    assert np.abs(np.asarray(together["observation"][0] - together["observation"][1])).max() > 1e-3
 
 
 def test_a_randomised_task_fits_the_interface():
@@ -263,6 +260,12 @@ GROWS = Randomization(
 )
 
 
+@jax.jit
+def grow(keys, progress):
+    """Returns the starts of as many episodes once this share of a training is done."""
+    return jax.vmap(RandomizedEnv(Point(), GROWS).curriculum(progress).reset)(keys)
+
+
 @pytest.mark.parametrize(
     ("progress", "present"),
     [
@@ -273,9 +276,8 @@ GROWS = Randomization(
     ],
 )
 def test_disturbances_grow_to_their_sizes(progress, present):
-    env = RandomizedEnv(Point(), GROWS)
-    grown = jax.jit(lambda key, progress: env.curriculum(progress).reset(key))(jax.random.key(3), progress)
-    there = jax.jit(RandomizedEnv(Point(), present).reset)(jax.random.key(3))
+    grown = jax.tree.map(lambda leaf: leaf[0], grow(KEYS, progress))
+    there = jax.jit(RandomizedEnv(Point(), present).reset)(KEYS[0])
     for name in ("step_size", "z_bias", "offset"):
         pair = [getattr(state.pipeline_state.drawn, name) for state in (grown, there)]
         np.testing.assert_allclose(*pair, atol=1e-6)
@@ -284,8 +286,7 @@ def test_disturbances_grow_to_their_sizes(progress, present):
 
 @pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])
 def test_a_delay_grows_by_whole_steps(progress, delays):
-    env = RandomizedEnv(Point(), GROWS).curriculum(progress)
-    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn.delay
+    drawn = grow(KEYS, progress).pipeline_state.drawn.delay
     assert drawn.dtype == jnp.int32
     assert set(np.asarray(drawn).tolist()) == delays
 

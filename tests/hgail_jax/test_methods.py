@@ -78,7 +78,8 @@ def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method)
     assert unchanged == set(METHODS[method].without_effect)
 
 
-def test_hindsight_is_what_teaches():
+@pytest.mark.slow
+def test_hindsight_is_what_teaches_from_scratch():
     """HGAIL and HGAIL without hindsight, from scratch, in one program: they differ in a probability alone."""
     presets = [METHODS[name].apply(Preset(SMALL, HYPER)) for name in ("hgail", "hgail-no")]
     assert presets[0].config == presets[1].config

@@ -134,7 +134,7 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
             {"table4.json"},
         ),
         (
-            ["--sweep", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
+            ["--sweep", "--task", "reach", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
             {f"transfer-sweep.{end}" for end in ("json", "png")},
         ),
         (["--pictures"], {"transfer-gymnasium.png"}),

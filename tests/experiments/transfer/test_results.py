@@ -1,6 +1,7 @@
 """The table, its rows that are kept, and a robot of one's own in table and curves."""
 
 import contextlib
+import dataclasses
 import json
 import types
 
@@ -170,7 +171,7 @@ class Crane(Robot):
         self.position = self.position + self.velocity
 
 
-def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy):
+def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy, few_values):
     """The table has its variants, the sweep its own curve and the disturbances, and the files its packages."""
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
@@ -205,10 +206,19 @@ def test_rows_of_another_task_stay(tmp_path, monkeypatch):
     assert {name.split(": ")[-1]: made["seed"] for name, made in made_by.items()} == {"reach": 0, "grasp": 1}
 
 
-def test_curves_of_another_task_stay(tmp_path, monkeypatch):
+@pytest.fixture
+def few_values(monkeypatch):
+    """Has sweeps measure two values of each quantity."""
+    for quantity, disturbance in DISTURBANCES.items():
+        few = dataclasses.replace(disturbance, values=disturbance.values[:2])
+        monkeypatch.setitem(DISTURBANCES, quantity, few)
+
+
+def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
+    monkeypatch.setattr(results, "draw_sweep", lambda *_: None)
     policies = find_policies(["reach", "grasp"])
     for seed, task in enumerate(["reach", "grasp", "grasp"]):
         write_sweep(tmp_path, policies, ["crane"], [task], episodes=1, seed=seed, workers=1)

@@ -9,16 +9,16 @@ import hgail_envs
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 
 
-@pytest.mark.parametrize(("task", "substeps"), [("reach", FAST_SUBSTEPS), ("grasp", 8), ("grasp", FAST_SUBSTEPS)])
-def test_random_steps_stay_within_bounds(task, substeps):
-    env = hgail_envs.make(task, substeps=substeps)
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_random_steps_stay_within_bounds(task):
+    env = hgail_envs.make(task, substeps=FAST_SUBSTEPS)
 
     def step(state, rng):
-        action = jax.random.uniform(rng, (64, 4), minval=-1.5, maxval=1.5)
+        action = jax.random.uniform(rng, (32, 4), minval=-1.5, maxval=1.5)
         state = jax.vmap(env.step)(state, action)
         return state, (abs(state.obs) < env.observation_limit).all()
 
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 64))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 32))
     scan = jax.jit(lambda state, rngs: jax.lax.scan(step, state, rngs)[1])
     assert scan(state, jax.random.split(jax.random.key(1), 200)).all()
 
@@ -35,8 +35,8 @@ def test_accurate_physics_is_the_default_and_can_be_asked_for(impl):
 
 def test_accurate_physics_is_that_of_a_task_made_with_it():
     fast, made = hgail_envs.make("grasp", substeps=4), hgail_envs.make("grasp")
-    state, action = made.reset(jax.random.key(0)), np.array([1.0, -0.5, 0.2, 1.0])
-    ends = [env.step(state, action).obs for env in (fast.reference_physics(), made, fast)]
+    state, action = jax.jit(made.reset)(jax.random.key(0)), np.array([1.0, -0.5, 0.2, 1.0])
+    ends = [jax.jit(env.step)(state, action).obs for env in (fast.reference_physics(), made, fast)]
     np.testing.assert_array_equal(ends[0], ends[1])
     assert np.abs(ends[0] - ends[2]).max() > 1e-4
 

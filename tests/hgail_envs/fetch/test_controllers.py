@@ -40,16 +40,14 @@ def test_controllers_take_batches():
     [
         ("point", "proportional", 1.0, 1.0),
         ("reach", "proportional", 1.0, 1.0),
-        ("grasp", "from-above", 1.0, 1.0),
         ("grasp", "straight", 0.5, 0.9),  # Gymnasium-Robotics: 0.69 to 0.74
-        ("grasp", "closed", 0.0, 0.0),
         ("push", "from-behind", 0.95, 1.0),
         ("pick-and-place", "from-above", 0.95, 1.0),
         ("slide", "from-above", 0.3, 0.7),
     ],
 )
 def test_controllers_do_in_the_scene_what_they_do_in_the_reference(task, name, least, most):
-    success = float(run_controller(hgail_envs.make(task), name, 64, seed=0).outcome.success.mean())
+    success = float(run_controller(hgail_envs.make(task), name, 32, seed=0).outcome.success.mean())
     assert least <= success <= most
 
 

@@ -11,7 +11,7 @@ from experiments.reference import make_reference
 from hgail_envs.fetch import controllers
 
 BATCH = 16
-STEPS = 200
+STEPS = 100
 ENV = hgail_envs.make("grasp", substeps=8)
 STILL, ABOVE, CLOSED, LIFT = range(4)
 

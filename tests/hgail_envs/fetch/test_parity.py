@@ -119,7 +119,10 @@ def open_loop(reference):
     return actions, np.stack(ends)
 
 
-@pytest.mark.parametrize(("impl", "substeps", "bound_mm"), [("c", 20, 10.0), ("c", 4, 20.0), ("jax", 20, 20.0)])
+@pytest.mark.parametrize(
+    ("impl", "substeps", "bound_mm"),
+    [("c", 20, 10.0), ("c", 4, 20.0), pytest.param("jax", 20, 20.0, marks=pytest.mark.slow)],
+)
 def test_open_loop_drift(open_loop, start, impl, substeps, bound_mm):
     """From the reset pose without feedback; an arm that is stretched out soon goes a way of its own."""
     step, (actions, ends), state = compiled_step(impl, substeps), open_loop, start

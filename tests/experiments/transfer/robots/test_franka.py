@@ -1,6 +1,6 @@
 """The Franka is driven by the same class as the UR5e, from numbers of its own."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
@@ -43,14 +43,12 @@ def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(grasp, hand
 
 def test_a_controller_grasps_and_lifts(grasp):
     grasp.reset(np.random.default_rng(2))
-    outcome = run_episode(
-        grasp, lambda seen: np.asarray(controllers.grasp(jnp.asarray(seen))), np.random.default_rng(0)
-    )
+    outcome = run_episode(grasp, lambda seen: np.asarray(jax.jit(controllers.grasp)(seen)), np.random.default_rng(0))
     assert outcome.success == 1.0
 
 
 def test_policies_trained_on_the_fetch_reach_and_grasp(grasp, shipped_policy, grasp_policy):
-    reached = run_episodes(Franka("reach"), [load_policy(shipped_policy)], range(4))
+    reached = run_episodes(Franka("reach"), [load_policy(shipped_policy)], range(2))
     assert all(outcome.success for outcome in reached)
-    grasped = run_episodes(grasp, [load_policy(grasp_policy)], range(6))
-    assert sum(outcome.success for outcome in grasped) >= 4
+    grasped = run_episodes(grasp, [load_policy(grasp_policy)], range(4))
+    assert sum(outcome.success for outcome in grasped) >= 3
