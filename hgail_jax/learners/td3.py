@@ -80,7 +80,7 @@ class TD3Learner(Learner):
     ) -> Policy:
         """See `Learner`; noise is Gaussian, and some actions are uniformly random, all of them before any update.
 
-        The target actor acts, an average over the last hundred steps: a single one is off by a centimetre or two.
+        The target actor acts, an average over the last 1 / target_rate steps.
         """
         hyper = state.hyperparameters
         decay = 1.0 + (hyper.final_action_std - 1.0) * self.progress(config, state)
