@@ -18,23 +18,23 @@ Controller = Callable[[jax.Array], jax.Array]
 
 
 class EpisodeMetrics(struct.PyTreeNode):
-    """How an episode ended: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
+    """Outcome of an episode: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
 
     success: jax.Array | float = 0.0
-    """1 where the episode is a success by the task's strictest test, else 0."""
+    """1 if the episode is a success by the task's strictest test, else 0."""
     achieved: jax.Array | float = 0.0
-    """1 where the last step satisfies the goal; differs from `success` in a task with a probe."""
+    """1 if the last step satisfies the goal, else 0; differs from `success` in a task with a lift test."""
     success_l1: jax.Array | float = 0.0
-    """1 where the L1 distance is within the task's threshold, as in the paper, else 0."""
+    """1 if the L1 distance is within the task's threshold, as in the paper, else 0."""
     distance_l1: jax.Array | float = 0.0
-    """Sum of absolute differences between where the last step is and where it should be, in the goal's unit."""
+    """L1 distance between the last step's position and the target, in the goal's unit."""
     distance_l2: jax.Array | float = 0.0
     """Euclidean distance between them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingDefaults:
-    """What a task is trained with on a platform unless the user says otherwise; it travels with the task."""
+    """Settings that a task is trained with on a platform unless the user sets others."""
 
     config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the fields of `hgail_jax.Config`."""
@@ -54,13 +54,12 @@ class GoalEnv(Env):
     come from `jax.vmap`. `P` below is the task's own physics state, any pytree.
 
     A task sets the five class attributes without a value and implements the five abstract methods; the others have
-    defaults. Episodes never end early: `done` stays 0 and the time limit is the caller's, who treats it as a
-    truncation.
+    defaults. Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.
 
-    The goals of an episode follow a plan. `plan_goals` draws it at the reset, and from it `current_goal` says what the
-    goal is at each step. By default the plan is one goal of `sample_goal`, which stays. A task that learns better on
-    other goals than those it is measured on has training goals, the plans of episodes reset with `training_goals`: a
-    random place, a stage on the way, a new place every few steps.
+    The goals of an episode follow a plan, drawn by `plan_goals` at the reset; from it `current_goal` returns the goal
+    of a step. By default the plan is one goal of `sample_goal`, for all steps. A task that learns better on other goals
+    than those of its evaluation has training goals, the plans of episodes reset with `training_goals`: a random place,
+    a stage on the way, a new place every few steps.
 
     `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
     (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is `goal_observation(observation, desired_goal)`,
@@ -80,27 +79,27 @@ class GoalEnv(Env):
     goal_kinds: int = 1
     """Kinds of goals, see `goal_kind`."""
     lift_test_steps: int = 0
-    """Steps that an evaluation appends to an episode to test what it ended with, see `lift_test_action`."""
+    """Steps that an evaluation appends to an episode to test a grasp, see `lift_test_action`."""
     observation_limit: float = 1e3
-    """Largest absolute observation of a sound simulation; beyond it, or not a number, the episode is left out."""
+    """Largest absolute observation of a valid simulation; beyond it, or not a number, the episode is left out."""
     max_worlds: int | None = None
     """Environments that its physics can step at once; None is any number."""
     control_period: float = 0.04
-    """Seconds between two actions, at which an episode is shown."""
+    """Seconds between two actions, at which an episode is played."""
     scene: str | None = None
-    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None where there is nothing to show. The physics of
-    a task with a scene have `qpos`, and its goals begin with the position of the target, metres, world frame."""
+    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None for a task that cannot be rendered. The physics
+    of a task with a scene have `qpos`, and its goals begin with the target's position, metres, world frame."""
     target_body: str | None = None
-    """Name of the scene's body that is the target itself; None where a mark is to show the target."""
+    """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
     reference: str | None = None
-    """Name of the Gymnasium environment that the task is held to."""
+    """Name of the Gymnasium environment that the task is compared with."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
     """Scripted controllers by name; the first demonstrates the task."""
     training: ClassVar[Mapping[str, TrainingDefaults]] = {
         "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}),
         "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}),
     }
-    """What it is trained with by default, by platform."""
+    """Default settings of its training, by platform."""
 
     @abc.abstractmethod
     def reset_physics(self, rng: jax.Array) -> Any:
@@ -112,7 +111,7 @@ class GoalEnv(Env):
 
     @abc.abstractmethod
     def features(self, physics: Any) -> jax.Array:
-        """Returns what the policy sees besides the goal, `[feature_size]`."""
+        """Returns the policy's observation without the goal, `[feature_size]`."""
 
     @abc.abstractmethod
     def achieved_goal(self, physics: Any) -> jax.Array:
@@ -120,20 +119,18 @@ class GoalEnv(Env):
 
     @abc.abstractmethod
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
-        """Draws the desired goal of an episode that starts in `physics` and is measured, `[goal_size]`."""
+        """Draws the desired goal of an evaluation episode that starts in `physics`, `[goal_size]`."""
 
     def plan_goals(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
-        """Draws what decides the goals of an episode that starts in `physics`; by default one goal of `sample_goal`.
+        """Draws the plan of an episode's goals, which starts in `physics`; by default one goal of `sample_goal`.
 
-        All that is random about the goals is drawn here. `training_goals`, which may be traced, is whether they are the
-        task's training goals; the plan is any pytree, of the same structure and shapes in either case.
+        All randomness of the goals is drawn here. `training_goals`, which may be traced, selects the task's training
+        goals; the plan is any pytree, of the same structure and shapes in either case.
         """
-        del training_goals
         return self.sample_goal(rng, physics)
 
     def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
         """Returns the desired goal, `[goal_size]`, in `physics` after `step` steps; by default the plan itself."""
-        del physics, step
         return plan
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
@@ -147,9 +144,8 @@ class GoalEnv(Env):
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
 
-        Hindsight draws its goals so that each kind has the share among them that it has among the desired ones, where
-        a roll-out achieved it at all. Otherwise a kind that is rarely achieved would hardly be taught, and would give
-        away which samples are relabelled.
+        Hindsight draws its goals so that each kind is as frequent among them as among the desired ones, if a roll-out
+        achieved it at all. Else a rare kind is hardly taught, and the discriminator tells relabelled samples by kind.
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
@@ -158,34 +154,24 @@ class GoalEnv(Env):
         return self.success(self.achieved_goal(physics), desired)
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether states are at goals, as far as a replay buffer knows the states: booleans `[...]`.
+        """Returns whether states of a replay buffer are at goals, `[..., goal_size]`: booleans `[...]`.
 
-        By default it is `success` of the achieved goal.
-
-        Args:
-          features: `[..., feature_size]`.
-          achieved: `[..., goal_size]`.
-          goal: `[..., goal_size]`.
-
+        An off-policy learner computes the rewards of relabelled goals with it. A buffer keeps of a state `features`,
+        `[..., feature_size]`, and its `achieved` goal, `[..., goal_size]`, but no physics: so a task that overrides
+        `reached` overrides this too. By default it is `success` of the achieved goal.
         """
-        del features
         return self.success(achieved, goal)
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether nothing is left to do for goals, where hindsight may weigh them less: booleans `[...]`.
+        """Returns whether relabelled goals are already solved, so that hindsight may weigh them less: booleans `[...]`.
 
-        Args:
-          features: `[..., feature_size]`, of the states that act.
-          goal: `[..., goal_size]`, what hindsight has put in the place of their desired goals.
-
-        By default none is; see `Hyperparameters.solved_weight`.
-
+        `features`, `[..., feature_size]`, are of the states that act, `goal` is `[..., goal_size]`. By default none is
+        solved; see `Hyperparameters.solved_weight`.
         """
-        del features
         return jnp.zeros(goal.shape[:-1], bool)
 
     def move_target(self, state: State, position: jax.Array) -> State:
-        """Returns a state with the target at `position`, `[3]`, metres: somebody drags it while the policy acts.
+        """Returns a state with the target at `position`, `[3]`, metres, e.g. dragged while the policy acts.
 
         A task in which the target is a body of the scene moves that body too.
         """
@@ -197,22 +183,21 @@ class GoalEnv(Env):
         return plan.at[:3].set(position)
 
     def lift_test_action(self, action: jax.Array) -> jax.Array:
-        """Returns the action of a probe's steps, given the one before, both `[action_size]`."""
+        """Returns the action of a step of the lift test, given the one before, both `[action_size]`."""
         return action
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
-        """Measures an episode by its last state, `end`, and by the state at the end of the probe, `lifted`.
+        """Measures an episode by its last state, `end`, and by the state at the end of the lift test, `lifted`.
 
-        Without a probe `lifted` is `end`; so it is in roll-outs to learn from, of any task.
+        Without a lift test, as in all roll-outs for training, `lifted` is `end`.
         """
-        del lifted
         achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
         reached = self.success(achieved, desired).astype(jnp.float32)
         return self.measure(achieved, desired).replace(success=reached, achieved=reached)
 
     def measure(self, position: jax.Array, target: jax.Array) -> EpisodeMetrics:
-        """Returns the distances between two vectors, and what follows from them alone."""
-        l1 = jnp.sum(jnp.abs(position - target))
+        """Returns the distances between two vectors, and the success by L1 distance."""
+        l1 = jnp.sum(jnp.abs(position - target))  # the paper's success is by this distance
         return EpisodeMetrics(
             success_l1=(l1 <= self.success_threshold).astype(jnp.float32),
             distance_l1=l1,
@@ -220,55 +205,54 @@ class GoalEnv(Env):
         )
 
     def overflow(self, physics: Any) -> jax.Array:
-        """Returns whether the simulation ran out of room for contacts, and so is wrong: a boolean `[]`."""
-        del physics
+        """Returns whether the simulation exceeded its contact buffers and is invalid: a boolean `[]`."""
         return jnp.zeros((), bool)
 
     def add_sensor_noise(self, physics: Any, errors: SensorErrors) -> Any:
-        """Returns `physics` as wrong sensors see it, for `features`; `hgail_envs.randomization` needs it."""
+        """Returns `physics` with sensor errors added, for `features`; a randomisation with sensor noise needs it."""
         raise NotImplementedError
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
-        """Returns a start with another model from now on; a randomisation of friction, masses or sizes needs it."""
+        """Returns a start with a scaled model; a randomisation of friction, masses or sizes needs it."""
         raise NotImplementedError
 
     def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: jax.Array | float) -> Any:
-        """Returns a start with the robot elsewhere; `hgail_envs.randomization` needs it for another posture.
+        """Returns a start with another posture of the robot; a randomisation of `posture` or `hand_opening` needs it.
 
         Args:
           rng: a PRNG key.
           physics: from `reset_physics`.
-          shift: metres along each axis by which the gripper is moved at most.
-          opening: share of its widest by which the hand is open at most.
+          shift: largest displacement of the gripper along each axis, metres.
+          opening: largest opening of the hand, as a fraction of its widest.
 
         """
         raise NotImplementedError
 
     def prepare(self) -> None:
-        """Does what the first step would otherwise wait for, while the caller compiles; by default nothing."""
+        """Warms up the physics while the caller compiles, e.g. builds kernels; by default nothing."""
         return
 
     def curriculum(self, progress: jax.Array | float) -> "GoalEnv":
-        """Returns the task to learn from once a share of the rounds is through: easier at first; by default this one.
+        """Returns the task that training uses at this progress, e.g. an easier one at first; by default this one.
 
-        Episodes are reset and stepped in it. Sizes, observations and what the goals mean must be those of this one.
+        Its sizes, observations and goals must mean the same as this one's.
 
         Args:
-          progress: the share of the rounds that is through, `[]`, which may be traced. At 1 the task is this one.
+          progress: fraction of the rounds that is done, `[]`, which may be traced. At 1 the task is this one.
 
         """
-        del progress
         return self
 
     def reference_physics(self) -> "GoalEnv":
-        """Returns the task with its most accurate physics; a task with one physics only returns itself."""
+        """Returns the task with its reference physics, the most accurate; by default the task itself."""
         return self
 
     def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
-        """Starts an episode to be measured, or one to learn from where `training_goals`, which may be traced."""
+        """Starts an episode with an evaluation goal, or with training goals; the flag may be traced."""
         physics_rng, goal_rng = jax.random.split(rng)
         physics = self.reset_physics(physics_rng)
-        return self._observe(physics, self.plan_goals(goal_rng, physics, training_goals), jnp.zeros((), jnp.int32), {})
+        plan = self.plan_goals(goal_rng, physics, training_goals)
+        return self._make_state(physics, plan, jnp.zeros((), jnp.int32), {})
 
     def step(self, state: State, action: jax.Array) -> State:
         """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
@@ -284,16 +268,17 @@ class GoalEnv(Env):
 
     def _advance(self, state: State, physics: Any, plan: Any, step: jax.Array) -> State:
         """Returns `state` with other physics, another plan and another step."""
-        seen = self._observe(physics, plan, step, state.metrics)
-        return seen.replace(info=state.info | seen.info)
+        following = self._make_state(physics, plan, step, state.metrics)
+        # brax's wrappers keep entries of their own in info, and a scan needs the same structure at every step.
+        return following.replace(info=state.info | following.info)
 
-    def _observe(self, physics: Any, plan: Any, step: jax.Array, metrics: dict[str, jax.Array]) -> State:
+    def _make_state(self, physics: Any, plan: Any, step: jax.Array, metrics: dict[str, jax.Array]) -> State:
         features, desired = self.features(physics), self.current_goal(plan, physics, step)
         return State(
             pipeline_state=physics,
             obs=self.goal_observation(features, desired),
             reward=self.reached(physics, desired).astype(jnp.float32) - 1.0,
-            done=jnp.zeros(()),
+            done=jnp.zeros(()),  # or brax would reset the episode, and hindsight relabel across two episodes
             metrics=metrics,
             info={
                 "observation": features,
@@ -311,5 +296,5 @@ class GoalEnv(Env):
 
     @property
     def backend(self) -> str:
-        """Brax's name for the physics; `"mjx"` unless the task says otherwise."""
+        """Brax's name for the physics, by default `"mjx"`."""
         return "mjx"

@@ -1,139 +1,150 @@
-"""How much an episode is disturbed by: the sizes of domain randomisation, and the levels that have names."""
+"""Sizes of domain randomisation, and the levels that have names."""
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import field
 from typing import Any, Self
 
+from hgail_envs.variation import ModelFactors
+
 Range = tuple[float, float]
-"""The least and the most of what is drawn uniformly, once per episode."""
+"""Bounds, least and most, of a uniform draw."""
 
 MOST_DELAY = 50
-"""Steps."""
-MODEL_FACTORS = ("friction", "object_mass", "object_size", "finger_force", "finger_speed")
-"""Fields of `Randomization` that are ranges of those of `ModelFactors`."""
-_FACTORS = ("step_size", *MODEL_FACTORS)
-_DEVIATIONS = ("robot_noise", "robot_offset", "object_noise", "object_offset", "goal_noise", "goal_offset")
-RAMPED = ("delay", "z_bias", *_FACTORS, *_DEVIATIONS)
-"""Fields of `Randomization` that its `ramp` is about."""
-_OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # as files of earlier releases name these fields
-_RANGES = ("delay", "z_bias", *_FACTORS)
-_LIMITS = {
-    **{name: (0, MOST_DELAY) for name in ("delay", "history")},
-    "z_bias": (-1, 1),
-    **{name: (0.01, 100) for name in _FACTORS},
-    **{name: (0, 10) for name in _DEVIATIONS},
-    **{name: (0, 1) for name in ("hand_opening", "ramp")},
-    "posture": (0, 0.15),  # as far as the goals of reach are from the start
-}
+"""Largest delay, steps: an episode of the Fetch tasks."""
+_OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # of fields, in policy files of earlier releases
+
+
+def _limits(least: float, most: float, ramps: bool = True) -> dict[str, Any]:
+    """Returns metadata of a size: the numbers that it may have, and whether it grows over `Randomization.ramp`."""
+    return {"limits": (least, most), "ramps": ramps}
+
+
+_FACTOR, _DEVIATION = _limits(0.01, 100), _limits(0, 10)
 
 
 @dataclasses.dataclass(frozen=True)
 class Randomization:
-    """Sizes of what differs from one episode to the next; by default nothing does.
+    """Sizes of the differences between episodes; by default there are none.
 
-    A noise is drawn anew at each step, an offset once per episode, both Gaussian for each coordinate; the others are
-    uniform, once per episode.
+    Ranges are drawn uniformly, once per episode. Noises are drawn at each step and offsets once per episode, both
+    Gaussian and independent for each coordinate. A size is declared here alone, with its limits: its default is the
+    nominal value, a pair declares a range and an integer whole numbers. Its effect is in `RandomizedEnv`, or in the
+    task if it is a field of `ModelFactors`.
 
     Raises:
       ValueError: a size is not finite, out of range, or not a least and a most.
 
     """
 
-    delay: tuple[int, int] = (0, 0)
-    """Steps from an observation to the action that answers it, both ends included; the robot first stands still."""
-    step_size: Range = (1.0, 1.0)
+    delay: tuple[int, int] = field(default=(0, 0), metadata=_limits(0, MOST_DELAY))
+    """Steps from an observation to the action that answers it, both bounds included; the robot first stands still."""
+    step_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on displacements, the first three numbers of an action."""
-    z_bias: Range = (0.0, 0.0)
-    """Shares of a full displacement by which the gripper sinks in each action, as an arm does whose gravity is
-    compensated too little; below 0 it rises."""
-    robot_noise: float = 0.0
-    """Standard deviation of the gripper's position that is observed, metres."""
-    robot_offset: float = 0.0
-    """Likewise, of what stays for an episode."""
-    object_noise: float = 0.0
-    """Standard deviation of the object's position that is observed, metres."""
-    object_offset: float = 0.0
-    """Likewise, of what stays for an episode."""
-    goal_noise: float = 0.0
-    """Standard deviation of the position in a goal, desired or achieved, metres."""
-    goal_offset: float = 0.0
-    """Likewise, of what stays for an episode."""
-    friction: Range = (1.0, 1.0)
+    z_bias: Range = field(default=(0.0, 0.0), metadata=_limits(-1, 1))
+    """Fraction of a full displacement by which the gripper sinks in each action, like an arm whose gravity is
+    compensated too little; it rises if this is negative."""
+    robot_noise: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the noise in the gripper's observed position, metres."""
+    robot_offset: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the offset in the gripper's observed position, metres."""
+    object_noise: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the noise in the object's observed position, metres."""
+    object_offset: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the offset in the object's observed position, metres."""
+    goal_noise: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the noise in the position of a goal, desired or achieved, metres."""
+    goal_offset: float = field(default=0.0, metadata=_DEVIATION)
+    """Standard deviation of the offset in the position of a goal, desired or achieved, metres."""
+    friction: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the friction of all contacts."""
-    object_mass: Range = (1.0, 1.0)
+    object_mass: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the object's mass."""
-    object_size: Range = (1.0, 1.0)
+    object_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the object's width, depth and height."""
-    finger_force: Range = (1.0, 1.0)
+    finger_force: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the force of the fingers' servos."""
-    finger_speed: Range = (1.0, 1.0)
-    """Factor on how fast they move the fingers."""
-    posture: float = 0.0
-    """Metres along each axis by which the gripper starts elsewhere at most."""
-    hand_opening: float = 0.0
-    """Share of its widest by which the hand is open at the start at most."""
-    history: int = 0
-    """Last actions and observations that the policy is shown besides the present observation."""
-    ramp: float = 0.0
-    """Share of a training's rounds in which the disturbances grow from none to these sizes; 0 is these from the start.
-    The start of an episode is as different from the first round on."""
+    finger_speed: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
+    """Factor on the speed of the fingers."""
+    posture: float = field(
+        default=0.0, metadata=_limits(0, 0.15, ramps=False)
+    )  # the goals of reach are as far from the start
+    """Largest displacement of the gripper's start along each axis, metres."""
+    hand_opening: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
+    """Largest opening of the hand at the start, as a fraction of its widest."""
+    history: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
+    """Number of last actions and observations that the policy observes besides the present observation."""
+    ramp: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
+    """Fraction of the training's rounds over which the randomisation grows from nominal to these sizes; 0 starts with
+    these. The start of an episode (`posture`, `hand_opening`) does not grow."""
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            self._check(field.name, getattr(self, field.name))
-        object.__setattr__(self, "delay", tuple(self.delay))
-        for name in (*_FACTORS, "z_bias"):
-            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        for size in dataclasses.fields(self):
+            value = getattr(self, size.name)
+            _check(size, value)
+            if isinstance(size.default, tuple):  # so that (1, 1) is (1.0, 1.0) in a policy file, too
+                object.__setattr__(self, size.name, tuple(map(type(size.default[0]), value)))
 
     @property
     def varies_model(self) -> bool:
-        """Whether the model differs from one episode to the next."""
+        """True if the model differs from one episode to the next."""
         return any(getattr(self, name) != (1.0, 1.0) for name in MODEL_FACTORS)
 
     @property
     def varies_start(self) -> bool:
-        """Whether the robot starts elsewhere."""
+        """True if the robot's posture at the start differs from one episode to the next."""
         return self.posture > 0 or self.hand_opening > 0
 
     @property
     def has_sensor_noise(self) -> bool:
-        """Whether the positions of gripper and object are observed wrongly."""
+        """True if the observed positions of gripper and object have errors."""
         return any((self.robot_noise, self.robot_offset, self.object_noise, self.object_offset))
 
     def nominal(self) -> Self:
-        """Returns the randomisation without any disturbance, for which the policy is shown as much."""
+        """Returns no randomisation, for observations of the same size."""
         return type(self)(history=self.history)
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Returns what `dataclasses.asdict` gave, after it was JSON.
+        """Rebuilds a randomisation from `dataclasses.asdict` as JSON, also with an earlier release's names.
 
         Raises:
           ValueError: there is no such field, or it cannot have such a value.
 
         """
         content = {_OLD_NAMES.get(name, name): value for name, value in content.items()}
-        unknown = set(content) - {field.name for field in dataclasses.fields(cls)}
+        unknown = set(content) - {size.name for size in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"a randomisation has no field {min(unknown)!r}")
         sizes: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in content.items()
+            # JSON has lists in place of tuples, which would be no ranges.
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in content.items()
         }
         return cls(**sizes)
 
-    def _check(self, name: str, value: Any) -> None:
-        """Refuses a value that the field cannot have."""
-        least, most = _LIMITS[name]
-        ranged, whole = name in _RANGES, name in ("delay", "history")
-        numbers = value if isinstance(value, tuple) else (value,)
-        kind = int if whole else (int, float)
-        sound = len(numbers) == 1 + ranged and all(
-            isinstance(number, kind) and not isinstance(number, bool) and least <= number <= most for number in numbers
-        )
-        if not sound or numbers[0] > numbers[-1]:
-            allowed = "a least and a most" if ranged else "an integer" if whole else "a number"
-            raise ValueError(f"{name} is {value!r}; it must be {allowed} from {least} to {most}")
 
+def _check(size: dataclasses.Field, value: Any) -> None:
+    """Refuses a value that a size cannot have."""
+    nominal, (least, most) = size.default, size.metadata["limits"]
+    ranged = isinstance(nominal, tuple)
+    numbers = value if isinstance(value, tuple) else (value,)
+    whole = isinstance(nominal[0] if isinstance(nominal, tuple) else nominal, int)
+    kind = int if whole else (int, float)
+    valid = len(numbers) == 1 + ranged and all(
+        # bool is a subclass of int, and a NaN fails both comparisons
+        isinstance(number, kind) and not isinstance(number, bool) and least <= number <= most
+        for number in numbers
+    )
+    if not valid or numbers[0] > numbers[-1]:
+        allowed = "a least and a most" if ranged else "an integer" if whole else "a number"
+        raise ValueError(f"{size.name} is {value!r}; it must be {allowed} from {least} to {most}")
+
+
+MODEL_FACTORS = tuple(size.name for size in dataclasses.fields(ModelFactors))
+"""Fields of `Randomization` that are ranges of the fields of `ModelFactors`."""
+RAMPED = tuple(size.name for size in dataclasses.fields(Randomization) if size.metadata["ramps"])
+"""Fields of `Randomization` that grow over its `ramp`."""
 
 _MILD = Randomization(
     delay=(0, 1),
@@ -181,4 +192,4 @@ LEVELS: dict[str, Randomization] = {
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
 }
-"""Randomisations by the names that the command line knows them by."""
+"""Randomisations by name, as on the command line."""

@@ -1,4 +1,4 @@
-"""Randomised tasks: what is disturbed by how much, on a point that moves by known steps."""
+"""Randomised tasks: which quantity differs by how much, on a point that moves by known steps."""
 
 import dataclasses
 import json
@@ -249,21 +249,21 @@ def test_a_randomisation_comes_back_from_json(level):
         Randomization.from_json({"wind": 1.0})
 
 
-def test_undisturbed_is_none_with_the_same_history():
+def test_nominal_is_no_randomisation_with_the_same_history():
     full = LEVELS["full-history"]
     assert full.nominal() == Randomization(history=full.history)
     assert full.history > 0
 
 
-GROWS = Randomization(
+RAMPS = Randomization(
     delay=(1, 3), step_size=(0.6, 1.4), z_bias=(-0.1, 0.2), goal_offset=0.03, robot_noise=0.02, ramp=0.5
 )
 
 
 @jax.jit
-def grow(keys, progress):
+def ramp_reset(keys, progress):
     """Returns the starts of as many episodes once this share of a training is done."""
-    return jax.vmap(RandomizedEnv(Point(), GROWS).curriculum(progress).reset)(keys)
+    return jax.vmap(RandomizedEnv(Point(), RAMPS).curriculum(progress).reset)(keys)
 
 
 @pytest.mark.parametrize(
@@ -271,36 +271,36 @@ def grow(keys, progress):
     [
         (0.0, Randomization()),
         (0.25, Randomization(step_size=(0.8, 1.2), z_bias=(-0.05, 0.1), goal_offset=0.015, robot_noise=0.01)),
-        (0.5, GROWS),
-        (1.0, GROWS),
+        (0.5, RAMPS),
+        (1.0, RAMPS),
     ],
 )
-def test_disturbances_grow_to_their_sizes(progress, present):
-    grown = jax.tree.map(lambda leaf: leaf[0], grow(KEYS, progress))
+def test_sizes_ramp_from_nominal(progress, present):
+    ramped = jax.tree.map(lambda leaf: leaf[0], ramp_reset(KEYS, progress))
     there = jax.jit(RandomizedEnv(Point(), present).reset)(KEYS[0])
     for name in ("step_size", "z_bias", "offset"):
-        pair = [getattr(state.pipeline_state.drawn, name) for state in (grown, there)]
+        pair = [getattr(state.pipeline_state.drawn, name) for state in (ramped, there)]
         np.testing.assert_allclose(*pair, atol=1e-6)
-    np.testing.assert_allclose(grown.info["observation"], there.info["observation"], atol=1e-6)
+    np.testing.assert_allclose(ramped.info["observation"], there.info["observation"], atol=1e-6)
 
 
 @pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])
-def test_a_delay_grows_by_whole_steps(progress, delays):
-    drawn = grow(KEYS, progress).pipeline_state.drawn.delay
+def test_a_delay_ramps_by_whole_steps(progress, delays):
+    drawn = ramp_reset(KEYS, progress).pipeline_state.drawn.delay
     assert drawn.dtype == jnp.int32
     assert set(np.asarray(drawn).tolist()) == delays
 
 
 @pytest.mark.parametrize("progress", [0.0, 0.3])
-def test_without_growth_the_disturbances_are_there_from_the_start(progress):
-    env = RandomizedEnv(Point(), dataclasses.replace(GROWS, ramp=0.0))
+def test_without_a_ramp_the_sizes_are_whole_from_the_start(progress):
+    env = RandomizedEnv(Point(), dataclasses.replace(RAMPS, ramp=0.0))
     reset = jax.jit(lambda env_reset: env_reset(jax.random.key(3)), static_argnums=0)
     jax.tree.map(np.testing.assert_array_equal, reset(env.curriculum(progress).reset), reset(env.reset))
 
 
 def test_its_task_may_become_harder_itself(monkeypatch):
     monkeypatch.setattr(Point, "curriculum", lambda self, progress: f"the point after {progress}")
-    assert RandomizedEnv(Point(), GROWS).curriculum(0.25).task == "the point after 0.25"
+    assert RandomizedEnv(Point(), RAMPS).curriculum(0.25).task == "the point after 0.25"
 
 
 def test_its_task_is_prepared(monkeypatch):
