@@ -1,4 +1,4 @@
-"""Grasping a cube from the table, under three readings of what a goal is."""
+"""Grasping a cube from the table, with three meanings of a goal."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ WIDEST_GAP = 0.1
 CUBE_RANGE = 0.15
 """Metres around the gripper's start, along x and y, in which the cube starts."""
 LEAST_RISE = 0.05
-"""Metres that a cube rises in the probe if it is held."""
+"""Least rise of a held cube in the lift test, metres."""
 
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
 _CUBE_HEIGHT = 0.425  # metres, on the table
@@ -37,7 +37,7 @@ def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
 
 
 class Grasp(FetchEnv):
-    """FetchPickAndPlace's cube, to be grasped; a goal is a position and whether the cube is held there.
+    """Grasping the cube of FetchPickAndPlace; a goal is a position and whether the cube is held there.
 
     | index | quantity | unit |
     |---|---|---|
@@ -48,17 +48,17 @@ class Grasp(FetchEnv):
     | 8:11 | target position | m |
     | 11 | whether to hold the cube there | 0 or 1 |
 
-    The first eleven less 6 and 7 are the paper's observation. Its goal is a position alone, and a position says
-    nothing of the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a
-    later one, so that what is imitated for a goal with holding 1 are real grasps.
+    The first eleven without 6 and 7 are the paper's observation. Its goal is a position alone, independent of the hand:
+    see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so that
+    the expert samples of a goal with holding 1 are real grasps.
 
     An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
-    the gripper in x and y and at least 0.10 m away. It is measured on the goal (cube, 1). Half the goals to learn from
-    (`training_goals`) are (a random position, 0).
+    the gripper in x and y and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are
+    (a random position, 0).
 
-    Success is strict. After the last step both pads touch the cube and the gap is its width within 8 mm, and in twelve
-    further steps straight up, with the gripper command held, the cube rises by more than 5 cm. `achieved` of the
-    metrics is the first half alone. Distances are between gripper and cube, where it then is.
+    Success is strict, and includes a lift test. After the last step both pads touch the cube and the gap is its width
+    within 8 mm, and in twelve further steps straight up, with the gripper command held, the cube rises by more than
+    5 cm. `achieved` of the metrics is without that test. Distances are between gripper and cube after the last step.
 
     See `FetchEnv` for the arguments.
     """
@@ -119,6 +119,7 @@ class Grasp(FetchEnv):
         return (goal[..., 3] > 0.5).astype(jnp.int32)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        # Both ways: a goal with holding 0 is not achieved by a hand that holds the cube.
         return super().success(achieved[..., :3], desired[..., :3]) & (achieved[..., 3] == desired[..., 3])
 
     def move_target(self, state: State, position: jax.Array) -> State:
@@ -128,8 +129,9 @@ class Grasp(FetchEnv):
         moved = physics.replace(
             qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._cube_qpos,)),
             qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
-            sensordata=jnp.zeros_like(physics.sensordata),  # nothing touches it any more
+            sensordata=jnp.zeros_like(physics.sensordata),  # the pads no longer touch it
         )
+        # The evaluation's plan follows from the cube alone, so that any key will do.
         plan = self.plan_goals(jax.random.key(0), moved, training_goals=False)
         return self._advance(state, moved, plan, state.info["step"])
 
@@ -138,15 +140,16 @@ class Grasp(FetchEnv):
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         last, lifted = end.pipeline_state, lifted.pipeline_state
-        touched = self.holding(last)
+        held = self.holding(last)
+        # Contact and gap alone do not prove a grasp: only a cube that is held rises.
         rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
         return self.measure(last.gripper_position, self.cube_position(last)).replace(
-            success=(touched & (rise > LEAST_RISE)).astype(jnp.float32), achieved=touched.astype(jnp.float32)
+            success=(held & (rise > LEAST_RISE)).astype(jnp.float32), achieved=held.astype(jnp.float32)
         )
 
 
 class GraspPosition(Grasp):
-    """The paper's literal reading: a goal is a position, for hindsight the gripper's, in an episode the cube's.
+    """Grasping by the paper's literal reading: a goal is a position, achieved by the gripper and desired of the cube.
 
     Observation: indices 0 to 10 of `Grasp`. Given the motion, the gripper command is independent of a relabelled goal,
     so neither the discriminator nor maximum likelihood can teach the hand; published as a negative result.
@@ -164,6 +167,7 @@ class GraspPosition(Grasp):
     def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
         return self.sample_goal(rng, physics)
 
+    # `Grasp`'s own versions of these read a fourth number that these goals do not have.
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return FetchEnv.goal_kind(self, goal)
 
@@ -172,18 +176,18 @@ class GraspPosition(Grasp):
 
 
 class GraspAperture(Grasp):
-    """A goal is a gripper position and a gap between the fingers; at test the goals follow a fixed plan.
+    """Grasping with goals of a gripper position and a gap between the fingers; an evaluation follows a fixed plan.
 
-    Observation: indices 0 to 10 of `Grasp` and, at 11, the desired gap in metres. Goals to learn from are random. The
-    plan is: 10 cm above the cube with an open hand, at the cube with an open hand, at the cube with a closed one. So
-    the control of the arm and the hand is learnt, while the order of a grasp is given.
+    Observation: indices 0 to 10 of `Grasp` and, at 11, the desired gap in metres. Training goals are random. The
+    evaluation's plan is: 10 cm above the cube with an open hand, at the cube with an open hand, at the cube with a
+    closed one. So the control of the arm and the hand is learnt, while the order of a grasp is given.
     """
 
     goal_kinds = 1
     controllers: ClassVar[Mapping[str, Controller]] = {}
 
     _ABOVE = 0.1  # metres
-    _DESCEND, _CLOSE = 18, 36  # steps at which the plan goes on
+    _DESCEND, _CLOSE = 18, 36  # steps at which the plan's next stage begins
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return jnp.append(physics.gripper_position, self.gap(physics))
@@ -192,7 +196,7 @@ class GraspAperture(Grasp):
         return self._test_plan(physics)[-1]
 
     def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
-        """Returns the goals of the plan's stages, `[3, goal_size]`; to learn from, three times the same random one."""
+        """Returns the goals of the plan's stages, `[3, goal_size]`; the training goals are one random goal thrice."""
         position_rng, gap_rng = jax.random.split(rng)
         anywhere = jnp.append(self.random_position(position_rng), jax.random.uniform(gap_rng, maxval=WIDEST_GAP))
         return jnp.where(training_goals, anywhere, self._test_plan(physics))

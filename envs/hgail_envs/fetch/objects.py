@@ -1,4 +1,4 @@
-"""What push, pick and place and slide share: an object to be brought to a place, and whose place a goal is."""
+"""Base class of push, pick and place and slide: an object is brought to a place."""
 
 from typing import Any
 
@@ -8,36 +8,39 @@ from brax import math
 
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
 
 OBSERVATIONS = ("compact", "official")
-"""What `observation` may be."""
+"""Values of `observation`."""
 OFFICIAL_SIZE = 25
 """Numbers in the observation of the reference's tasks with an object."""
 
-_GRIPPER, _OBJECT = 0.0, 1.0  # whose position a goal is
-_MOVED = 0.01  # metres from where it started, beyond which the object's position is what is achieved
-_AT_GOAL = 0.03  # metres between object and goal, within which nothing is left to do
+_GRIPPER, _OBJECT = 0.0, 1.0  # fourth number of a goal: its position is the gripper's or the object's
+_MOVED = 0.01  # metres from its start, beyond which the object's position is the achieved goal
+_AT_GOAL = 0.03  # metres between object and goal, within which the goal is already solved
 _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
 _BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
 
 class ObjectPhysics(FetchPhysics, kw_only=True):
-    """`FetchPhysics` and where the object started."""
+    """`FetchPhysics` and the object's start."""
 
     object_start: jax.Array
     """`[3]`: metres."""
 
 
 class ObjectEnv(FetchEnv):
-    """A Fetch task in which an object is to be brought to a place.
+    """A Fetch task in which an object is brought to a place.
 
-    A goal is a position and whose it is to be: the gripper's (0) or the object's (1). What a state achieves is the
-    object's position, with 1, where that is more than 1 cm from where it started; before, all that has been achieved is
-    the gripper's, with 0. So hindsight teaches to move the hand until there is something to teach of the object.
+    A goal is a position and a flag: 0 for the gripper's position, 1 for the object's. The achieved goal of a state is
+    the object's position, with 1, once the object is more than 1 cm from its start; until then it is the gripper's
+    position, with 0. So hindsight first teaches to move the hand, and then to move the object.
 
-    Episodes that are measured have the reference's goals, with 1. Whether they are reached (`reached`, the reward and
-    the success) is a matter of the object's position alone, moved or not. Distances are between object and goal.
+    Evaluation episodes have the reference's goals, with 1. Their reward, success and `reached` depend on the object's
+    position alone, moved or not: an object that starts at its target is a success, though its position is not yet an
+    achieved goal. So does `goal_test`, which reads the position from the features. Distances are between object and
+    goal.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
@@ -72,8 +75,7 @@ class ObjectEnv(FetchEnv):
         worlds: int = 4096,
         observation: str = OBSERVATIONS[0],
     ) -> None:
-        if observation not in OBSERVATIONS:
-            raise ValueError(f"observation is {observation!r}; choose from {', '.join(OBSERVATIONS)}")
+        check_name("observation", observation, OBSERVATIONS)
         self.observation = observation
         if observation == "official":
             self.feature_size = OFFICIAL_SIZE
@@ -101,11 +103,12 @@ class ObjectEnv(FetchEnv):
 
     def reset_physics(self, rng: jax.Array) -> ObjectPhysics:
         start = jnp.append(self.random_place(rng, self.object_range), self.object_height)
-        physics: Any = super().reset_physics(rng)
+        physics: Any = super().reset_physics(rng)  # the arm's, which draws nothing: the key is used once
         return physics.replace(qpos=physics.qpos.at[self._object_qpos].set(start), object_start=start)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)
+        # An object of another height starts at another height, and that must not count as a movement.
         return varied.replace(object_start=self.object_position(varied))
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
@@ -115,13 +118,13 @@ class ObjectEnv(FetchEnv):
         return self.official_features(physics) if self.observation == "official" else self.compact_features(physics)
 
     def compact_features(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns what the policy sees by default besides the goal, `[15]` or more."""
+        """Returns the default observation without the goal, `[15]` or more."""
         gripper, thing = physics.gripper_position, self.object_position(physics)
-        velocity = physics.qvel[self._object_qvel] * CONTROL_PERIOD
+        velocity = physics.qvel[self._object_qvel] * CONTROL_PERIOD  # metres per action, as the gripper's
         return jnp.concatenate([gripper, physics.gripper_velocity, thing - gripper, thing, velocity])
 
     def official_features(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns the observation of Gymnasium-Robotics' tasks with an object, `[25]`.
+        """Returns the observation without the goal of Gymnasium-Robotics' tasks with an object, `[25]`.
 
         | index | quantity | unit |
         |---|---|---|
@@ -167,7 +170,7 @@ class ObjectEnv(FetchEnv):
         return object_goal(jnp.append(middle + offset, self.object_height))
 
     def aim(self, plan: Any, position: jax.Array) -> Any:
-        """See `GoalEnv`; the plans of these tasks have a field `goal`."""
+        """Sets the field `goal` that the plans of these tasks have; see `GoalEnv`."""
         return plan.replace(goal=plan.goal.at[:3].set(position))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
@@ -183,13 +186,12 @@ class ObjectEnv(FetchEnv):
         return super().success(position, desired[:3])
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-        """See `GoalEnv`; like `reached`, by the position alone, whether the object has moved or not."""
-        del achieved
+        """Tests the position alone, as `reached` does, whether the object has moved or not; see `GoalEnv`."""
         position = jnp.where(_is_object(goal)[..., None], self._object_in(features), features[..., :3])
         return super().success(position, goal[..., :3])
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """See `GoalEnv`: goals of the object within 3 cm of where it already is."""
+        """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
         distance = jnp.linalg.norm(self._object_in(features) - goal[..., :3], axis=-1)
         return _is_object(goal) & (distance <= _AT_GOAL)
 
@@ -219,8 +221,9 @@ def _is_object(goal: jax.Array) -> jax.Array:
 
 
 def _euler_angles(quaternion: jax.Array) -> jax.Array:
-    """Returns the angles `[3]` by which the reference describes a rotation, of a quaternion `[4]` of length 1."""
+    """Converts a unit quaternion, `[4]`, to Euler angles, `[3]`, in the reference's convention."""
     matrix = math.quat_to_3x3(quaternion)
+    # Signs and order of `mat2euler` in gymnasium_robotics.utils.rotations, without its branch for a gimbal lock.
     return jnp.array(
         [
             -jnp.arctan2(matrix[1, 2], matrix[2, 2]),
