@@ -1,4 +1,4 @@
-"""What all Fetch tasks share: the arm, its start and its end-effector control.
+"""Base class of all Fetch tasks: the arm, its start and its end-effector control.
 
 The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C MuJoCo).
 """
@@ -14,7 +14,7 @@ import numpy as np
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, EngineState, make_engine
 from hgail_envs.fetch.kinematics import Chain
-from hgail_envs.fetch.model import SceneModel
+from hgail_envs.fetch.model import FINGERS, SceneModel
 from hgail_envs.scenes import load_scene
 from hgail_envs.variation import ModelFactors, SensorErrors
 
@@ -23,30 +23,31 @@ CONTROL_PERIOD = 0.04
 REFERENCE_SUBSTEPS = 20
 """Physics steps per action in the reference: 20 of 2 ms."""
 FAST_SUBSTEPS = 4
-"""The fewest physics steps per action, 4 of 10 ms: the gripper's weld, of time constant 20 ms, bears no longer ones."""
+"""The fewest physics steps per action, 4 of 10 ms: the gripper's weld, of time constant 20 ms, is unstable with longer
+ones."""
 
 TABLE_HEIGHT = 0.4
 """Metres from the floor to the table's top, in every Fetch scene."""
 
 LEAD = 0.05
-"""Metres that the mocap body leads the gripper by for a unit action."""
+"""Metres by which the mocap body leads the gripper for a unit action."""
 
 LEAST_DISTANCE = 0.1
-"""Metres from the gripper's start, in the plane, at which an object starts at least."""
+"""Least distance in the plane between the starts of object and gripper, metres."""
 
-_POSTURES = 64  # to draw a start from that is elsewhere; each takes C MuJoCo a few milliseconds
-_CANDIDATES = 64  # positions drawn to find one far enough; each is with probability 0.65, or 0.21 for the puck of slide
-_ROAM = 0.15  # metres around the gripper's start, of random positions to bring it to
+_POSTURES = 64  # settled in advance for randomised starts; each takes C MuJoCo a few milliseconds
+# A candidate is far enough with probability 0.65, or 0.21 for the puck of slide: all 64 fail once in 3 million draws.
+_CANDIDATES = 64
+_ROAM = 0.15  # metres around the gripper's start, in which its random goals are
 _LOWEST = 0.42  # metres; the pads rest on the table at 0.417
 _DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
-_FINGERS = ("right_finger", "left_finger")
 _BASE_X, _BASE_Y = 0.405, 0.48  # metres
 _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
-_SETTLE_PERIODS = 10
+_SETTLE_PERIODS = 10  # actions, as in the reference
 
 
 class FetchPhysics(EngineState, kw_only=True):
-    """What the engine carries from one action to the next, and what is seen of it."""
+    """State of the engine, and the gripper's pose and velocity that follow from it."""
 
     body_position: jax.Array
     """`[3]`: the gripper's body, which the mocap body leads."""
@@ -57,7 +58,7 @@ class FetchPhysics(EngineState, kw_only=True):
     gripper_velocity: jax.Array
     """`[3]`: its linear velocity times `CONTROL_PERIOD`, metres, as the reference has it."""
     factors: ModelFactors | None = None
-    """In what the model differs from the scene's; None where in nothing."""
+    """Factors on the scene's model; None for the scene's own."""
 
 
 PhysicsT = TypeVar("PhysicsT", bound=FetchPhysics)
@@ -75,7 +76,7 @@ class FetchEnv(GoalEnv):
       impl: physics engine, see `hgail_envs.engines.resolve_impl`: `"auto"`, `"warp"`, `"c"` or `"jax"`.
       substeps: physics steps per action, from `FAST_SUBSTEPS` to `REFERENCE_SUBSTEPS`; an action always lasts
         `CONTROL_PERIOD`.
-      worlds: environments that are stepped at once at most; MJX-Warp sizes its contact buffers by it.
+      worlds: most environments that are stepped at once; MJX-Warp sizes its contact buffers by it.
 
     Raises:
       ValueError: an unknown or unavailable `impl`, or a number out of range.
@@ -89,9 +90,9 @@ class FetchEnv(GoalEnv):
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
     base_x: float = _BASE_X
-    """Metres along x at which the robot stands."""
+    """Position of the robot along x, metres."""
     start_height: float = 0.2
-    """Metres above the table, nominally, at which the gripper starts."""
+    """Nominal height of the gripper's start above the table, metres."""
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= REFERENCE_SUBSTEPS):
@@ -101,14 +102,16 @@ class FetchEnv(GoalEnv):
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         self.model = load_scene(self.scene)
-        self._finger_qpos = self.model.jnt_qposadr[[self.model.joint(name).id for name in _FINGERS]]
-        self._finger_qvel = self.model.jnt_dofadr[[self.model.joint(name).id for name in _FINGERS]]
+        self._fingers = [self.model.joint(name).id for name in FINGERS]
+        self._finger_qpos, self._finger_qvel = (
+            addresses[self._fingers] for addresses in (self.model.jnt_qposadr, self.model.jnt_dofadr)
+        )
         settled = settle(self.model, self.base_x, self.start_height)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self.max_worlds = self.engine.max_worlds
         self._scene_model = SceneModel(self.model)
-        self._arm = Chain(self.model, "grip")  # MJX-Warp exposes no velocities
+        self._arm = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
         self._initial_physics = jax.device_get(jax.jit(self.place)(settled.qpos, settled.qvel))
         self._settled: dict[float, FetchPhysics] = {}
 
@@ -136,12 +139,13 @@ class FetchEnv(GoalEnv):
         return jax.tree.map(jnp.asarray, self._initial_physics)
 
     def random_position(self, rng: jax.Array) -> jax.Array:
-        """Draws a position to bring the gripper to, `[3]`: around its start, and not in the table."""
+        """Draws a goal position of the gripper, `[3]`: around its start, and not in the table."""
         offset = jax.random.uniform(rng, (3,), minval=-_ROAM, maxval=_ROAM)
         return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
 
     def random_place(self, rng: jax.Array, width: float) -> jax.Array:
-        """Draws where an object starts, `[2]`: uniform up to `width` around the gripper's start, and not too near."""
+        """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near."""
+        # Rejection sampling in fixed time: the first of many candidates that is far enough.
         offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
         far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
         return self.initial_gripper_position[:2] + offsets[jnp.argmax(far)]
@@ -151,7 +155,7 @@ class FetchEnv(GoalEnv):
         return physics.qpos[self._finger_qpos].sum()
 
     def object_factor(self, physics: FetchPhysics) -> jax.Array | float:
-        """Returns how many times larger the object is than the scene's, `[]`."""
+        """Returns the factor on the object's size, `[]`."""
         return 1.0 if physics.factors is None else physics.factors.object_size
 
     def overflow(self, physics: FetchPhysics) -> jax.Array:
@@ -161,6 +165,7 @@ class FetchEnv(GoalEnv):
         qpos, qvel = physics.qpos, physics.qvel
         if self._scene_model.has_object:
             qpos = qpos.at[self._scene_model.object_qpos].add(errors.object)
+            # The physics state has metres per second, the errors and the gripper's velocity metres per action.
             qvel = qvel.at[self._scene_model.object_qvel].add(errors.object_motion / CONTROL_PERIOD)
         return physics.replace(
             qpos=qpos,
@@ -170,7 +175,7 @@ class FetchEnv(GoalEnv):
         )
 
     def vary_model(self, physics: FetchPhysics, factors: ModelFactors) -> FetchPhysics:
-        """See `GoalEnv`; an object of another height stands on the table all the same."""
+        """Scales the model, and sets an object of another height on the table; see `GoalEnv`."""
         qpos = physics.qpos
         if self._scene_model.has_object:
             rise = self._scene_model.object_half_height * (factors.object_size - 1.0)
@@ -178,37 +183,39 @@ class FetchEnv(GoalEnv):
         return physics.replace(qpos=qpos, factors=factors)
 
     def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: jax.Array | float) -> PhysicsT:
-        """See `GoalEnv`; the gripper keeps `LEAST_DISTANCE` from an object, and a hand without servos stays closed."""
-        drawn = jax.random.uniform(rng, (_POSTURES + 1,))  # at once, which compiles the quickest
-        order, opened = drawn[1:], drawn[0]
+        """Draws a posture at least `LEAST_DISTANCE` from an object, and opens a hand with servos; see `GoalEnv`."""
+        drawn = jax.random.uniform(rng, (_POSTURES + 1,))  # one draw compiles the fastest
+        scores, opened = drawn[1:], drawn[0]
         postures, model = self._postures(shift), self._scene_model
         if model.has_object:
             away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]]
-            order = order + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)
-        chosen = jnp.argmax(order)
+            # Scores are below 1, so that each posture that is far enough is ahead of each that is not.
+            scores = scores + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)
+        chosen = jnp.argmax(scores)
         qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
         qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)
         if self.model.nu:
-            widest = self.model.jnt_range[[self.model.joint(name).id for name in _FINGERS], 1]
+            widest = self.model.jnt_range[self._fingers, 1]
             qpos = qpos.at[self._finger_qpos].set(widest * opening * opened)
-        return self._see(physics.replace(qpos=qpos, qvel=qvel))
+        return self._with_gripper(physics.replace(qpos=qpos, qvel=qvel))
 
     def _postures(self, shift: float) -> FetchPhysics:
         """Returns the arm settled at random places around its start, leaves `[_POSTURES, ...]`, the same each time."""
+        # C MuJoCo cannot settle the arm within a program, so the places do not depend on the episode's key.
         if shift not in self._settled:
             offsets = np.random.default_rng(0).uniform(-shift, shift, (_POSTURES, 3))
             lowest = _LOWEST - self.initial_gripper_position[2]
             offsets[:, 2] = np.maximum(offsets[:, 2], min(lowest, 0.0))
             ends = [settle(self.model, self.base_x, self.start_height, offset) for offset in offsets]
             qpos, qvel = (np.stack([getattr(end, name) for end in ends]) for name in ("qpos", "qvel"))
-            with jax.ensure_compile_time_eval():
+            with jax.ensure_compile_time_eval():  # the first call may be traced, and must keep no tracers
                 placed = jax.vmap(self.place)(jnp.asarray(qpos), jnp.asarray(qvel))
                 self._settled[shift] = jax.tree.map(np.asarray, placed)
         return jax.tree.map(jnp.asarray, self._settled[shift])
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> FetchPhysics:
-        """Returns the physics with joint positions `[nq]` and velocities `[nv]`, without a history."""
-        return self._see(
+        """Returns the physics with joint positions `[nq]` and velocities `[nv]`, before any step."""
+        return self._with_gripper(
             FetchPhysics(
                 qpos=jnp.asarray(qpos, jnp.float32),
                 qvel=jnp.asarray(qvel, jnp.float32),
@@ -223,17 +230,17 @@ class FetchEnv(GoalEnv):
         )
 
     def control(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> Control:
-        """Returns what acts on the scene during an action.
+        """Returns the engine's control for an action.
 
         Args:
-          physics: where from.
-          displacement: `[3]` in [-1, 1], where the mocap body pulls the gripper.
+          physics: state before the action.
+          displacement: `[3]` in [-1, 1], direction in which the mocap body pulls the gripper.
           grip: `[]` in [-1, 1], metres by which the fingers' servos lead the fingers; None in a scene without servos.
 
         """
         return Control(
             mocap_pos=(physics.body_position + LEAD * displacement)[None],
-            mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],
+            mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],  # the reference adds them too; MuJoCo normalises
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
             model=None if physics.factors is None else self._scene_model.fields(physics.factors),
         )
@@ -243,10 +250,10 @@ class FetchEnv(GoalEnv):
         moved = self.engine.step(physics, self.control(physics, displacement, grip))
         if grip is None:
             moved = moved.replace(qpos=moved.qpos.at[self._finger_qpos].set(0.0))
-        return self._see(moved)
+        return self._with_gripper(moved)
 
-    def _see(self, physics: PhysicsT) -> PhysicsT:
-        """Returns the physics with the gripper where the joints put it."""
+    def _with_gripper(self, physics: PhysicsT) -> PhysicsT:
+        """Returns the physics with the gripper's pose and velocity, by forward kinematics."""
         gripper = self._arm.pose(physics.qpos, physics.qvel)
         return physics.replace(
             body_position=gripper.body_position,
@@ -262,13 +269,13 @@ def settle(
     start_height: float = FetchEnv.start_height,
     offset: np.ndarray | None = None,
 ) -> mujoco.MjData:
-    """Brings the arm to its start, as the reference does: pull the gripper there with C MuJoCo and let it settle.
+    """Brings the arm to its start, as the reference does: pulls the gripper there with C MuJoCo and lets it settle.
 
     Args:
       model: the scene.
       base_x: see `FetchEnv`.
-      start_height: likewise.
-      offset: `[3]`, metres, from there to where it is brought instead.
+      start_height: see `FetchEnv`.
+      offset: `[3]`, displacement of the gripper from its start, metres.
 
     """
     data = mujoco.MjData(model)

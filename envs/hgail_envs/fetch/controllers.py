@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 _GAIN = 20.0  # actions per metre: full speed down to 5 cm
-_DESCENT_GAIN = 4.0  # the hand comes in from above where z lags behind
+_DESCENT_GAIN = 4.0  # lower than in the plane, so that the hand is above the cube before it is low
 _NEAR = 0.015  # metres between gripper and cube, within which the hand closes
 _STRIDE = 0.033  # metres that the gripper moves with a unit action
 _OPEN, _CLOSE = 1.0, -1.0
@@ -16,18 +16,18 @@ _PERIOD = 0.04  # seconds between two actions
 _FULL_SPEED = _STRIDE / _PERIOD  # m/s
 _SAFE_SPEED = 0.6  # actions; a cube that is pushed faster tips over
 _PUSHING_HEIGHT, _PASSING_HEIGHT = 0.42, 0.5  # metres of the gripper; a cube's top is at 0.45, the pads end 2 cm lower
-_CLEAR = 0.475  # metres from which on the hand passes over an object
+_CLEAR = 0.475  # least height of the gripper at which the hand passes over an object, metres
 _RUN_UP = 0.06  # metres behind the object's centre at which a push begins
-_BESIDE, _LINED_UP = 0.035, 0.015  # metres: the hand is behind where it is as far back and as little aside
+_BESIDE, _LINED_UP = 0.035, 0.015  # metres: a hand behind the object is at least as far back and at most as far aside
 _THERE = 0.01  # metres from the target at which a push is over
 _PUCK_FRICTION = 0.1
-_ENOUGH = 0.9  # of the speed that brings a free puck to the target, below which the hand takes it again
+_ENOUGH = 0.9  # fraction of the speed that brings a free puck to the target, below which the hand takes it again
 _CENTRED = 0.02  # metres between hand and puck in the plane, within which the hand presses
 _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
 
 
 def reach(observation: jax.Array) -> jax.Array:
-    """Moves the gripper straight to its goal (`hgail_envs.fetch.reach.Reach`), the hand's number at 0."""
+    """Moves the gripper straight to its goal (`hgail_envs.fetch.reach.Reach`), with a gripper command of 0."""
     action = jnp.clip(_GAIN * (observation[..., 6:9] - observation[..., :3]), -1.0, 1.0)
     return _with_hand(action, jnp.zeros(action.shape[:-1]))
 
@@ -69,6 +69,7 @@ def push(observation: jax.Array) -> jax.Array:
     aside = -apart - ahead * direction
     over = distance <= _THERE
     behind = (ahead < -_BESIDE) & (jnp.linalg.norm(aside, axis=-1, keepdims=True) < _LINED_UP) & ~over
+    # v² = 2 µ g d, with µ = 1: the cube slides no farther than the target once the hand stops.
     speed = jnp.minimum(jnp.sqrt(2.0 * _GRAVITY * distance) / _FULL_SPEED, _SAFE_SPEED)
     pushes = speed * direction - _GAIN * aside
     goes_round = jnp.where(height > _CLEAR, _GAIN * (apart - _RUN_UP * direction), 0.0)
@@ -81,8 +82,8 @@ def push(observation: jax.Array) -> jax.Array:
 def slide(observation: jax.Array) -> jax.Array:
     """Presses on the puck from above, drags it, and lets go once it is fast enough to slide to the target.
 
-    What is dragged leaves the hand at 0.6 m/s at most, and slides 0.2 m then: the farther half of the targets are out
-    of its reach.
+    A dragged puck leaves the hand at 0.6 m/s at most and then slides 0.2 m: it cannot reach the farther half of the
+    targets.
     """
     height, apart = observation[..., 2:3], observation[..., 6:8]
     distance, _ = _way(observation)
@@ -102,7 +103,7 @@ def _launch(remaining: jax.Array) -> jax.Array:
     """Returns the velocity, `[..., 2]` in m/s, from which a puck slides by `remaining`, `[..., 2]` metres.
 
     MuJoCo's friction cone is a pyramid whose edges lie along x and y. So the puck is slowed along x + y and along x - y
-    by the same deceleration each, whatever it does along the other.
+    by the same deceleration each, independently of the other: v² = 2 µ g d along each diagonal.
     """
     x, y = remaining[..., 0], remaining[..., 1]
     diagonals = jnp.stack([x + y, x - y], axis=-1)
@@ -111,10 +112,10 @@ def _launch(remaining: jax.Array) -> jax.Array:
 
 
 def _way(observation: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns how far the object is from the target in the plane, `[..., 1]`, and in which direction, `[..., 2]`."""
+    """Returns the distance, `[..., 1]`, and direction, `[..., 2]`, from the object to the target in the plane."""
     remaining = observation[..., 15:17] - observation[..., 9:11]
     distance = jnp.linalg.norm(remaining, axis=-1, keepdims=True)
-    return distance, remaining / jnp.maximum(distance, 1e-6)
+    return distance, remaining / jnp.maximum(distance, 1e-6)  # no division by 0 at the target
 
 
 def _closed(across: jax.Array, up: jax.Array) -> jax.Array:
@@ -128,6 +129,7 @@ def _ahead(observation: jax.Array) -> jax.Array:
 
 
 def _line(ahead: jax.Array) -> jax.Array:
+    # The largest component is at full speed and the others in proportion: clipping each alone would bend the way.
     farthest = jnp.max(jnp.abs(ahead), axis=-1, keepdims=True)
     return jnp.clip(ahead / jnp.maximum(farthest, _STRIDE), -1.0, 1.0)
 

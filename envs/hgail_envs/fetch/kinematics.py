@@ -1,8 +1,8 @@
-"""Follows a robot's arm from its base to its hand, in closed form.
+"""Forward kinematics of a robot's arm from its base to its hand, in closed form.
 
-MJX's kinematics visit all bodies, level by level, in hundreds of small operations. Here all is arithmetic on single
-numbers, which XLA fuses into a few, and constant zeros drop out. The same chain on `brax.math` is 4,295 equations
-instead of 735, compiles in 4 to 6 s instead of 0.7 s and takes seven times as long (1,024 arms, 2 CPU cores).
+MJX's kinematics visit all bodies, level by level, in hundreds of small operations. This is arithmetic on single
+numbers, which XLA fuses into a few operations, and constant zeros drop out. The same chain on `brax.math` is 4,295
+equations instead of 735, compiles in 4 to 6 s instead of 0.7 s and takes seven times as long (1,024 arms, 2 CPU cores).
 """
 
 import functools
@@ -20,16 +20,16 @@ _Numbers = Sequence[_Number]  # 3 of a vector, 4 of a quaternion
 
 
 class Pose(NamedTuple):
-    """Where the end of a chain is, in the world's frame."""
+    """Pose and velocity of the end of a chain, in the world's frame."""
 
     site_position: jax.Array
     """`[3]`, metres."""
     site_velocity: jax.Array
     """`[3]`, metres per second."""
     body_position: jax.Array
-    """`[3]`: of the body that carries the site."""
+    """`[3]`: position of the body that carries the site, metres."""
     body_quaternion: jax.Array
-    """`[4]`: its orientation."""
+    """`[4]`: orientation of that body."""
 
 
 class Chain:
@@ -57,9 +57,10 @@ class Chain:
             raise ValueError(f"the chain to the site {site!r} has a joint that is neither a hinge nor a slide")
 
     def pose(self, qpos: jax.Array, qvel: jax.Array) -> Pose:
-        """Returns where positions `[nq]` and velocities `[nv]` of the joints bring the end of the chain."""
+        """Returns the pose of the chain's end for joint positions `[nq]` and velocities `[nv]`."""
         moving = qvel[self._model.jnt_dofadr[self._joints]]
         rates = jnp.zeros_like(qpos).at[self._model.jnt_qposadr[self._joints]].set(moving)
+        # The site's velocity is the Jacobian times the joints' velocities: one forward-mode derivative.
         (site, body, quaternion), (velocity, _, _) = jax.jvp(self._follow, (qpos,), (rates,))
         return Pose(site, velocity, body, quaternion)
 
@@ -73,11 +74,12 @@ class Chain:
             first = int(model.body_jntadr[body])
             for joint in range(first, first + int(model.body_jntnum[body])):
                 address = int(model.jnt_qposadr[joint])
-                value = _difference(qpos[address], float(model.qpos0[address]))
+                value = _difference(qpos[address], float(model.qpos0[address]))  # MuJoCo's pose is relative to qpos0
                 axis, offset = _numbers(model.jnt_axis[joint]), _numbers(model.jnt_pos[joint])
                 if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
                     position = _add(position, _rotate(quaternion, _scale(value, axis)))
                     continue
+                # A hinge turns the body about its anchor, which stays in place: the body's origin moves around it.
                 anchor = _add(position, _rotate(quaternion, offset))
                 turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
@@ -91,7 +93,7 @@ def _numbers(array: np.ndarray) -> _Numbers:
 
 
 def _product(one: _Number, other: _Number) -> _Number:
-    """Multiplies; where a factor is the constant 0 or 1 there is nothing for the program to do."""
+    """Multiplies, leaving out constant factors of 0 and 1."""
     for factor, rest in ((one, other), (other, one)):
         if isinstance(factor, float) and factor in (0.0, 1.0):
             return rest if factor else 0.0

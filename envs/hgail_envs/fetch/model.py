@@ -1,4 +1,4 @@
-"""What becomes of a Fetch scene's model when friction, object or fingers are others."""
+"""Fields of a Fetch scene's model with scaled friction, object or fingers."""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +7,12 @@ import numpy as np
 
 from hgail_envs.variation import ModelFactors
 
-_FINGERS = ("right_finger", "left_finger")
+FINGERS = ("right_finger", "left_finger")
+"""Names of the fingers' joints and actuators, as their positions are ordered in an observation."""
 
 
 class SceneModel:
-    """A scene's fields, and where its object is among them.
+    """A scene's fields, and the indices of its object in them.
 
     Args:
       model: the scene; it has at most one free joint, whose body is the object.
@@ -36,8 +37,8 @@ class SceneModel:
     def fields(self, factors: ModelFactors) -> dict[str, jax.Array]:
         """Returns the fields that differ, whole arrays by their names in `mujoco.MjModel`.
 
-        What MuJoCo derives from masses when it compiles a scene, and uses in a step, is what it would derive from the
-        new ones, but for the small part that the fingers have in the inverse weights of the arm.
+        Quantities that MuJoCo derives from masses at compilation are scaled consistently, except for the fingers' small
+        part in the inverse weights of the arm.
         """
         fields = {"pair_friction": jnp.asarray(self._model.pair_friction) * factors.friction}
         if self.has_object:
@@ -47,8 +48,8 @@ class SceneModel:
         return fields
 
     def _object_fields(self, mass: jax.Array | float, size: jax.Array | float) -> dict[str, jax.Array]:
-        """Returns what differs for an object `mass` times as heavy and `size` times as large."""
-        body, geom, turning = self._body, self._geom, mass * size**2
+        """Returns the fields that differ for an object `mass` times as heavy and `size` times as large."""
+        body, geom, turning = self._body, self._geom, mass * size**2  # a moment of inertia is mass times length squared
         of_dof = jnp.array([mass] * 3 + [turning] * 3)
         heavier = self._model.body_mass[body] * (mass - 1.0)
         scaled = {
@@ -57,24 +58,24 @@ class SceneModel:
             "body_invweight0": (body, jnp.array([1.0 / mass, 1.0 / turning])),
             "dof_invweight0": (self._dofs, 1.0 / of_dof),
             "geom_size": (geom, size),
-            "geom_rbound": (geom, size),
+            "geom_rbound": (geom, size),  # else the broad phase would miss contacts of a larger object
             "geom_aabb": (geom, size),
         }
         fields = {name: self._field(name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
-        subtrees = np.array([0, body])
+        subtrees = np.array([0, body])  # the object's own and the world's
         return fields | {"body_subtreemass": self._field("body_subtreemass").at[subtrees].add(heavier)}
 
     def _finger_fields(
         self, force: jax.Array | float, speed: jax.Array | float, others: dict[str, jax.Array]
     ) -> dict[str, jax.Array]:
-        """Returns what differs for fingers with other servos: spring, damper and mass of each keep their proportions.
+        """Returns the fields that differ for servos of other force and speed.
 
-        A mass on a spring moves `speed` times as fast if the mass is divided by the square of it and the damping by it;
-        what scales all three scales the force alone.
+        A servo is a mass on a spring with a damper, m x″ + d x′ + k x = k u. With time scaled by `speed` it is
+        m / speed², d / speed and k; scaling all three by `force` scales the force alone.
         """
         model = self._model
-        dofs = np.array([model.joint(name).dofadr[0] for name in _FINGERS])
-        servos = np.array([model.actuator(name).id for name in _FINGERS])
+        dofs = np.array([model.joint(name).dofadr[0] for name in FINGERS])
+        servos = np.array([model.actuator(name).id for name in FINGERS])
         heavier = force / speed**2
         mass = model.dof_M0[dofs]
         more = (mass * (heavier - 1.0)).astype(jnp.float32)  # all of it armature: the finger's weight stays

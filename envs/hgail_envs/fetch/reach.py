@@ -11,7 +11,7 @@ from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 
 GOAL_RANGE = 0.15
-"""Metres around the gripper's start, along each axis, in which goals are."""
+"""Largest distance of a goal from the gripper's start along each axis, metres."""
 
 
 class Reach(FetchEnv):
