@@ -1,7 +1,7 @@
 """The physics engines, behind one interface: a state and a control in, the state after an action out.
 
-`jax` and `warp` are MJX's two implementations, `c` is C MuJoCo on the host's cores. Tasks and learner do not know which
-one runs; a further engine is a subclass of `Engine` and an entry of `ENGINES`.
+`jax` and `warp` are MJX's two implementations, `c` is C MuJoCo on the host's cores. Tasks and learner do not depend on
+the engine; a further one is a subclass of `Engine` and an entry of `ENGINES`.
 """
 
 import importlib.util
@@ -15,16 +15,16 @@ from hgail_envs.engines.c import CEngine
 from hgail_envs.engines.mjx import MjxEngine, WarpEngine
 
 ENGINES: dict[str, Callable[..., Engine]] = {"warp": WarpEngine, "c": CEngine, "jax": MjxEngine}
-"""Engines by the name that `impl` gives them."""
+"""Engines by the value of `impl`."""
 
 
 def resolve_impl(impl: str) -> str:
-    """Returns the name of the engine that `impl` stands for here.
+    """Returns the name of the engine that `impl` selects on this machine.
 
     `"auto"` is MJX-Warp on an NVIDIA GPU where warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
 
     Raises:
-      ValueError: `impl` is no engine's name and not `"auto"`, or the engine is not available.
+      ValueError: `impl` is neither an engine's name nor `"auto"`, or the engine is not available.
 
     """
     if impl != "auto" and impl not in ENGINES:
@@ -43,7 +43,7 @@ def resolve_impl(impl: str) -> str:
 
 
 def _platform() -> str:
-    """Returns what programs run on unless they are told otherwise: `"cpu"`, `"gpu"` or another."""
+    """Returns the platform that programs run on by default: `"cpu"`, `"gpu"` or another."""
     chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
     return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
 
@@ -55,8 +55,8 @@ def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, 
       impl: see `resolve_impl`.
       model: the scene.
       period: seconds that an action lasts.
-      substeps: physics steps that an action is carried out in.
-      worlds: environments that are stepped at once at most, where the engine has buffers for them.
+      substeps: physics steps per action.
+      worlds: most environments that are stepped at once, for engines with buffers for them.
 
     Raises:
       ValueError: see `resolve_impl`.

@@ -1,11 +1,11 @@
 """C MuJoCo on the host's cores, called back from within a compiled program.
 
 An action of all environments of all seeds is one call of `mujoco.rollout`, whose pool has a thread for each core that
-this process may use. The host keeps nothing between calls: all state goes in and out, so that a call may be repeated or
-left out, a run resumes exactly, and the result does not depend on the number of threads.
+this process may use. The host keeps no state between calls: all state goes in and out, so that a call may be repeated
+or left out, a run resumes exactly, and the result does not depend on the number of threads.
 
-Calls back into Python do not go together with JAX's asynchronous dispatch on a CPU, under which they can wait for one
-another for ever; `hgail_envs._platform` turns that off before JAX starts.
+Callbacks into Python can deadlock under JAX's asynchronous dispatch on a CPU; `hgail_envs._platform` turns that off
+before JAX starts.
 """
 
 import copy
@@ -32,15 +32,15 @@ _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS 
 
 _CGROUP = Path("/sys/fs/cgroup")
 
-_START = 1.0  # seconds on the clock at the start of an action, more than one lasts
+_START = 1.0  # seconds on the clock at the start of an action: after a reset to 0 it ends earlier than this
 
 
 class CEngine(Engine):
-    """C MuJoCo; see `Engine` for the arguments. It starts the constraint solver anew with every action.
+    """C MuJoCo; see `Engine` for the arguments. The constraint solver starts from zero in every action.
 
-    A simulation that MuJoCo warns of (a position that is not finite, an ill-conditioned inertia, a full arena) gives
-    positions that are not a number, so that its episode is left out. A warning in the last physics step of an action
-    alone goes unseen, but for one that resets the simulation.
+    A simulation with a MuJoCo warning (a position that is not finite, an ill-conditioned inertia, a full arena) gives
+    positions that are not a number, so that its episode is left out. A warning in the last physics step of an action is
+    not noticed, except one that resets the simulation.
     """
 
     name = "c"
@@ -51,13 +51,13 @@ class CEngine(Engine):
         self._name = f"rollout.{_digest(self.model)}.{substeps}"
 
     def step(self, state: StateT, control: Control) -> StateT:
-        """See `Engine`; the warm start is passed on unused."""
+        """Steps on the host, without use of the warm start; see `Engine`."""
         sizes = (self.model.nq, self.model.nv, self.model.nsensordata)
         mocap_pos, mocap_quat = control.mocap_pos.reshape(-1), control.mocap_quat.reshape(-1)
         fields = dict(sorted((control.model or {}).items()))
         self._check_fields(self.model, fields)
         commands = jnp.concatenate([control.ctrl, mocap_pos, mocap_quat])
-        # In single precision each, also where jax_enable_x64 has made some of them double.
+        # host_call reads memory as single precision, and under jax_enable_x64 some of these are double.
         given = [state.qpos, state.qvel, commands, *(values.reshape(-1) for values in fields.values())]
         qpos, qvel, sensordata = host_call(
             ".".join([self._name, *fields]),
@@ -76,9 +76,9 @@ class HostRollout:
     """Steps a batch of environments with C MuJoCo, NumPy arrays in and out.
 
     Args:
-      model: the scene, whose time step is taken.
+      model: the scene, with its time step.
       substeps: physics steps in a call.
-      threads: of the pool.
+      threads: number of threads in the pool.
 
     """
 
@@ -101,7 +101,7 @@ class HostRollout:
           qvel: `[..., nv]`.
           control: `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies.
           *fields: `[..., size]`: values of some of the model's fields, in single precision.
-          names: of these fields.
+          names: names of these fields.
 
         """
         model, batch = self._model, qpos.shape[:-1]
@@ -127,7 +127,7 @@ class HostRollout:
                 sensordata=room.sensors,
             )
             end, sensordata = room.states[:, -1].astype(np.float32), room.sensors[:, -1].astype(np.float32)
-        # MuJoCo resets a simulation that breaks down, and its clock with it; after any warning it stops early.
+        # MuJoCo resets a simulation that diverges, and its clock with it; after any other warning it stops early.
         broken = ~(end[:, 0] > _START + (self._substeps - 0.5) * model.opt.timestep)
         if broken.any():
             end[broken, 1:velocities] = np.nan
@@ -141,13 +141,13 @@ class HostRollout:
         return self._pool
 
     def close(self) -> None:
-        """Ends the pool's threads; the next call starts others."""
+        """Ends the pool's threads; the next call starts new ones."""
         with self._lock:
             self._pool = None
 
 
 class _Room:
-    """What a call of `mujoco.rollout` on `count` environments reads and writes, kept from call to call."""
+    """Arrays that `mujoco.rollout` on `count` environments reads and writes, kept from call to call."""
 
     def __init__(self, model: mujoco.MjModel, substeps: int, count: int) -> None:
         self.count = count
@@ -164,8 +164,8 @@ class _Copies:
     """Copies of a model that differ in some fields, made once and kept from call to call.
 
     Args:
-      model: what is copied.
-      names: of the fields.
+      model: the model to copy.
+      names: names of the fields.
 
     """
 
@@ -175,12 +175,12 @@ class _Copies:
         self._written = np.empty((0, sum(getattr(model, name).size for name in names)), np.float32)
 
     def with_fields(self, values: np.ndarray) -> list[mujoco.MjModel]:
-        """Returns a model for each row of `values`, the fields one after another; what has not changed is not written.
+        """Returns a model for each row of `values`, the fields one after another; writes only rows that changed.
 
-        An episode's fields stay as they are while it lasts.
+        An episode's fields are constant, so that most calls write nothing.
         """
         missing = len(values) - len(self._models)
-        if missing > 0:
+        if missing > 0:  # NaN differs from every value, so that the new rows are written below
             self._models += [copy.copy(self._model) for _ in range(missing)]
             self._written = np.append(self._written, np.full((missing, values.shape[1]), np.nan, np.float32), axis=0)
         changed = np.flatnonzero((self._written[: len(values)] != values).any(axis=1))
@@ -198,7 +198,7 @@ _HOSTS: weakref.WeakSet[HostRollout] = weakref.WeakSet()
 
 
 def _close_all() -> None:
-    """Ends all threads before a fork: the child would wait for ever for those that it does not have."""
+    """Ends all threads before a fork: the child has none of them, and would wait for them for ever."""
     for host in list(_HOSTS):
         host.close()
 
@@ -208,23 +208,23 @@ if hasattr(os, "register_at_fork"):
 
 
 def _digest(model: mujoco.MjModel) -> str:
-    """Returns what tells a scene from others, the same in every process."""
+    """Returns a hash of a scene, the same in every process."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.tobytes()).hexdigest()[:32]
 
 
 def usable_cores() -> int:
-    """Returns how many processors this process may use, by its affinity and by what a container limits it to."""
+    """Returns the number of processors that this process may use, by its affinity and its container's limit."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, _container_limit(_CGROUP) or cores)
 
 
 def _container_limit(folder: Path) -> int | None:
-    """Returns the processors whose time a container may use, rounded up, by Linux's cgroups; None without a limit.
+    """Returns a container's limit in processors, rounded up, by Linux's cgroups; None without a limit.
 
     Args:
-      folder: where cgroups are mounted, of version 2 or 1.
+      folder: mount point of the cgroups, of version 2 or 1.
 
     """
     for files in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
@@ -238,4 +238,4 @@ def _container_limit(folder: Path) -> int | None:
 
 
 def _ignore(message: str) -> None:
-    """Takes MuJoCo's warnings, which would go to the terminal and a log file; broken episodes are counted instead."""
+    """Drops MuJoCo's warnings, which would go to the terminal and a log file; invalid episodes are counted instead."""

@@ -1,9 +1,13 @@
 """Calls a function of NumPy arrays from within a compiled program on a CPU.
 
-`jax.pure_callback` does so too. But there the program holds the function's address, so that JAX cannot keep the program
-in its compilation cache, and each call makes JAX arrays. Here XLA finds the function by its name, through its foreign
-function interface, and hands over its own buffers. The structures below are those of jaxlib's
-`xla/ffi/api/c_api.h`; XLA refuses a function that was written for another major version of them.
+XLA finds the function by its name, through its foreign function interface, and hands over its own buffers. The
+structures below are those of jaxlib's `xla/ffi/api/c_api.h`; XLA refuses functions for another major version of them.
+
+`jax.pure_callback` and `jax.experimental.buffer_callback` need no such structures. But their programs hold the address
+of the function, so that JAX never keeps them in its compilation cache. A scan of C MuJoCo's steps of reach compiles in 1.2 s and
+is read from the cache in 0.05 s; COMPILES. Per step `buffer_callback` takes
+1.00 times (64 environments) and 0.98 times (512) as long, `pure_callback` 1.08 and 1.02 times (medians of 25 scans
+timed in turn, two CPU cores, JAX 0.10.2).
 """
 
 import ctypes
@@ -18,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 HostFunction = Callable[..., Sequence[np.ndarray]]
-"""Arrays in single precision to arrays in single precision. JAX must not be used in it, not even to convert an array:
-it may wait for the very program that waits for it."""
+"""Arrays in single precision to arrays in single precision. It must not use JAX, not even to convert an array: JAX may
+wait for the program that waits for the function."""
 
 _MAJOR_VERSION = 0
-_METADATA = 1  # kind of extension by which XLA asks for the version
+_METADATA = 1  # kind of extension with which XLA asks for the version
 _INTERNAL = 13  # code of an error
 _PREFIX = "hgail_jax."
 
@@ -87,7 +91,7 @@ class _Buffer(ctypes.Structure):
         shape = tuple(self.dims[: self.rank])
         size = math.prod(shape)
         if not size:
-            return np.empty(shape, np.float32)  # no memory need be there
+            return np.empty(shape, np.float32)  # the address of an empty buffer may be null
         return np.frombuffer((ctypes.c_float * size).from_address(self.data), np.float32).reshape(shape)
 
 
@@ -117,7 +121,7 @@ class _Frame(ctypes.Structure):
 
 
 _Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
-_registered: dict[str, Any] = {}  # for good: a compiled program may call at any time
+_registered: dict[str, Any] = {}  # never freed: a compiled program may call at any time
 _api: _Api | None = None  # XLA's, one for the whole process
 
 
@@ -129,17 +133,17 @@ def host_call(
     The function must be pure: its calls may be repeated or left out.
 
     Args:
-      name: of the function, which must be the same in another process exactly where the function is. The first function
-        of a name is the one that is called.
+      name: name of the function. Two processes give the same name to the same function and to no other, for cached
+        programs hold it. The first function of a name is the one that is called.
       function: takes arrays `[..., n]` and returns arrays `[..., m]`, with all the batch's axes in front.
-      results: what it returns for a single element of the batch, in single precision.
-      *arguments: what it is given, in single precision.
+      results: shapes of its results for a single element of the batch, in single precision.
+      *arguments: its arguments, in single precision.
 
     Returns:
       The results.
 
     Raises:
-      ValueError: an argument is not in single precision, as which its memory would be read.
+      ValueError: an argument is not in single precision.
 
     """
     for dtype in {argument.dtype for argument in arguments} - {jnp.dtype(jnp.float32)}:
@@ -158,11 +162,11 @@ _new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 
 
 class _Entry(threading.local):
-    """What XLA calls with the address of a frame. It returns the address of an error, or None; it raises nothing.
+    """Entry point that XLA calls with the address of a frame. Returns the address of an error, or None; never raises.
 
-    What a signal is to raise, as Ctrl-C a KeyboardInterrupt, Python raises at the next line that it runs. In a function
-    that C calls this is before any `try`; ctypes would print it and go on, with results that nobody wrote. A generator
-    goes on within its `try`, and on the way to it no line of Python runs. Each thread has one of its own.
+    Python raises a signal's exception, e.g. KeyboardInterrupt for Ctrl-C, at the next line that it runs. In a function
+    that C calls this is before any `try`; ctypes would print it and go on, with results that were never written. A
+    generator resumes within its `try`, and on the way to it no line of Python runs. Each thread has a generator.
     """
 
     def __init__(self, function: HostFunction) -> None:
@@ -174,7 +178,7 @@ class _Entry(threading.local):
 
 
 def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
-    """Takes addresses of frames and calls the function for each; yields what `_Entry` returns."""
+    """Receives addresses of frames and calls the function for each; yields the results of `_Entry`."""
     error = None
     while True:
         try:
@@ -184,12 +188,12 @@ def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
                 pointer = yield None
         except GeneratorExit:  # the thread ends
             return
-        except BaseException as raised:  # also what a signal raised: nothing may pass through XLA
+        except BaseException as raised:  # a signal's exception too: none may pass through XLA's frames
             error = _make_error(f"{type(raised).__name__}: {raised}")
 
 
 def _call(function: HostFunction, pointer: Any) -> None:
-    """Calls the function with the arguments in a frame, and puts its results there; or tells XLA the version."""
+    """Calls the function with a frame's arguments and writes its results there, or tells XLA the version."""
     frame = pointer.contents
     extension = frame.extension_start
     if extension and extension.contents.kind == _METADATA:
@@ -201,7 +205,7 @@ def _call(function: HostFunction, pointer: Any) -> None:
 
 
 def _describe(metadata: _Metadata, api: _Api) -> None:
-    """Tells XLA the version that the function was written for, and keeps what errors are made with."""
+    """Tells XLA the version that the function was written for, and keeps XLA's functions to make errors."""
     global _api
     _api = api
     metadata.version.major = _MAJOR_VERSION

@@ -17,7 +17,7 @@ from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
 
 @jax.jit  # traced once, whatever loops and batches it is then run in
 def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """Takes a physics step, in full single precision: by default GPUs round what they multiply to ten bits."""
+    """Takes a physics step in full single precision: by default GPUs round factors of matrix products to ten bits."""
     with jax.default_matmul_precision("highest"):
         return mjx.step(model, data)
 
@@ -29,16 +29,15 @@ class MjxEngine(Engine):
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
-        # NumPy's arrays: to make others a constant of a program, it waits for the GPU, which may be loading kernels.
+        # NumPy arrays: to make JAX's own constants of a program, JAX waits for the GPU, which may be loading kernels.
         self.mjx_model = jax.device_get(mjx.put_model(self.model, impl=self.name))
         self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
 
     def _buffer_sizes(self, worlds: int) -> dict[str, int]:
-        del worlds  # MJX-JAX sizes its arrays by the model alone
-        return {}
+        return {}  # MJX-JAX sizes its arrays by the model alone
 
     def data(self, state: StateT, control: Control) -> mjx.Data:
-        """Returns what `mjx.step` is given, together with `mjx_model`, to carry out an action."""
+        """Returns the data with which `mjx.step` carries out an action, together with `mjx_model`."""
         return jax.tree.map(_as_constant, self._blank_data).replace(
             qpos=state.qpos,
             qvel=state.qvel,
@@ -49,8 +48,9 @@ class MjxEngine(Engine):
         )
 
     def step(self, state: StateT, control: Control) -> StateT:
-        """See `Engine`; `substeps` is a constant of the program, or a GPU would wait for the host each time."""
+        """Steps in a loop within the program; see `Engine`."""
         model = self._vary(control.model)
+        # A constant number of steps: with a traced one a GPU would wait for the host before each.
         data = jax.lax.fori_loop(0, self.substeps, lambda _, data: _step(model, data), self.data(state, control))
         return state.replace(
             qpos=data.qpos,
@@ -61,21 +61,20 @@ class MjxEngine(Engine):
         )
 
     def _vary(self, fields: Mapping[str, jax.Array] | None) -> mjx.Model:
-        """Returns the model with other fields; under `jax.vmap` these alone have a value for each environment."""
+        """Returns the model with some fields replaced, which alone are batched under `jax.vmap`."""
         if fields is None:
             return self.mjx_model
         self._check_fields(self.mjx_model, fields)
-        own = {name: getattr(self.mjx_model, name) for name in fields}  # laid out as the implementation has them
+        own = {name: getattr(self.mjx_model, name) for name in fields}  # each implementation has shapes of its own
         return self.mjx_model.tree_replace(
             {name: values.reshape(own[name].shape).astype(own[name].dtype) for name, values in fields.items()}
         )
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
-        del data
         return False
 
     def with_substeps(self, substeps: int) -> Self:
-        """See `Engine`; the model's arrays and the buffers are shared."""
+        """Returns an engine that shares the model's arrays and the buffers; see `Engine`."""
         engine = copy.copy(self)
         engine.substeps = substeps
         engine.model = copy.copy(self.model)
@@ -102,15 +101,15 @@ class WarpEngine(MjxEngine):
         return buffer_sizes(self.model, worlds)
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
-        return data._impl.overflow != 0
+        return data._impl.overflow != 0  # MJX passes Warp's count of overflows on in no public field
 
 
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
-    """Returns the most contacts of all worlds together and the most constraint rows of one: `make_data`'s arguments.
+    """Returns `make_data`'s bounds: the contacts of all worlds together and the constraint rows of one.
 
-    A sphere meets anything in one point, a plane a box in at most four, two boxes meet in eight. A contact takes two
-    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit. There is a quarter
-    to spare: more rows than that have been asked for when a hand was pressed into the cube.
+    A sphere touches anything in one point, a plane a box in at most four, two boxes touch in eight. A contact takes two
+    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit. A quarter of the
+    rows is spare: a hand pressed into the cube has exceeded the count.
     """
     kinds = model.geom_type[np.stack([model.pair_geom1, model.pair_geom2])]
     spheres = (kinds == mujoco.mjtGeom.mjGEOM_SPHERE).any(axis=0)
@@ -121,17 +120,17 @@ def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
 
 
 def _as_constant(values: np.ndarray) -> jax.Array:
-    """Returns values as part of a program: where all are equal as a broadcast, since buffers are many megabytes."""
+    """Returns values as a constant of a program, a broadcast if all are equal: buffers are many megabytes."""
     if values.size and (values == values.flat[0]).all():
         return jnp.full(values.shape, values.flat[0], values.dtype)
     return jnp.asarray(values)
 
 
 def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
-    """Returns what a step starts from before anything is set, as NumPy arrays; `sizes` is from `buffer_sizes`.
+    """Returns the engine's default data as NumPy arrays; `sizes` is from `buffer_sizes`.
 
-    MJX-Warp leaves what it would note of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make
-    two processes compile the same program, so that the second finds it in the cache.
+    MJX-Warp leaves its fields of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make two
+    processes compile the same program, so that the second finds it in the cache.
     """
 
     def initialised(path: Any, values: Any) -> np.ndarray:
