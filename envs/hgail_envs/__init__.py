@@ -2,7 +2,7 @@
 
 from hgail_envs import _platform
 
-_platform.prepare()
+_platform.prepare()  # before JAX starts, which reads its settings once
 
 from brax.envs.base import State  # noqa: E402
 

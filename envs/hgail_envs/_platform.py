@@ -11,17 +11,17 @@ from collections.abc import Callable
 import jax
 import jaxlib.version
 
-# Two faults of jaxlib's CPU backend, both mended in the releases that Python 3.12 gets:
+# Two faults of jaxlib's CPU backend, both fixed in the releases that Python 3.12 gets:
 # - the fusion emitters duplicate work along the arm's kinematic chain, so that a batched MJX step compiles for minutes
 #   and runs a thousand times slower (releases without the fault may abort on the flag as unknown);
-# - a batched Cholesky factorisation waits, inside a thread of XLA's pool, for tasks it hands to the same pool. MJX has
-#   up to three at once, which on two cores wait for one another for ever. More threads than that, and none is stuck.
+# - a batched Cholesky factorisation waits, inside a thread of XLA's pool, for tasks that it puts into the same pool.
+#   MJX has up to three at once, which deadlock on two cores. With more threads than that one is always free.
 _FAULTY = [(0, minor) for minor in range(7, 11)]
 _NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _ENOUGH_THREADS = 8
 
 rendering_fault: str | None = None
-"""Why MuJoCo cannot render with what `MUJOCO_GL` names; None where it can, or where that is not known yet."""
+"""Reason for which MuJoCo cannot render with the value of `MUJOCO_GL`; None if it can, or if that is not known yet."""
 
 # Shardy, JAX's default partitioner, crashes in these releases over a training step that several devices share.
 _SHARDY_CRASHES = [(0, 11)]
@@ -48,7 +48,7 @@ def xla_flags(flags: str, jaxlib_version: str) -> str:
 
 
 def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
-    """Returns the threads that XLA's CPU client needs, or None where its own choice is right.
+    """Returns the number of threads that XLA's CPU client needs, or None if its own choice is right.
 
     >>> thread_pool_size(2, "0.10.2")
     8
@@ -61,7 +61,7 @@ def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
 
 
 def uses_shardy(jaxlib_version: str) -> bool:
-    """Returns whether programs for several devices can be partitioned as JAX does by default.
+    """Returns whether JAX's default partitioner works for programs of several devices.
 
     >>> uses_shardy("0.11.2"), uses_shardy("0.12.0")
     (False, True)
@@ -70,9 +70,9 @@ def uses_shardy(jaxlib_version: str) -> bool:
 
 
 def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
-    """Returns what MuJoCo can render with where there is no display: `"egl"`, `"osmesa"` or nothing.
+    """Returns the backend for rendering without a display: `"egl"`, `"osmesa"`, or None if neither is installed.
 
-    MuJoCo cannot even be imported with a backend named whose library is missing.
+    MuJoCo cannot even be imported if the backend's library is missing.
 
     >>> headless_backend({"OSMesa": "libOSMesa.so.8"}.get)
     'osmesa'
@@ -81,9 +81,9 @@ def headless_backend(find_library: Callable[[str], str | None]) -> str | None:
 
 
 def import_mujoco() -> None:
-    """Imports MuJoCo, without its renderer where `MUJOCO_GL` names one that is unknown or whose library is missing.
+    """Imports MuJoCo, without its renderer if `MUJOCO_GL` names one that is unknown or whose library is missing.
 
-    MuJoCo alone could not be imported then, not even by those who only want its physics.
+    A plain import would fail then, even if only the physics is needed.
     """
     global rendering_fault
     chosen = os.environ.get("MUJOCO_GL")
@@ -100,7 +100,7 @@ def import_mujoco() -> None:
 
 
 def prepare() -> None:
-    """Sets what XLA, JAX and MuJoCo's renderer go by; imports MJX without its notices of missing packages."""
+    """Configures XLA, JAX and MuJoCo's renderer, and imports MJX without its notices of missing packages."""
     version = jaxlib.version.__version__
     os.environ["XLA_FLAGS"] = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
     threads = thread_pool_size(os.cpu_count() or 1, version)
@@ -115,7 +115,7 @@ def prepare() -> None:
     import_mujoco()
     with contextlib.redirect_stdout(io.StringIO()):
         importlib.import_module("mujoco.mjx")
-    # A program that calls C MuJoCo on the host (`hgail_envs.engines.c`) can hang if a CPU dispatches it asynchronously.
+    # A program that calls C MuJoCo (`hgail_envs.engines.c`) can deadlock if a CPU dispatches it asynchronously.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     if not uses_shardy(version) and "JAX_USE_SHARDY_PARTITIONER" not in os.environ:
         jax.config.update("jax_use_shardy_partitioner", False)

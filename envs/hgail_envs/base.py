@@ -63,7 +63,7 @@ class GoalEnv(Env):
 
     `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
     (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is `goal_observation(observation, desired_goal)`,
-    `[observation_size]`. `State.reward` is -1, or 0 where the state is at the goal (`reached`).
+    `[observation_size]`. `State.reward` is -1, or 0 if the state is at the goal (`reached`).
     """
 
     episode_length: int

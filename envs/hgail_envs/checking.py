@@ -13,16 +13,10 @@ import numpy as np
 from hgail_envs.base import EpisodeMetrics, GoalEnv, State
 
 _BATCH = (2, 3)
-"""Leading axes that a method which must take any is tried with."""
-_EPISODES = 2
-_COUNTS = {
-    "episode_length": 1,
-    "feature_size": 1,
-    "goal_size": 1,
-    "action_size": 1,
-    "goal_kinds": 1,
-    "lift_test_steps": 0,
-}
+"""Leading axes for methods that must take any."""
+_EPISODES = 2  # one would hide a mistake in the batch's axis
+_COUNTS = dict.fromkeys(("episode_length", "feature_size", "goal_size", "action_size", "goal_kinds"), 1)
+_COUNTS["lift_test_steps"] = 0
 _NUMBERS = ("success_threshold", "observation_limit", "control_period")
 
 _NOT_TRACEABLE = (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError)
@@ -38,10 +32,10 @@ _Shapes = Any
 
 
 def check_task(env: GoalEnv) -> None:
-    """Checks that a task fits the interface that the learner relies on; for a test of one's own task, too.
+    """Checks a task against the interface that the learner relies on, e.g. in a test of one's own task.
 
-    Each method is traced alone, so that a mistake is named where it is made, and then an episode of two environments
-    is begun and takes one step.
+    Each method is traced alone, so that the message names the method with the mistake, and then two environments are
+    reset and take one step.
 
         def test_my_task():
             hgail_envs.check_task(MyTask())
@@ -50,8 +44,8 @@ def check_task(env: GoalEnv) -> None:
       env: the task.
 
     Raises:
-      ValueError: an attribute is missing or has a value that it cannot have, or a method raises, or returns something
-        else than `GoalEnv` says. The message names it, what it gave and what is needed.
+      ValueError: an attribute is missing or out of range, or a method raises, or returns other shapes than `GoalEnv`
+        documents. The message names it, its value and the value that is needed.
 
     >>> from hgail_envs.point import Point
     >>> check_task(Point())
@@ -82,7 +76,7 @@ def _check_attributes(env: GoalEnv) -> None:
 
 
 def _check_methods(env: GoalEnv) -> None:
-    """Traces each method on what the ones before it gave."""
+    """Traces each method on the shapes that the methods before it returned."""
     rng, flag = jax.eval_shape(lambda: jax.random.key(0)), jax.ShapeDtypeStruct((), bool)
     step, action = jax.ShapeDtypeStruct((), jnp.int32), _floats(env.action_size)
     physics = _trace(env, "reset_physics", rng)
@@ -110,7 +104,7 @@ def _check_methods(env: GoalEnv) -> None:
 
 
 def _check_episode(env: GoalEnv) -> None:
-    """Takes a step in two environments, and looks at what an observation consists of."""
+    """Takes a step in two environments, and checks the states."""
     resets = jax.vmap(env.reset, in_axes=(0, None))
     count = _EPISODES if env.max_worlds is None else min(_EPISODES, env.max_worlds)
     rngs = jax.random.split(jax.random.key(0), count)
@@ -152,15 +146,15 @@ def _trace(env: GoalEnv, name: str, *arguments: _Shapes) -> _Shapes:
 
 
 def _trace_call(env: GoalEnv, name: str, function: Callable, *arguments: _Shapes) -> _Shapes:
-    # The lambda is new each time: what JAX remembers of an earlier trace would hide a mistake.
+    # A new lambda each time: JAX's cache of earlier traces would hide a mistake.
     return _run(env, name, lambda: jax.eval_shape(lambda *given: function(*given), *arguments))
 
 
 def _run(env: GoalEnv, name: str, call: Callable[[], Any]) -> Any:
-    """Returns what `call` does; whatever it raises is a ValueError that names the method and the line."""
+    """Returns the result of `call`; turns its exceptions into a ValueError that names the method and the line."""
     try:
         return call()
-    except Exception as error:  # a task of the user's own raises what it likes
+    except Exception as error:  # a user's task may raise any
         reason = next((hint for kinds, hint in _HINTS.items() if isinstance(error, kinds)), None)
         if reason is None:
             reason = f"{type(error).__name__}: {next(iter(str(error).strip().splitlines()), '')}"
@@ -168,13 +162,13 @@ def _run(env: GoalEnv, name: str, call: Callable[[], Any]) -> Any:
 
 
 def _line(env: GoalEnv, error: Exception) -> str:
-    """Returns where in the task's own files an error arose, as text to go into a message."""
+    """Returns the line of the task's own files that raised an error, as text for a message."""
     files = {inspect.getsourcefile(base) for base in type(env).__mro__ if base.__module__.split(".")[0] not in _FOREIGN}
     own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in files]
     return f" ({own[-1].filename}:{own[-1].lineno})" if own else ""
 
 
-_FOREIGN = ("abc", "brax", "builtins", "hgail_envs")
+_FOREIGN = ("abc", "brax", "builtins", "hgail_envs")  # packages of a task's bases that its author does not edit
 
 
 def _check_array(
@@ -188,7 +182,7 @@ def _check_array(
 
 
 def _check_same(env: GoalEnv, name: str, needed: _Shapes, given: _Shapes, like: str = "reset_physics") -> None:
-    """Refuses what is not of the structure, shapes and dtypes of `needed`, which `like` gave."""
+    """Refuses trees of other structure, shapes or dtypes than `needed`, which the method `like` returned."""
     owner = f"{type(env).__name__}.{name}"
     if len({jax.tree.structure(tree) for tree in (needed, given)}) > 1:
         raise ValueError(f"{owner} gives {_describe(given)}; it must give what {like} does, {_describe(needed)}")

@@ -18,8 +18,8 @@ def straight(observation: jax.Array) -> jax.Array:
 class Point(GoalEnv):
     """A point that an action moves by up to 3 cm along each axis, and a goal up to 15 cm away along each.
 
-    Observation: position (0:3) and goal (3:6), metres. The physics state is the position. It stands for the smallest
-    complete task: copy it, change the five methods, and train it with `--task my_module:MyTask`.
+    Observation: position (0:3) and goal (3:6), metres. The physics state is the position. It is the smallest complete
+    task: copy it, change the five methods, and train it with `--task my_module:MyTask`.
     """
 
     episode_length = 50
@@ -33,7 +33,7 @@ class Point(GoalEnv):
         return jnp.zeros(3)
 
     def step_physics(self, physics: jax.Array, action: jax.Array) -> jax.Array:
-        return physics + 0.03 * action
+        return physics + 0.03 * action  # metres, about as far as the Fetch gripper
 
     def features(self, physics: jax.Array) -> jax.Array:
         return physics

@@ -165,24 +165,18 @@ _MILD = Randomization(
     hand_opening=1.0,
     ramp=0.5,
 )
-_FULL = Randomization(
+_FULL = dataclasses.replace(
+    _MILD,
     delay=(0, 3),
     step_size=(0.6, 1.4),
     z_bias=(-0.05, 0.05),
     robot_noise=0.001,
-    robot_offset=0.002,
-    object_noise=0.002,
-    object_offset=0.005,
-    goal_noise=0.002,
-    goal_offset=0.005,
     friction=(0.5, 1.5),
     object_mass=(0.25, 1.5),
     object_size=(0.85, 1.4),
     finger_force=(0.5, 1.3),
     finger_speed=(0.3, 1.2),
     posture=0.04,
-    hand_opening=1.0,
-    ramp=0.5,
 )
 
 LEVELS: dict[str, Randomization] = {

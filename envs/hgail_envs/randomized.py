@@ -123,7 +123,7 @@ class RandomizedEnv(GoalEnv):
         late, axes = queue[drawn.delay], min(3, self.action_size)
         late = late.at[:axes].multiply(drawn.step_size)
         if axes == 3:
-            late = late.at[2].add(-drawn.z_bias)  # a bias is positive where the gripper sinks
+            late = late.at[2].add(-drawn.z_bias)  # a positive bias sinks the gripper
         moved = physics.replace(
             true=self.task.step_physics(physics.true, late),
             pending=queue[: len(physics.pending)],

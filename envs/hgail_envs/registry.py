@@ -16,7 +16,7 @@ TASKS = {
     "grasp-position": "hgail_envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
 }
-"""Name of each task that comes with the package, and where its class is."""
+"""Names of the tasks that come with the package, and their classes, imported when they are made."""
 
 
 def make(task: str, **options: Any) -> GoalEnv:
@@ -27,7 +27,7 @@ def make(task: str, **options: Any) -> GoalEnv:
       **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
 
     Raises:
-      ValueError: no such task, or the task has no such option or not with such a value.
+      ValueError: no such task, or the task has no such option or refuses its value.
 
     >>> make("point").observation_size
     6

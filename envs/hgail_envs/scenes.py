@@ -4,7 +4,7 @@ from pathlib import Path
 
 import mujoco
 
-_VISUAL_GROUP = 2
+_VISUAL_GROUP = 2  # of geoms that collide with nothing
 
 
 def assets_directory() -> Path:
@@ -19,7 +19,7 @@ def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
 
     Args:
       name: path of the scene below the assets folder, without its ending.
-      visual: keep what is only for pictures. Without it the dynamics are the same and the model is smaller.
+      visual: keep geoms that are only for pictures. The dynamics are the same without them, and the model is smaller.
 
     """
     spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))

@@ -1,4 +1,4 @@
-"""Checks of values that come from outside: each raises a ValueError that names the value and what is allowed."""
+"""Checks of values from outside: each raises a ValueError that names the value and the values allowed."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -8,16 +8,16 @@ import jax
 import numpy as np
 
 MOST = 1_000_000
-"""The largest count that is taken for one: more of anything fits no machine."""
+"""The largest count that is accepted: more of anything exceeds any machine's memory."""
 
 MOST_SEED = 2**31 - 1
-"""The largest seed."""
+"""The largest seed, also the largest of JAX's default integers."""
 
 _SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
 
 
 def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
-    """Refuses what is not an integer from `least` to `most`.
+    """Refuses values other than integers from `least` to `most`.
 
     >>> check_count("rounds", 2.5, least=0)
     Traceback (most recent call last):
@@ -55,14 +55,14 @@ def check_not_negative(name: str, value: Any) -> None:
 
 
 def check_choice(name: str, value: Any, choices: dict[str, int]) -> None:
-    """Refuses numbers, or arrays of them, that are no value of `choices`; lets tracers pass."""
+    """Refuses numbers, or arrays of them, that are not values of `choices`; lets tracers pass."""
     if not _all(value, lambda array: np.isin(array, list(choices.values()))):
         known = ", ".join(f"{number} ({choice})" for choice, number in choices.items())
         raise ValueError(f"{name} is {value!r}; it must be one of {known}")
 
 
 def check_name(name: str, value: Any, choices: Iterable[str]) -> None:
-    """Refuses what is not one of `choices`.
+    """Refuses values other than `choices`.
 
     >>> check_name("reward", "r5", ["r1", "r2"])
     Traceback (most recent call last):
@@ -82,7 +82,7 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
-def parse_option(what: str, option: str) -> tuple[str, bool | int | float | str]:
+def parse_option(owner: str, option: str) -> tuple[str, bool | int | float | str]:
     """Splits an option that is written as name=value, its value a number, true, false or a word.
 
     >>> parse_option("task", "gain=0.5"), parse_option("task", "observation=official")
@@ -97,12 +97,12 @@ def parse_option(what: str, option: str) -> tuple[str, bool | int | float | str]
     except json.JSONDecodeError:
         value = text if text.isidentifier() else None
     if not isinstance(value, bool | int | float | str):
-        raise ValueError(f"{what} option {option!r} is not name=value with a number, true, false or a word")
+        raise ValueError(f"{owner} option {option!r} is not name=value with a number, true, false or a word")
     return name, value
 
 
 def _all(value: Any, test: Callable[[np.ndarray], Any]) -> bool:
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, jax.core.Tracer):  # has no value yet
         return True
     try:
         array = np.asarray(value)

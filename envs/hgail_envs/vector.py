@@ -1,4 +1,4 @@
-"""Lets whoever trains on Gymnasium's vector environments step a task of this package."""
+"""Adapter from a task of this package to Gymnasium's vector environments."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,15 +11,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from hgail_envs.base import GoalEnv, State
-
-_MOST_SEED = 2**31
+from hgail_envs.validation import MOST_SEED
 
 
 class GoalVectorEnv(VectorEnv):
     """Many episodes of a `GoalEnv` at once, as a `gymnasium.vector.VectorEnv`.
 
     An observation is a dictionary as in Gymnasium-Robotics: `observation` (`[num_envs, feature_size]`),
-    `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 where the achieved
+    `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 if the achieved
     goal is a success. `info["is_success"]` holds booleans `[num_envs]`.
 
     No episode terminates; all are truncated after `episode_length` steps. Environments are reset by the step that
@@ -75,8 +74,8 @@ class GoalVectorEnv(VectorEnv):
         """Starts an episode in all environments.
 
         Args:
-          seed: of the first environment, the others count on; or a seed for each.
-          options: none are known; all environments are reset together, so that there is no `reset_mask`.
+          seed: seed of the first environment, from which the others count on; or a seed for each.
+          options: must be empty; all environments are reset together, so that there is no `reset_mask`.
 
         Raises:
           TypeError: a seed is no integer.
@@ -89,9 +88,9 @@ class GoalVectorEnv(VectorEnv):
             return self._start(self._keys)
         if seed is None or _is_integer(seed):
             chosen: Any = seed  # an integer of any kind
-            if seed is not None and int(chosen) >= 0:  # what is less is refused below
+            if seed is not None and int(chosen) >= 0:  # a negative one is refused below
                 super().reset(seed=int(chosen))
-            first = int(self.np_random.integers(_MOST_SEED)) if seed is None else int(chosen)
+            first = int(self.np_random.integers(MOST_SEED + 1)) if seed is None else int(chosen)
             seed = [first + index for index in range(self.num_envs)]
         seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
         if not all(map(_is_integer, seed)):
@@ -120,7 +119,7 @@ class GoalVectorEnv(VectorEnv):
         if actions.dtype.kind not in "biuf" or not np.isfinite(actions).all():
             raise ValueError("not all actions are finite numbers")
         no = np.zeros(self.num_envs, bool)
-        if self._steps == self.env.episode_length:
+        if self._steps == self.env.episode_length:  # Gymnasium's NEXT_STEP: the reset takes a step of its own
             observation, info = self._start(self._keys)
             return observation, np.zeros(self.num_envs), no, no.copy(), info
         self._state = self._step(self._state, np.asarray(actions, np.float32))
@@ -130,8 +129,7 @@ class GoalVectorEnv(VectorEnv):
         return self._observation(), reward, no, over, {"is_success": reward == 0.0}
 
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
-        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for those who relabel."""
-        del info
+        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for a trainer that relabels."""
         return np.asarray(self._success(achieved, desired), np.float64) - 1.0
 
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

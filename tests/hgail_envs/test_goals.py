@@ -356,6 +356,20 @@ def test_success_of_grasp_takes_position_and_holding(tasks):
     )
 
 
+def test_grasp_s_goal_test_is_that_of_the_physics(tasks, starts):
+    env, count, rng = tasks["grasp"], 200, np.random.default_rng(0)
+    physics = jax.tree.map(lambda leaf: leaf[:count], starts["grasp"][0].pipeline_state)
+    held, wanted = rng.integers(2, size=(2, count, 1)).astype(np.float32)
+    qpos = physics.qpos.copy()
+    qpos[:, env._finger_qpos] = 0.025 * held
+    physics = physics.replace(qpos=qpos, sensordata=held * np.ones_like(physics.sensordata))
+    shift = rng.normal(scale=0.03, size=(count, 3))
+    goals = np.concatenate([physics.gripper_position + shift, wanted], axis=1).astype(np.float32)
+    found = env.goal_test(jax.vmap(env.features)(physics), jax.vmap(env.achieved_goal)(physics), goals)
+    np.testing.assert_array_equal(found, jax.vmap(env.reached)(physics, goals))
+    np.testing.assert_array_equal(found, (np.linalg.norm(shift, axis=1) <= 0.05) & (held == wanted)[:, 0])
+
+
 def test_a_lift_test_goes_straight_up_and_keeps_the_hand_s_command(tasks):
     np.testing.assert_allclose(tasks["grasp"].lift_test_action(jnp.array([0.3, -0.4, -0.5, 0.7])), [0.0, 0.0, 1.0, 0.7])
 

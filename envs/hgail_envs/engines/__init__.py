@@ -21,7 +21,7 @@ ENGINES: dict[str, Callable[..., Engine]] = {"warp": WarpEngine, "c": CEngine, "
 def resolve_impl(impl: str) -> str:
     """Returns the name of the engine that `impl` selects on this machine.
 
-    `"auto"` is MJX-Warp on an NVIDIA GPU where warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
+    `"auto"` is MJX-Warp on an NVIDIA GPU if warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
 
     Raises:
       ValueError: `impl` is neither an engine's name nor `"auto"`, or the engine is not available.
@@ -49,14 +49,7 @@ def _platform() -> str:
 
 
 def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:
-    """Makes an engine.
-
-    Args:
-      impl: see `resolve_impl`.
-      model: the scene.
-      period: seconds that an action lasts.
-      substeps: physics steps per action.
-      worlds: most environments that are stepped at once, for engines with buffers for them.
+    """Makes the engine that `impl` selects, see `resolve_impl`; the other arguments are those of `Engine`.
 
     Raises:
       ValueError: see `resolve_impl`.

@@ -61,7 +61,7 @@ class Engine(abc.ABC):
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         self.period, self.substeps = period, substeps
-        self.model = copy.copy(model)
+        self.model = copy.copy(model)  # the task's keeps its time step
         self.model.opt.timestep = period / substeps
 
     @abc.abstractmethod

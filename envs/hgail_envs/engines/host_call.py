@@ -4,10 +4,9 @@ XLA finds the function by its name, through its foreign function interface, and 
 structures below are those of jaxlib's `xla/ffi/api/c_api.h`; XLA refuses functions for another major version of them.
 
 `jax.pure_callback` and `jax.experimental.buffer_callback` need no such structures. But their programs hold the address
-of the function, so that JAX never keeps them in its compilation cache. A scan of C MuJoCo's steps of reach compiles in 1.2 s and
-is read from the cache in 0.05 s; COMPILES. Per step `buffer_callback` takes
-1.00 times (64 environments) and 0.98 times (512) as long, `pure_callback` 1.08 and 1.02 times (medians of 25 scans
-timed in turn, two CPU cores, JAX 0.10.2).
+of the function, so that JAX never keeps them in its compilation cache. COMPILES
+Per step `buffer_callback` takes 1.00 times (64 environments) and 0.98 times (512) as long, `pure_callback` 1.08 and 1.02
+times (reach, medians of 25 scans timed in turn, two CPU cores, JAX 0.10.2).
 """
 
 import ctypes
@@ -31,28 +30,20 @@ _INTERNAL = 13  # code of an error
 _PREFIX = "hgail_jax."
 
 
-class _Version(ctypes.Structure):
+class _Struct(ctypes.Structure):
+    _fields_ = (("struct_size", ctypes.c_size_t), ("extension_start", ctypes.c_void_p))
+
+
+class _Version(_Struct):
+    _fields_ = (("major", ctypes.c_int), ("minor", ctypes.c_int))
+
+
+class _ErrorArguments(_Struct):
+    _fields_ = (("message", ctypes.c_char_p), ("code", ctypes.c_int))
+
+
+class _Api(_Struct):
     _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
-        ("major", ctypes.c_int),
-        ("minor", ctypes.c_int),
-    )
-
-
-class _ErrorArguments(ctypes.Structure):
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
-        ("message", ctypes.c_char_p),
-        ("code", ctypes.c_int),
-    )
-
-
-class _Api(ctypes.Structure):
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
         ("version", _Version),
         ("internal", ctypes.c_void_p),
         ("create_error", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_ErrorArguments))),
@@ -60,11 +51,7 @@ class _Api(ctypes.Structure):
 
 
 class _Metadata(ctypes.Structure):
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("version", _Version),
-        ("traits", ctypes.c_uint32),
-    )
+    _fields_ = (("struct_size", ctypes.c_size_t), ("version", _Version), ("traits", ctypes.c_uint32))
 
 
 class _Extension(ctypes.Structure):
@@ -76,10 +63,8 @@ class _Extension(ctypes.Structure):
     )
 
 
-class _Buffer(ctypes.Structure):
+class _Buffer(_Struct):
     _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
         ("dtype", ctypes.c_int),
         ("data", ctypes.c_void_p),
         ("rank", ctypes.c_int64),
@@ -91,14 +76,12 @@ class _Buffer(ctypes.Structure):
         shape = tuple(self.dims[: self.rank])
         size = math.prod(shape)
         if not size:
-            return np.empty(shape, np.float32)  # the address of an empty buffer may be null
+            return np.empty(shape, np.float32)  # whose address may be null
         return np.frombuffer((ctypes.c_float * size).from_address(self.data), np.float32).reshape(shape)
 
 
-class _Buffers(ctypes.Structure):
+class _Buffers(_Struct):
     _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension_start", ctypes.c_void_p),
         ("count", ctypes.c_int64),
         ("kinds", ctypes.c_void_p),
         ("items", ctypes.POINTER(ctypes.POINTER(_Buffer))),

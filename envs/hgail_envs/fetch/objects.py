@@ -44,14 +44,12 @@ class ObjectEnv(FetchEnv):
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
-    A task sets `object_name`, `object_range`, `target_range` and `target_offset`, and the scene.
+    A task sets `object_name`, `object_range`, `target_range` and `target_offset`, and the scene. See `FetchEnv` for the
+    other arguments.
 
     Args:
       observation: `"compact"`, or `"official"` for the reference's 25 numbers, see `official_features`; with these
         the task has no controllers.
-      impl: see `FetchEnv`.
-      substeps: likewise.
-      worlds: likewise.
 
     """
 

@@ -35,7 +35,7 @@ class Reach(FetchEnv):
     controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
-        return self._move(physics, action[:3])
+        return self._move(physics, action[:3])  # the fingers are blocked
 
     def features(self, physics: FetchPhysics) -> jax.Array:
         return jnp.concatenate([physics.gripper_position, physics.gripper_velocity])

@@ -45,12 +45,10 @@ class Slide(Push):
     0.40 m before the gripper's start, on the table. It is a success if after the last step the puck's centre is within
     5 cm of the target.
 
+    See `ObjectEnv` for the other arguments.
+
     Args:
-      impl: see `FetchEnv`.
-      substeps: see `FetchEnv`.
-      worlds: see `FetchEnv`.
-      observation: see `ObjectEnv`.
-      achieved: `"at-rest"`, or `"passed"` to count places that a moving puck passes as achieved goals.
+      achieved: `"at-rest"` or `"passed"`, the places of the puck that are achieved goals.
 
     Raises:
       ValueError: an unknown option, or the engine is MJX-JAX, which cannot collide a puck with a table that has edges.

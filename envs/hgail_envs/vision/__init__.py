@@ -1,1 +1,1 @@
-"""What a camera sees: its geometry, and pictures of a scene by MuJoCo's renderer."""
+"""Calibrated cameras: their geometry, and pictures of a scene by MuJoCo's renderer."""

@@ -45,7 +45,7 @@ class Camera:
             raise ValueError("the camera's rotation must be a rotation matrix")
 
     def to_world(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Returns where in the world pixels are, Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
+        """Returns the positions of pixels in the world, Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
 
         Args:
           pixels: `[..., 2]`, (u, v).
@@ -55,6 +55,7 @@ class Camera:
           `[..., 3]`, metres.
 
         """
+        # M⁻¹ [u, v, 1]ᵀ has depth 1, so that it scales with the depth along the axis, not along the ray.
         homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
         in_camera = np.asarray(depth)[..., None] * (homogeneous @ np.linalg.inv(self.matrix).T)
         return in_camera @ self.rotation.T + self.position
@@ -98,14 +99,16 @@ def look_at(position: np.ndarray, target: np.ndarray, fovy: float, width: int, h
     """Returns a camera at `position`, `[3]`, with `target`, `[3]`, in the middle and the world's z up in the image.
 
     Raises:
-      ValueError: it would look straight up or down, where no side of the image is up.
+      ValueError: it would look straight up or down, so that no side of the image is up.
 
     """
     forward = np.asarray(target, float) - position
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward) or not forward.any():
         raise ValueError("the camera must not look straight up or down, nor at where it is; move it a little")
-    axes = np.stack([right, np.cross(forward, right), forward], axis=-1)
+    axes = np.stack(
+        [right, np.cross(forward, right), forward], axis=-1
+    )  # forward × right is down, a right-handed frame
     rotation = axes / np.linalg.norm(axes, axis=0)
     return Camera(width, height, intrinsics(width, height, fovy), rotation, np.asarray(position, float))
 

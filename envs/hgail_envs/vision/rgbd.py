@@ -1,6 +1,6 @@
 """Takes pictures of a scene with MuJoCo's renderer: colour, depth, and which object each pixel shows.
 
-MuJoCo needs EGL or OSMesa to render without a display; `open_renderer` says so where neither is there.
+MuJoCo needs EGL or OSMesa to render without a display; `open_renderer` raises an error that says so.
 
     camera = look_at(position, target, fovy=45.0, width=128, height=128)
     with Photographer(model, camera.width, camera.height) as photographer:
@@ -21,16 +21,16 @@ from hgail_envs import _platform
 from hgail_envs.vision.camera import Camera
 
 Stage = Callable[[mujoco.MjvScene], None]
-"""Changes what is about to be rendered: adds shapes, paints, moves lights. The model stays as it is."""
+"""Edits a scene before it is rendered: adds shapes, paints, moves lights. The model stays as it is."""
 
 _BACKENDS = ("egl", "osmesa", "glfw")  # of MUJOCO_GL, on Linux
-_SHADOW_SIZE = 1024  # texels; the time of a picture is nearly all shadow
-_SHAPE_ID = 1_000_000  # shapes that are not in the model are numbered from here in a segmentation
+_SHADOW_SIZE = 1024  # texels; nearly all the time of a picture is its shadows
+_SHAPE_ID = 1_000_000  # first id in a segmentation of shapes that are not in the model
 
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """What an RGB-D camera gives."""
+    """Picture of an RGB-D camera."""
 
     rgb: np.ndarray
     """`[height, width, 3]`, uint8."""
@@ -39,7 +39,7 @@ class Picture:
 
 
 class RenderingError(RuntimeError):
-    """MuJoCo cannot render here; the message says what would help."""
+    """Error of a machine on which MuJoCo cannot render; the message names a remedy."""
 
 
 def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
@@ -72,9 +72,9 @@ class Photographer(contextlib.AbstractContextManager):
     """Renders a model from any pose; for use in one thread, and to be closed.
 
     Args:
-      model: any scene; what it has in the visible groups is in the pictures, sites apart.
-      width: of the pictures, pixels.
-      height: of the pictures, pixels.
+      model: any scene; its visible groups are in the pictures, except sites.
+      width: width of the pictures, pixels.
+      height: height of the pictures, pixels.
 
     Raises:
       RenderingError: MuJoCo cannot render here.
@@ -108,7 +108,7 @@ class Photographer(contextlib.AbstractContextManager):
         return Picture(rgb, depth)
 
     def segment(self, data: mujoco.MjData, camera: Camera, stage: Stage | None = None) -> np.ndarray:
-        """Returns what each pixel shows, `[height, width]`: a geom's id, a shape's as `add_shape` gave it, or -1."""
+        """Returns the id of each pixel's geom, or of its shape from `add_shape`, or -1: `[height, width]`."""
         self._compose(data, camera, stage)
         self._renderer.enable_segmentation_rendering()
         objects = self._renderer.render()
@@ -136,8 +136,8 @@ def add_shape(
     """Adds a shape that is only in the picture, and returns its id in a segmentation.
 
     Args:
-      scene: what is about to be rendered.
-      kind: of geom.
+      scene: the scene to be rendered.
+      kind: kind of geom.
       size: `[3]`, as of a MuJoCo geom, metres.
       position: `[3]`, metres, world frame.
       rgba: `[4]`, colour.

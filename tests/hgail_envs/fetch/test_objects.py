@@ -114,6 +114,39 @@ def test_a_puck_that_moves_achieves_nothing(tasks, starts):
         assert env.reached(sliding, jnp.append(env.object_position(physics), 1.0))  # which is by position alone
 
 
+def test_a_puck_may_achieve_the_places_that_it_passes(starts):
+    env = hgail_envs.make("slide", impl="c", substeps=8, achieved="passed")
+    start = first(starts["slide"][0])
+    fast = start.replace(qvel=start.qvel.at[env._object_qvel].set(jnp.array([1.0, 0.0, 0.0])))
+    passing = moved(env, fast, [0.3, 0.1, 0.0])
+    np.testing.assert_array_equal(env.achieved_goal(passing), jnp.append(env.object_position(passing), 1.0))
+    np.testing.assert_array_equal(env.achieved_goal(fast), jnp.append(fast.gripper_position, 0.0))  # not moved yet
+    with pytest.raises(ValueError, match="achieved is 'near'; choose from at-rest, passed"):
+        hgail_envs.make("slide", impl="c", achieved="near")
+
+
+@pytest.mark.parametrize(
+    ("name", "observation"), [*((name, "compact") for name in TASKS), ("push", "official"), ("slide", "official")]
+)
+def test_features_suffice_to_test_goals_as_the_physics_does(name, observation, tasks, starts):
+    env, count, rng = tasks[name], 200, np.random.default_rng(0)
+    if observation == "official":
+        env = hgail_envs.make(name, impl="c", substeps=8, observation=observation)
+    physics = jax.tree.map(lambda leaf: leaf[:count], starts[name][0].pipeline_state)
+    qpos = physics.qpos.copy()
+    qpos[: count // 2, env._object_qpos] += 0.2  # half of the objects have moved
+    physics = physics.replace(qpos=qpos)
+    whose, shift = rng.integers(2, size=(count, 1)), rng.normal(scale=0.03, size=(count, 3))
+    position = np.where(whose, qpos[:, env._object_qpos], physics.gripper_position)
+    goals = np.concatenate([position + shift, whose], axis=1).astype(np.float32)
+    features, achieved = jax.vmap(env.features)(physics), jax.vmap(env.achieved_goal)(physics)
+    found = env.goal_test(features, achieved, goals)
+    np.testing.assert_array_equal(found, jax.vmap(env.reached)(physics, goals))
+    np.testing.assert_array_equal(found, np.linalg.norm(shift, axis=1) <= 0.05)
+    assert 0.2 < np.mean(found) < 0.8
+    assert (np.asarray(found) & ~np.asarray(env.success(achieved, goals))).any()  # objects that have not moved
+
+
 def test_kinds_and_success_of_goals(tasks):
     env = tasks["pick-and-place"]
     goals = jnp.array(
