@@ -18,14 +18,15 @@ class ModelFactors(struct.PyTreeNode):
     """
 
     friction: jax.Array | float = 1.0
-    """On the friction of all contacts."""
+    """Factor on the friction of all contacts."""
     object_mass: jax.Array | float = 1.0
+    """Factor on the object's mass and its moments of inertia."""
     object_size: jax.Array | float = 1.0
-    """On the object's width, depth and height; its mass stays the same."""
+    """Factor on the object's width, depth and height; its mass stays the same."""
     finger_force: jax.Array | float = 1.0
-    """On the force of the fingers' servos, whose speed stays the same."""
+    """Factor on the force of the fingers' servos, whose speed stays the same."""
     finger_speed: jax.Array | float = 1.0
-    """On the speed of the fingers, whose force stays the same."""
+    """Factor on the speed of the fingers, whose force stays the same."""
 
 
 class SensorErrors(struct.PyTreeNode):

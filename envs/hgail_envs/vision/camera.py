@@ -120,7 +120,7 @@ def from_mujoco(data: mujoco.MjData, camera: str, width: int, height: int) -> Ca
       KeyError: the scene has no such camera.
 
     """
-    seen = data.camera(camera)
+    view = data.camera(camera)
     fovy = float(data.model.camera(camera).fovy[0])
-    rotation = seen.xmat.reshape(3, 3) @ _TO_OPENCV
-    return Camera(width, height, intrinsics(width, height, fovy), rotation, seen.xpos.copy())
+    rotation = view.xmat.reshape(3, 3) @ _TO_OPENCV
+    return Camera(width, height, intrinsics(width, height, fovy), rotation, view.xpos.copy())
