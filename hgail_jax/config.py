@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_choice, check_count, check_not_negative, check_positive, check_share
+from hgail_envs.validation import check_choice, check_count, check_fraction, check_not_negative, check_positive
 from hgail_jax.hindsight import FINAL, FUTURE
 
 STRATEGIES = {"future": FUTURE, "final": FINAL}
@@ -60,7 +60,7 @@ class PPO:
 
     def __post_init__(self) -> None:
         _check_fields(self)
-        check_share("final_learning_rate", self.final_learning_rate)
+        check_fraction("final_learning_rate", self.final_learning_rate)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +92,7 @@ class TD3:
 
     def __post_init__(self) -> None:
         _check_fields(self)
-        check_share("final_learning_rate", self.final_learning_rate)
+        check_fraction("final_learning_rate", self.final_learning_rate)
 
 
 LEARNERS: dict[str, type[PPO] | type[TD3]] = {learner.name: learner for learner in (PPO, TD3)}
@@ -269,7 +269,7 @@ class Hyperparameters(struct.PyTreeNode):
 
         """
         for name in _SHARES:
-            check_share(name, getattr(self, name))
+            check_fraction(name, getattr(self, name))
         for name in _POSITIVE:
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "bc_weight", "solved_weight"):

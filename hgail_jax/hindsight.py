@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.validation import check_share
+from hgail_envs.validation import check_fraction
 
 FUTURE, FINAL = range(2)
 
@@ -58,7 +58,7 @@ def relabel(
             f"achieved and desired have the shapes {achieved.shape} and {desired.shape}; they must be"
             " [T + 1, goal_size] and [T, goal_size] or [goal_size], with T at least 1"
         )
-    check_share("p_ht", p_ht)
+    check_fraction("p_ht", p_ht)
     chosen_rng, source_rng = jax.random.split(rng)
     chosen = jax.random.bernoulli(chosen_rng, p_ht, (length,))
     first = jnp.arange(length) + jnp.where(include_current, 0, 1)

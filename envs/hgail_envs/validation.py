@@ -31,10 +31,10 @@ def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None
         raise ValueError(f"{name} is {value}; it must be at most {most}")
 
 
-def check_share(name: str, value: Any) -> None:
+def check_fraction(name: str, value: Any) -> None:
     """Refuses numbers, or arrays of them, that are not from 0 to 1; lets tracers pass.
 
-    >>> check_share("p_ht", float("nan"))
+    >>> check_fraction("p_ht", float("nan"))
     Traceback (most recent call last):
     ValueError: p_ht is nan; it must be from 0 to 1
     """

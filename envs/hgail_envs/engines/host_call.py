@@ -15,7 +15,7 @@ import math
 import operator
 import threading
 from collections.abc import Callable, Generator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ _PREFIX = "hgail_jax."
 
 
 class _Struct(ctypes.Structure):
-    _fields_ = (("struct_size", ctypes.c_size_t), ("extension_start", ctypes.c_void_p))
+    _fields_: ClassVar[Any] = (("struct_size", ctypes.c_size_t), ("extension_start", ctypes.c_void_p))
 
 
 class _Version(_Struct):

@@ -23,8 +23,7 @@ CONTROL_PERIOD = 0.04
 REFERENCE_SUBSTEPS = 20
 """Physics steps per action in the reference: 20 of 2 ms."""
 FAST_SUBSTEPS = 4
-"""The fewest physics steps per action, 4 of 10 ms: the gripper's weld, of time constant 20 ms, is unstable with longer
-ones."""
+"""Fewest physics steps per action, 4 of 10 ms: longer ones make the gripper's weld (20 ms) unstable."""
 
 TABLE_HEIGHT = 0.4
 """Metres from the floor to the table's top, in every Fetch scene."""
@@ -103,9 +102,8 @@ class FetchEnv(GoalEnv):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         self.model = load_scene(self.scene)
         self._fingers = [self.model.joint(name).id for name in FINGERS]
-        self._finger_qpos, self._finger_qvel = (
-            addresses[self._fingers] for addresses in (self.model.jnt_qposadr, self.model.jnt_dofadr)
-        )
+        self._finger_qpos = self.model.jnt_qposadr[self._fingers]
+        self._finger_qvel = self.model.jnt_dofadr[self._fingers]
         settled = settle(self.model, self.base_x, self.start_height)
         self.initial_gripper_position = settled.site("grip").xpos.copy()
         self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
