@@ -158,8 +158,10 @@ def _with_comparison(study: Study, setting: Setting, by_label: dict[str, dict[st
     """Returns a setting's row with its label, and the comparison with the study's reference."""
     row, reference = by_label[setting.label], study.compared_with(setting)
     older = f", *older* ({row['made_by']['commit']})" if row["older"] else ""
-    better = "" if reference is None else _estimate("P", _improvement(row, by_label[reference.label]))
-    return row | {"label": setting.label + older, "better": better and with_bounds(better, "P", 2)}
+    if reference is None:
+        return row | {"label": setting.label + older, "better": ""}
+    better = _estimate("P", _improvement(row, by_label[reference.label]))
+    return row | {"label": setting.label + older, "better": with_bounds(better, "P", 2)}
 
 
 def _origin(rows: list[dict[str, Any]]) -> list[str]:
