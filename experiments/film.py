@@ -18,7 +18,7 @@ from hgail_jax.play.film import open_film
 from hgail_jax.play.playback import Playback, frames
 
 FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
-"""What is written, and replaced."""
+"""The film, replaced by each run."""
 
 _PANELS = {
     "reach": "reach",
@@ -52,13 +52,13 @@ def main() -> None:
 
 
 def _load(name: str) -> tuple[GoalEnv, MeanPolicy]:
-    """Returns a policy of the package and its task, disturbed as it was in the training."""
+    """Returns a policy of the package and its task, randomised as it was in the training."""
     policy = load_policy(assets_directory() / "policies" / f"{name}.npz")
     return randomize(hgail_envs.make(policy.task, **policy.task_options), policy.randomization), policy
 
 
 def _panels(title: str, playback: Playback) -> Iterator[np.ndarray]:
-    """Yields the pictures of a playback below its title, `[height, width, 3]`, for as long as they are wanted."""
+    """Yields the pictures of a playback below its title, `[height, width, 3]`, without end."""
     height, width = _SIZE
     ended, since = 0, _SUCCESS_PICTURES
     for frame in frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):

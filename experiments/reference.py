@@ -1,4 +1,4 @@
-"""Gymnasium-Robotics' environments, which the tasks of this package are held to."""
+"""Gymnasium-Robotics' environments, the reference of this project's tasks."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -17,11 +17,11 @@ def make_reference(name: str, **options: Any) -> Any:
       ImportError: the extra `compare` is not installed.
 
     """
-    import gymnasium  # here, so that those who can do without the extra can import this
+    import gymnasium  # here, so that this module imports without the extra
     import gymnasium_robotics
     from gymnasium_robotics.utils import mujoco_utils
 
-    # It asks whether a NumPy integer is `in` a tuple of kinds of joints. Of those of newer MuJoCos it never is.
+    # It tests whether a NumPy integer is `in` a tuple of joint types, which newer MuJoCos' enums never equal.
     kinds = {name: int(kind) for name, kind in mujoco.mjtJoint.__members__.items()}
     mujoco_utils.mujoco = SimpleNamespace(**vars(mujoco) | {"mjtJoint": SimpleNamespace(**kinds)})
     gymnasium.register_envs(gymnasium_robotics)

@@ -1,4 +1,4 @@
-"""Writes the table of the paper's claims, as Markdown, from what was measured."""
+"""Writes the table of the paper's claims, as Markdown."""
 
 from docs._generate.results import count, fixed, halfway, off, reached, transfer, trial
 from docs._generate.tables import markdown
@@ -8,7 +8,7 @@ _HALFWAY = f"after {count(307_200)} steps"
 
 
 def claims() -> str:
-    """What the paper finds, what was measured here, and whether that confirms it."""
+    """Claims of the paper, the figures measured here, and whether these confirm them."""
     rows = [*_methods(), *_hindsight(), *_settings(), _transfer()]
     return markdown(["the paper finds", "here", "confirmed?"], rows)
 
@@ -103,5 +103,5 @@ def _on_both(table: str, setting: str) -> str:
 
 
 def _with_distance(table: str, first: str, second: str) -> str:
-    shares = " and ".join(reached(table, each, _UNTAUGHT) for each in (first, second))
-    return f"{shares}; L1 distance {' and '.join(off(table, each, _UNTAUGHT) for each in (first, second))}"
+    rates = " and ".join(reached(table, each, _UNTAUGHT) for each in (first, second))
+    return f"{rates}; L1 distance {' and '.join(off(table, each, _UNTAUGHT) for each in (first, second))}"

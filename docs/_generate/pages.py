@@ -7,7 +7,7 @@ A comment at the head of a page names its figures, one a line; an indented line 
     reach = success(hgail)
     -->
 
-The text cites a name, and today's figure stands between two comments. A table stands apart, and is a call:
+The text cites a name, and the figure is written between two comments. A table stands apart, and is a call:
 
     HGAIL reaches <!--= reach -->1.000 ± 0.000<!----> of its goals.
 
@@ -26,7 +26,7 @@ from typing import Any
 
 import jinja2
 
-from docs._generate import claims, off_policy, results, robust, suite, tables, withstood
+from docs._generate import claims, off_policy, results, robots, robust, speed, suite, tables
 
 _NAMES = re.compile(r"<!-- figures\n(.*?)\n-->\n+", re.DOTALL)
 _FIGURE = re.compile(r"(<!--= (.*?) -->).*?(<!---->)", re.DOTALL)
@@ -60,7 +60,7 @@ def refresh(page: str) -> str:
 
 
 def typed(page: str) -> str:
-    """Returns a page without its figures, less code: all that was typed.
+    """Returns the typed text of a page, without its figures and code.
 
     >>> typed("half is <!--= fixed(0.5, 2) -->0.50<!---->, or `0.5`.")
     'half is , or .'
@@ -82,8 +82,8 @@ def names(page: str) -> dict[str, str]:
 
 
 def _figures(page: str) -> Callable[[str], str]:
-    """Returns what writes the value of an expression of a page; unknown names and rows are errors."""
-    modules = (results, tables, suite, robust, withstood, claims, off_policy)
+    """Returns the evaluator of a page's expressions; unknown names and rows are errors."""
+    modules = (results, tables, speed, suite, robots, robust, claims, off_policy)
     known = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
 
     def value(expression: str) -> Any:

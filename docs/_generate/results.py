@@ -1,4 +1,4 @@
-"""Reads measured figures from `experiments/results`, and says them in the notation of the documentation."""
+"""Reads measured figures from `experiments/results`, and formats them for the documentation."""
 
 import csv
 import functools
@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from experiments.paper.markdown import plus_minus
 from hgail_jax.trainer.statistics import confidence_interval
 
 ROOT = Path(__file__).parent.parent.parent
@@ -24,7 +25,7 @@ def read_json(name: str) -> Any:
 
 @functools.cache
 def read_csv(name: str) -> tuple[Row, ...]:
-    """Returns the rows of a CSV file, e.g. `"runs/reach-hgail/metrics"`, with numbers where there are numbers."""
+    """Returns the rows of a CSV file, e.g. `"runs/reach-hgail/metrics"`, numbers parsed."""
     with (RESULTS / f"{name}.csv").open(newline="") as file:
         return tuple({key: _parse(value) for key, value in row.items()} for row in csv.DictReader(file))
 
@@ -40,7 +41,7 @@ def pick(rows: Iterable[Row], **wanted: Any) -> Row:
     """Returns the one row that has these values.
 
     Raises:
-      ValueError: there is none, or there are several.
+      ValueError: no row has them, or several have.
 
     >>> pick([{"a": 1, "b": 2}, {"a": 3, "b": 4}], a=3)
     {'a': 3, 'b': 4}
@@ -53,7 +54,7 @@ def pick(rows: Iterable[Row], **wanted: Any) -> Row:
 
 
 def trials(study: str) -> list[Row]:
-    """Returns the settings of a study of `paper/`, e.g. `"table1-reach"`, with the paper's decimals as ours."""
+    """Returns the settings of a study of `paper/`, e.g. `"table1-reach"`, the paper's decimals with leading zeros."""
     return [
         row
         | {name: with_leading_zeros(row[name]) for name in ("paper_success", "paper_distance_l1")}
@@ -74,42 +75,46 @@ def curve(study: str, steps: int, setting: str, panel: str = "") -> list[float]:
 
 
 def halfway(study: str, setting: str) -> str:
-    """Says the mean success after 307,200 steps without pre-training, a third of the way."""
+    """Mean success after 307,200 steps without pre-training, a third of the way."""
     return fixed(mean(curve(study, 307_200, setting, "without pre-training")), 2)
 
 
 def reached(study: str, setting: str, panel: str | None = None) -> str:
-    """Says the success rate of a setting."""
+    """Success rate of a setting."""
     return fixed(trial(study, setting, panel)["success_rate"], 3)
 
 
 def off(study: str, setting: str, panel: str | None = None) -> str:
-    """Says the L1 distance of a setting, in centimetres."""
+    """L1 distance of a setting, in centimetres."""
     return f"{fixed(100.0 * trial(study, setting, panel)['distance_l1'], 1)} cm"
 
 
 def hidden(target: str, cameras: int) -> str:
-    """Says in how many plain scenes no camera sees the target."""
+    """Fraction of plain scenes in which no camera sees the target."""
     rows = read_csv("localisation/evaluation/errors")
     return percent(pick(rows, target=target, scenes="plain", cameras=cameras, detector="network")["hidden_rate"])
 
 
 def noisy(kind: str, value: float) -> str:
-    """Says the median error of the cube's position under noise."""
+    """Median error of the cube's position under noise."""
     rows = read_csv("localisation/evaluation/noise")
     return f"{fixed(pick(rows, target='cube', detector='network', noise=kind, value=value)['median_mm'], 0)} mm"
 
 
 def peak(study: str, setting: str, panel: str = "") -> str:
-    """Says the highest mean success that a setting had in any round."""
+    """Highest mean success of a setting in any round."""
     return fixed(max(map(mean, trial(study, setting, panel)["curves"]["success"])), 2)
 
 
 def bench(**wanted: Any) -> Row:
-    """Returns the row of the benchmarks that has these values; `platform`, `"gpu"` or `"cpu"`, and `commit` made it."""
-    made = [(row, row["made_by"]) for row in read_json("bench/bench")["rows"]]
-    rows = [row | {"platform": by["device"]["platform"], "commit": by.get("commit")} for row, by in made]
-    return pick(rows, **wanted)
+    """Returns the row of the benchmarks that has these values, see `bench_rows`."""
+    return pick(bench_rows(), **wanted)
+
+
+def bench_rows(section: str | None = None) -> list[Row]:
+    """Returns the benchmarks' rows, of one section if named, with the `platform` and `commit` that made them."""
+    made = [(row, row["made_by"]) for row in read_json("bench/bench")["rows"] if section in (None, row["section"])]
+    return [row | {"platform": by["device"]["platform"], "commit": by.get("commit")} for row, by in made]
 
 
 def transfer(
@@ -121,8 +126,8 @@ def transfer(
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
-def disturbed(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
-    """Returns a point of the curves of success against disturbances."""
+def sweep_point(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
+    """Returns a point of the sweep of randomised episodes; `robot` is the beginning of its name."""
     rows = [row for row in read_json("transfer/transfer-sweep")["rows"] if row["robot"].startswith(robot)]
     rows = [row for row in rows if row["policy"] == policy]
     return pick(rows, task=task, quantity=quantity, value=value)
@@ -138,7 +143,7 @@ def mean(values: list[float]) -> float:
 
 
 def with_leading_zeros(text: str) -> str:
-    """Writes decimals with a zero before the point.
+    """Adds the zero before a decimal point.
 
     >>> with_leading_zeros(".98 ± .02"), with_leading_zeros("0.95")
     ('0.98 ± 0.02', '0.95')
@@ -147,7 +152,7 @@ def with_leading_zeros(text: str) -> str:
 
 
 def fixed(value: float, digits: int) -> str:
-    """Rounds to so many digits behind the point.
+    """Rounds to `digits` decimals.
 
     >>> fixed(0.1234, 2), fixed(1.0, 3)
     ('0.12', '1.000')
@@ -156,17 +161,16 @@ def fixed(value: float, digits: int) -> str:
 
 
 def success(row: Row) -> str:
-    """Says a success rate with the interval of its mean, where there is one.
+    """Success rate with the interval of its mean, if it has one.
 
     >>> success({"success_rate": 0.9, "success_ci95": 0.02})
     '0.900 ± 0.020'
     """
-    interval = row.get("success_ci95")
-    return fixed(row["success_rate"], 3) + ("" if interval is None else f" ± {fixed(interval, 3)}")
+    return plus_minus(row["success_rate"], row.get("success_ci95"))
 
 
 def rate(value: float) -> str:
-    """Says a number per second, or another large one, with three digits.
+    """Formats a rate, or another large number, to three digits.
 
     >>> rate(368_468.0), rate(12_254_835.4), rate(1304.3)
     ('368 k', '12.3 M', '1.30 k')
@@ -177,7 +181,7 @@ def rate(value: float) -> str:
 
 
 def count(value: float) -> str:
-    """Says a whole number with commas.
+    """Formats a whole number with commas.
 
     >>> count(10291200.0)
     '10,291,200'
@@ -186,7 +190,7 @@ def count(value: float) -> str:
 
 
 def seconds(value: float) -> str:
-    """Says a duration: tenths below ten seconds.
+    """Formats a duration, with tenths below ten seconds.
 
     >>> seconds(6.7975), seconds(178.2), seconds(40.57)
     ('6.8 s', '178 s', '41 s')
@@ -194,22 +198,22 @@ def seconds(value: float) -> str:
     return f"{fixed(value, 1 if value < 9.95 else 0)} s"
 
 
-def percent(share: float, digits: int = 0) -> str:
-    """Says a share in per cent.
+def percent(fraction: float, digits: int = 0) -> str:
+    """Formats a fraction in per cent.
 
     >>> percent(0.094), percent(0.00263, 1)
     ('9 %', '0.3 %')
     """
-    return f"{fixed(100.0 * share, digits)} %"
+    return f"{fixed(100.0 * fraction, digits)} %"
 
 
 def start(state: str) -> Row:
-    """Returns the summary of a run of reach whose start was timed: what was cached, e.g. `"other-host-cached"`."""
+    """Returns the summary of a run of reach whose start was timed, by its caches, e.g. `"other-host-cached"`."""
     return read_json("runs/starts")[f"reach-hgail-{state}"]
 
 
 def run_means(run: str) -> list[float]:
-    """Returns the success rate in each test of a run's training, the mean over its seeds."""
+    """Returns the mean success rate over the seeds in each evaluation of a run's training."""
     tests: dict[float, list[float]] = {}
     for row in read_csv(f"runs/{run}/metrics"):
         tests.setdefault(row["round"], []).append(row["success_rate"])
@@ -217,18 +221,18 @@ def run_means(run: str) -> list[float]:
 
 
 def of_seeds(rate: Row) -> str:
-    """Returns the mean of a summary's rate and the 95 % interval around it, as `success` of a table's row."""
-    return f"{fixed(rate['mean'], 3)} ± {fixed(float(confidence_interval(rate['per_seed'])), 3)}"
+    """Mean of a summary's rate and its 95 % interval, as `success` of a table's row."""
+    return plus_minus(rate["mean"], float(confidence_interval(rate["per_seed"])))
 
 
 def ended(run: str) -> str:
-    """Says the mean success of a run's seeds and the time from its start to its end."""
+    """Mean success of a run's seeds and the time from its start to its end."""
     summary = read_json(f"runs/{run}/summary")
     return f"{fixed(summary['success_rate']['mean'], 3)} after {seconds(summary['wall_seconds']['total'])}"
 
 
 def printed(run: str) -> str:
-    """Returns what `hgail train` printed at the end of a run of `runs/`, as a block of code."""
+    """Returns the last lines that `hgail train` printed in a run of `runs/`, as a block of code."""
     summary = read_json(f"runs/{run}/summary")
     rates, spent = summary["success_rate"], {what: fixed(time, 1) for what, time in summary["wall_seconds"].items()}
     success_line = (

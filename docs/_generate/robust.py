@@ -1,4 +1,4 @@
-"""Writes the tables about policies for a real robot, as Markdown, from what was measured."""
+"""Writes the tables about robust policies, as Markdown."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from hgail_envs.randomization import LEVELS, Randomization
 
 
 def levels() -> str:
-    """The sizes of the randomisations that have names, but for those that only add a history."""
+    """Sizes of the named randomisation levels, without those that only add a history."""
     named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
     units = {"delay": "steps", "z_bias": "of a displacement", "hand_opening": "of the widest", "ramp": "of the rounds"}
     rows = []
@@ -25,15 +25,15 @@ def levels() -> str:
 
 
 def robust() -> str:
-    """What the robust policies that come with the package have on the Fetch, disturbed and not."""
+    """Success of the shipped robust policies on the Fetch, randomised and nominal."""
     header = ["task", "success under `full`", "undisturbed", "plain policies, undisturbed", "env steps", "start to end"]
     rows = []
     for folder in sorted((RESULTS / "runs").glob("*-hgail-robust")):
         row = read_json(f"runs/{folder.name}/summary")
         plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
-        shares = [row["success_rate"], row["nominal_success_rate"], plain["success_rate"]]
+        rates = [row["success_rate"], row["nominal_success_rate"], plain["success_rate"]]
         steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
-        rows.append([row["task"], *(fixed(share["mean"], 3) for share in shares), steps, time])
+        rows.append([row["task"], *(fixed(rate["mean"], 3) for rate in rates), steps, time])
     return markdown(header, rows)
 
 
@@ -41,7 +41,7 @@ _ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
 
 
 def robust_tuning() -> str:
-    """How the sizes were chosen that grasp holds under."""
+    """Trials by which the randomisation sizes of grasp were chosen."""
     return markdown(
         ["rounds", "ramp", "width of the cube", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
@@ -52,7 +52,7 @@ def robust_tuning() -> str:
 
 
 def robust_noise() -> str:
-    """What grasp has with two sizes of the errors of what is seen, which `goal_offset` stands for."""
+    """Success of grasp with two sizes of the sensors' errors, given by `goal_offset`."""
     return markdown(
         ["seed", "`goal_offset`", "under these sizes", "undisturbed", *_ON_THE_UR5E],
         [
@@ -63,7 +63,7 @@ def robust_noise() -> str:
 
 
 def robust_seeds(task: str) -> str:
-    """What the seeds of a robust policy have on a UR5e, of which one comes with the package."""
+    """Success of a robust policy's seeds on a UR5e, of which one is shipped."""
     rows = read_json(f"suite/{task}")["robust_seeds"]["seeds"]
     names = {"success_rate": "under `full`", "undisturbed": "undisturbed", "closed": "160 ms", "fast": "40 ms, open"}
     names |= {"open": "160 ms, open", "short": "160 ms, steps × 0.6", "long": "160 ms, steps × 1.4"}
@@ -80,7 +80,7 @@ def _successes(row: Row) -> list[str]:
 
 
 def _range(limits: Iterable[float]) -> str:
-    """Writes a least and a most.
+    """Formats a range.
 
     >>> _range([0.5, 1.5])
     '0.5 to 1.5'

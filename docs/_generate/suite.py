@@ -1,4 +1,4 @@
-"""Writes the tables about the Fetch suite, as Markdown, from what was measured."""
+"""Writes the tables about the Fetch suite, as Markdown."""
 
 from docs._generate.results import Row, count, fixed, mean, of_seeds, pick, rate, read_csv, read_json, seconds, trials
 from docs._generate.tables import markdown
@@ -61,7 +61,7 @@ def each_seed(task: str, part: str = "tuning") -> str:
 
 
 def parts(task: str) -> str:
-    """What is left of the success of a task when a part of the method is left out or changed."""
+    """Success of a task with a part of the method left out or changed."""
     rows = trials(f"parts-{task}")
     hgail = pick(rows, setting="HGAIL")["better_than"]
     rows.sort(key=lambda row: -row["success_rate"])

@@ -42,7 +42,7 @@ _OF_WHOLE_RUNS = {"compile", "time-to-success"}
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Measures speed and writes what it finds to a file, beside what is there already."""
+    """Measures speed and adds the rows to a file."""
 
     section: tuple[
         Literal[
@@ -60,7 +60,7 @@ class Options:
         ],
         ...,
     ] = ("physics", "rollout", "train", "shares")
-    """What to measure. The first four are columns of one row for each size; engine-options needs warp-lang."""
+    """Sections to measure. The first four are columns of one row for each size; engine-options needs warp-lang."""
     task: tuple[str, ...] = ("reach",)
     """Tasks, one after the other."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
@@ -75,7 +75,7 @@ class Options:
     time_limit: float = 900.0
     """Seconds after which a peer that learns is stopped, successful or not."""
     quick: bool = False
-    """Takes sizes that show that everything runs, and measure nothing."""
+    """Take tiny sizes that show that everything runs; the figures mean nothing."""
     out: Annotated[Path | None, unless_given(f"{_OUT}; {_QUICK_OUT} with --quick", "FILE")] = None
     """File to add to; its folder is made."""
 
@@ -90,10 +90,10 @@ def main(arguments: list[str] | None = None) -> None:
             results.add(row | ({"quick": True} if options.quick else {}), made_by)
             print(table([row]), flush=True)
     except subprocess.CalledProcessError as error:
-        raise SystemExit(error.returncode) from None  # it has said what is wrong
+        raise SystemExit(error.returncode) from None  # the process has printed its error
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
-    except RuntimeError as error:  # out of memory, most likely; what was measured before is in the file
+    except RuntimeError as error:  # most likely out of memory; the file has the rows before
         fail(PROGRAM, (str(error) or repr(error)).splitlines()[0], 1)
     for section in dict.fromkeys(row["section"] for row in results.added):
         rows = [row for row in results.added if row["section"] == section]
@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _draw(results: Results, task: str) -> Path:
-    """Draws a task's learners in the file, those of the device that the last of them ran on; returns the picture."""
+    """Draws a task's learners on the device of the file's last row, and returns the picture's path."""
     rows = [row for row in results.rows if (row["section"], row["task"]) == ("learners", task)]
     device = rows[-1]["made_by"]["device"]
     path = results.path.with_name(f"learners-{task}-{device['platform']}.png")
@@ -113,7 +113,7 @@ def _draw(results: Results, task: str) -> Path:
 
 
 def _check(options: Options) -> None:
-    """Raises a ValueError if a list of options is empty or holds what it cannot have."""
+    """Raises a ValueError if a list of options is empty or has an invalid value."""
     for name in ("section", "task", "impl", "seeds", "num_envs", "substeps"):
         if getattr(options, name) == ():
             raise ValueError(f"--{name.replace('_', '-')} names nothing")
@@ -136,8 +136,8 @@ def _check(options: Options) -> None:
 
 
 def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Yields rows and what made them."""
-    # The runs in processes of their own come first: until JAX's backend starts here, they have the GPU to themselves.
+    """Yields rows and their provenance."""
+    # Runs in processes of their own come first: until JAX's backend starts here, they have the GPU to themselves.
     for section, call in (("compile", measure_compilation), ("time-to-success", measure_time_to_success)):
         for task in options.task if section in options.section else ():
             row, made_by = call(task, options.run, options.quick)
@@ -180,7 +180,7 @@ def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
 
 
 def _workloads(options: Options, task: str, num_envs: Sequence[int]) -> Iterator[Workload]:
-    """Yields what the options name, for each engine, number of physics steps and number of environments."""
+    """Yields the options' workloads, for each engine, number of physics steps and number of environments."""
     substeps = options.substeps or (default_substeps(task, platform_name()),)
     counts = _QUICK_NUM_ENVS if options.quick else num_envs
     for impl, steps, count in itertools.product(options.impl, substeps, counts):

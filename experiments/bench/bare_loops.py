@@ -1,6 +1,6 @@
-"""The engines alone, on the start states and controls that a task's own steps had: a floor of their cost.
+"""Bare engine loops on the start states and controls of a task's own steps: a lower bound of their cost.
 
-Below, `N` is environments and `T` actions.
+Below, `N` is the number of environments and `T` of actions.
 """
 
 import functools
@@ -26,12 +26,12 @@ _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS 
 
 
 def bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -> dict[str, Callable[[], Any]]:
-    """Returns what there is of the engine alone, as functions that step an episode each.
+    """Returns the engine's bare loops by name, functions that step an episode each.
 
     Args:
       env: the task.
-      physics: where it starts, `[N, ...]`.
-      controls: what acts on the scene, `[T, N, ...]`.
+      physics: at the start, `[N, ...]`.
+      controls: of the scene, `[T, N, ...]`.
 
     """
     engine = env.engine
@@ -45,11 +45,11 @@ def bare_loops(env: FetchEnv, physics: EngineState, controls: Control) -> dict[s
 
 
 def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Callable[[], jax.Array]:
-    """Returns a function that steps MJX alone, in one compiled program, to the last positions, `[N, nq]`.
+    """Returns a function that steps MJX in one compiled program, and returns the last positions, `[N, nq]`.
 
     See `bare_loops` for the arguments.
     """
-    model = jax.tree.map(jnp.asarray, engine.mjx_model)  # MJX-JAX takes NumPy's arrays for what bodies have in common
+    model = jax.tree.map(jnp.asarray, engine.mjx_model)  # MJX-JAX treats NumPy's arrays as static
 
     def step(data: mjx.Data, control: Control) -> tuple[mjx.Data, None]:
         data = data.replace(mocap_pos=control.mocap_pos, mocap_quat=control.mocap_quat, ctrl=control.ctrl)
@@ -64,7 +64,7 @@ def mjx_loop(engine: MjxEngine, physics: EngineState, controls: Control) -> Call
 
 
 def rollout_loop(engine: CEngine, physics: EngineState, controls: Control) -> Callable[[], np.ndarray]:
-    """Returns a function that steps C MuJoCo alone, all environments in one call an action, to the last `[N, nq]`.
+    """Returns a function that steps C MuJoCo, one call an action, and returns the last positions, `[N, nq]`.
 
     See `bare_loops` for the arguments.
     """

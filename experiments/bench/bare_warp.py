@@ -11,7 +11,7 @@ import numpy as np
 from hgail_envs.engines import Control, EngineState
 from hgail_envs.engines.mjx import buffer_sizes
 
-_KERNEL_SECONDS = 2e-6  # that a GPU takes at least from the start of a kernel to that of the next
+_KERNEL_SECONDS = 2e-6  # least time of a GPU from the start of a kernel to the next
 
 
 class WarpLoop:
@@ -20,9 +20,9 @@ class WarpLoop:
     Args:
       model: the scene, with its time step.
       substeps: physics steps per action.
-      physics: where the episode starts, `[N, ...]`.
-      controls: what acts on the scene, `[T, N, ...]`.
-      options: fields of the option that MuJoCo Warp makes of the scene's, where others are wanted.
+      physics: at the start, `[N, ...]`.
+      controls: of the scene, `[T, N, ...]`.
+      options: changes to the fields of MuJoCo Warp's `opt`.
 
     """
 
@@ -51,11 +51,11 @@ class WarpLoop:
         self._set(self._start)
         self._set_control(0)
         self.kernels = self._count_kernels()
-        """Kernels that a physics step starts in which the solver takes all its iterations."""
+        """Kernels of a physics step with all iterations of the solver."""
         self._replay = self._capture()
 
     def launch_floor(self) -> float:
-        """Returns the environment steps per second that starting the kernels one after the other would allow."""
+        """Returns the environment steps per second if launching the kernels took all the time."""
         return self._num_envs / (self.kernels * _KERNEL_SECONDS * self._substeps)
 
     def __call__(self) -> None:
@@ -69,7 +69,7 @@ class WarpLoop:
         wp.synchronize()
 
     def positions(self) -> np.ndarray:
-        """Returns the joint positions as they are, `[N, nq]`."""
+        """Returns the present joint positions, `[N, nq]`."""
         return self._data.qpos.numpy()
 
     def _set(self, values: dict[str, Any]) -> None:
@@ -98,10 +98,10 @@ class WarpLoop:
             mujoco_warp.step(self._model, self._data)
 
     def _capture(self) -> Callable[[], Any]:
-        """Returns a function that carries out an action: on a GPU as a CUDA graph, which the host starts at once."""
+        """Returns a function that steps one action, on a GPU as a CUDA graph with a single launch."""
         import warp as wp
 
-        self._act()  # once outside the graph, which cannot hold what is compiled at first use
+        self._act()  # once outside the graph, to compile the kernels
         if not wp.get_device().is_cuda:
             return self._act
         with wp.ScopedCapture() as capture:
@@ -110,7 +110,7 @@ class WarpLoop:
 
 
 def _count_launches(call: Callable[[], None]) -> int:
-    """Returns how many kernels of Warp a call starts."""
+    """Returns the number of Warp kernels that a call launches."""
     import warp as wp
 
     count = 0
@@ -119,7 +119,9 @@ def _count_launches(call: Callable[[], None]) -> int:
         def counted(*arguments: Any, **options: Any) -> Any:
             nonlocal count
             dim = options["dim"] if "dim" in options else arguments[1]
-            count += bool(np.prod(dim))  # for nothing at all, as for the tendons of a scene without, none is started
+            count += bool(
+                np.prod(dim)
+            )  # an empty launch, e.g. for the tendons of a scene without any, starts no kernel
             return launch(*arguments, **options)
 
         return counted

@@ -18,14 +18,14 @@ from hgail_envs.fetch.arm import FetchEnv
 from hgail_envs.validation import check_name
 
 TASKS = ("reach", "push", "pick-and-place", "slide")
-"""Tasks whose goals are positions, which is what it learns."""
+"""Tasks with positions as goals, which CRL needs."""
 EPISODES = 256
 """Episodes of a test."""
 _EPOCH_EPISODES = 4  # of each environment, from one test to the next
 _PREFILL_EPISODES = 2  # likewise, before the first update
 _MOST_TESTS = 100_000
 
-# What JaxGCRL 0.2.8 imports and these versions lack: it needs them for annotations, and for logs that are not kept.
+# Modules that JaxGCRL 0.2.8 imports for annotations and logs, and that these versions of its packages lack.
 _ABSENT: dict[str, dict[str, Any]] = {
     "brax.v1": {"envs": SimpleNamespace(Env=Env, State=State, Wrapper=Wrapper)},
     "wandb_osh": {},
@@ -33,18 +33,18 @@ _ABSENT: dict[str, dict[str, Any]] = {
 }
 
 Tested = Callable[[int, float, float], bool]
-"""Is told of each test: environment steps, seconds by JaxGCRL's clock and the success rate. Returns whether that is
-enough. The clock counts training and its compilation, not the first roll-outs, before any update, and not the tests."""
+"""Callback of each test: takes environment steps, seconds by JaxGCRL's clock and the success rate, and returns true to
+end the training. The clock counts training and its compilation, without the tests and the roll-outs that prefill."""
 
 
 class JaxGcrlTask(Env):
-    """A Fetch task as JaxGCRL wants one: observations that are a state and then the goal, which is a part of states.
+    """A Fetch task for JaxGCRL: an observation is a state and then the goal, which is a part of the state.
 
     The state is the task's observation without the goal, or the reference's where there is an object. The goal is the
-    position of the gripper or of the object, `[3]`, metres. The reward is 1 where a step is at the goal, else 0.
+    position of the gripper or of the object, `[3]`, metres. The reward is 1 at the goal, else 0.
 
-    In training each environment has the start and the goal of its first episode again and again, as in JaxGCRL's own
-    tasks: brax's wrapper resets it so.
+    In training, brax's wrapper resets each environment to the start and goal of its first episode, as in JaxGCRL's own
+    tasks.
 
     Args:
       task: reach, push, pick-and-place or slide.
@@ -66,11 +66,11 @@ class JaxGcrlTask(Env):
         self.env = env
         self.state_dim = env.feature_size
         self.goal_indices = np.arange(3, 6) if of_object else np.arange(3)
-        """Where in a state the position is that a goal wants."""
+        """Indices in a state of the position that the goal is compared with."""
         self.goal_reach_thresh = env.success_threshold
 
     def reset(self, rng: jax.Array) -> State:
-        """Starts an episode that is measured."""
+        """Starts an episode."""
         return self._seen(self.env.reset(rng), {})
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -101,25 +101,25 @@ class JaxGcrlTask(Env):
 
     @property
     def backend(self) -> str:
-        """Brax's name for the physics."""
+        """Name of the physics in brax."""
         return self.env.backend
 
 
 class _Enough(Exception):
-    """Ends a training from within."""
+    """Ends a training from its callback."""
 
 
 def train_contrastive(task: JaxGcrlTask, num_envs: int, seed: int, tested: Tested) -> None:
-    """Trains with JaxGCRL's CRL in its own settings, and tests the mean action every few episodes, until it is enough.
+    """Trains with JaxGCRL's CRL in its own settings, testing the mean action now and then, until `tested` is true.
 
     Args:
-      task: what to learn.
+      task: to learn.
       num_envs: environments, a multiple of 256.
       seed: of the training.
-      tested: is told of each test.
+      tested: callback of each test.
 
     Raises:
-      ImportError: JaxGCRL is not there.
+      ImportError: JaxGCRL is not installed.
 
     """
     crl = _import_learner()
@@ -142,7 +142,7 @@ def train_contrastive(task: JaxGcrlTask, num_envs: int, seed: int, tested: Teste
 
 
 def success_rate(task: JaxGcrlTask, act: Callable[[jax.Array], jax.Array]) -> jax.Array:
-    """Returns the share of `EPISODES` episodes whose last step is a success, `[]`.
+    """Returns the success rate at the last step of `EPISODES` episodes, `[]`.
 
     Args:
       task: the task.
@@ -167,7 +167,7 @@ def _run(task: JaxGcrlTask, num_envs: int, seed: int) -> SimpleNamespace:
         episode_length=length,
         total_env_steps=num_envs * length * (_PREFILL_EPISODES + _EPOCH_EPISODES * _MOST_TESTS),
         num_evals=_MOST_TESTS,
-        num_eval_envs=1,  # of its own tests, whose success is the best step's
+        num_eval_envs=1,  # minimal: its own tests count the best step of an episode
         action_repeat=1,
         visualization_interval=_MOST_TESTS,
         checkpoint_logdir=None,

@@ -1,4 +1,4 @@
-"""What settings of MuJoCo Warp other than the scene's cost or save, and how far they take the gripper away."""
+"""Speed and accuracy of MuJoCo Warp under other settings than the scene's."""
 
 import copy
 import dataclasses
@@ -23,18 +23,18 @@ _SWEEP_AND_PRUNE = 1  # mujoco_warp.BroadphaseType.SAP_TILE
 
 @dataclasses.dataclass(frozen=True)
 class EngineOptions:
-    """Settings in place of a scene's own."""
+    """Engine settings in place of a scene's own."""
 
     name: str
     scene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Fields of `mujoco.MjOption`."""
     disabled: mujoco.mjtDisableBit | None = None
-    """What is left out of the physics besides what the scene leaves out."""
+    """Part of the physics that is disabled, besides the scene's own."""
     warp: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields of the option that MuJoCo Warp makes of it."""
+    """Fields of MuJoCo Warp's `opt`."""
 
     def apply(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Returns a copy of a scene with these settings, less those of MuJoCo Warp."""
+        """Returns a copy of a scene with these settings, except those of `warp`."""
         changed = copy.copy(model)
         for name, value in self.scene.items():
             setattr(changed.opt, name, value)
@@ -60,13 +60,13 @@ ENGINE_OPTIONS = (
     EngineOptions("conjugate gradients", {"solver": mujoco.mjtSolver.mjSOL_CG}),
     EngineOptions("elliptic cone", {"cone": mujoco.mjtCone.mjCONE_ELLIPTIC}),
 )
-"""What is tried; the first is what the others are compared with."""
+"""Settings to measure; the others are compared with the first."""
 
 
 def measure_options(workload: Workload) -> Iterator[dict[str, Any]]:
-    """Yields a row for each of `ENGINE_OPTIONS`: kernels, speed, and how far off an episode of random actions ends.
+    """Yields a row for each of `ENGINE_OPTIONS`: kernels, speed, and the gripper's error after random actions.
 
-    The gripper's distance, in metres, is from where C MuJoCo takes it on the scene as it is, its solver converged.
+    The error, in metres, is the distance from its position in C MuJoCo on the unchanged scene with a converged solver.
 
     Raises:
       ImportError: warp-lang is not installed.
@@ -95,7 +95,7 @@ def measure_options(workload: Workload) -> Iterator[dict[str, Any]]:
 
 
 def gripper_positions(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Returns where the gripper is, `[N, 3]` in metres, with the joints at `[N, nq]`."""
+    """Returns the gripper's positions, `[N, 3]` in metres, for joint positions `[N, nq]`."""
     data, positions = mujoco.MjData(model), []
     for data.qpos[:] in qpos:
         mujoco.mj_kinematics(model, data)
@@ -106,7 +106,7 @@ def gripper_positions(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 def _converged(
     model: mujoco.MjModel, period: float, substeps: int, start: EngineState, controls: Control
 ) -> np.ndarray:
-    """Returns where the grippers of the first environments are in the end."""
+    """Returns the final gripper positions of the first `_COMPARED` environments, with a converged solver."""
     engine = CEngine(_CONVERGED.apply(model), period, substeps, worlds=_COMPARED)
     some_controls = jax.tree.map(lambda values: np.asarray(values)[:, :_COMPARED], controls)
     some_starts = jax.tree.map(lambda values: np.asarray(values)[:_COMPARED], start)

@@ -1,4 +1,4 @@
-"""Draws learners side by side: success over environment steps, and over seconds."""
+"""Draws the success of learners over environment steps and over seconds."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:
 
     Args:
       rows: at least one.
-      path: where the PNG goes.
+      path: of the PNG.
 
     """
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.6), constrained_layout=True, sharey=True)

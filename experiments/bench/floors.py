@@ -1,4 +1,4 @@
-"""Works out how fast stepping could be: bytes against the memory's bandwidth, operations against the arithmetic's."""
+"""Bounds the speed of stepping by the bytes and operations of a physics step."""
 
 import math
 
@@ -11,11 +11,11 @@ from hgail_envs.fetch.arm import settle
 
 
 def measure_floors(workload: Workload) -> dict[str, float]:
-    """Returns bytes and operations of a physics step, and the env steps per second that a device could do of either.
+    """Returns bytes and operations of a physics step, and the env steps per second that either allows on the device.
 
-    State bytes are positions, velocities and the solver's start, read and written once in each step, as by an engine
-    that keeps nothing on the chip between steps. Engine bytes are all that MJX-JAX holds of an environment, likewise;
-    operations are its own as written, the loop of the solver run once: a scale for other engines, not a bound.
+    State bytes are positions, velocities and the solver's start, read and written once in each step, as in an engine
+    that keeps nothing on the chip between steps. Engine bytes are the whole `mjx.Data` of an environment, likewise.
+    Operations are MJX-JAX's own with one iteration of the solver: a scale for other engines, not a bound.
     """
     model, host = workload.env.model, jax.devices("cpu")[0]
     mjx_model = mjx.put_model(model, device=host, impl="jax")

@@ -1,4 +1,4 @@
-"""How success grows with environment steps and with seconds: methods of this project, and JaxGCRL's learner."""
+"""Success over environment steps and seconds: methods of this project, and JaxGCRL's learner."""
 
 import tempfile
 from collections.abc import Iterator
@@ -11,16 +11,16 @@ from experiments.bench.workload import default_substeps
 from hgail_jax.defaults import platform_name
 
 METHODS = {"hgail": "HGAIL", "gcsl": "GCSL", "ppo": "PPO"}
-"""This project's, by name, and what they are called here."""
+"""Methods of this project, and their names in the rows."""
 SEEDS = 4
 
 _NUM_ENVS = {"cpu": 256, "gpu": 1024}  # of JaxGCRL's learner
-_ENOUGH = 0.98  # its success rate, in two tests in a row
+_ENOUGH = 0.98  # success rate in two tests in a row that ends its training
 _QUICK_METHOD = ("--num-envs", "4", "--iterations", "1")
 
 
 def method_rows(task: str, method: str, quick: bool) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Trains `SEEDS` seeds of a method by default, side by side; yields a row for each seed, and what made it.
+    """Trains `SEEDS` seeds of a method by default, side by side; yields a row for each seed, and its provenance.
 
     A row has lists over the tests of the training: environment steps of a seed; seconds, of all seeds together,
     compilation and tests included; and success rates.
@@ -49,8 +49,8 @@ def contrastive_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict
     `contrastive.Tested`, and each seed has the machine to itself.
 
     Raises:
-      ImportError: JaxGCRL is not there.
-      ValueError: it cannot learn the task, see `contrastive.TASKS`.
+      ImportError: JaxGCRL is not installed.
+      ValueError: the task is not one of `contrastive.TASKS`.
 
     """
     platform = platform_name()

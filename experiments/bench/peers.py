@@ -1,4 +1,4 @@
-"""Measures other projects beside this one's stepping; each that is not installed is left out with one line."""
+"""Measures other projects beside this one's stepping; projects that are not installed are skipped with a line."""
 
 import contextlib
 import functools
@@ -27,10 +27,10 @@ from hgail_envs.scenes import load_scene
 from hgail_jax.defaults import platform_name
 
 PACKAGES = ("gymnasium", "gymnasium-robotics", "envpool", "stable-baselines3", "torch")
-"""What the peers are made of, beside this project's own packages."""
+"""Packages of the peers, besides this project's own."""
 
 _SECONDS, _QUICK_SECONDS = 10.0, 0.2
-_SUCCESS = 0.98  # rate at which stable-baselines3 is stopped
+_SUCCESS = 0.98  # success rate that ends the training of stable-baselines3
 _MOST_STEPS = 60_000
 _POOLED = 64  # environments of EnvPool, and of ours beside it
 
@@ -52,12 +52,12 @@ print(json.dumps({"version": envpool.__version__, "env_steps_per_second": taken 
 
 
 def peer_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict[str, Any]]:
-    """Yields a row for each peer that is installed; but for JaxGCRL they run on the CPU, on any machine.
+    """Yields a row for each peer that is installed; all but JaxGCRL run on the CPU.
 
     Args:
-      task: which, beside its counterparts.
-      quick: whether to take sizes that show that everything runs.
-      time_limit: seconds for a peer that learns.
+      task: this project's, beside its counterparts.
+      quick: take tiny sizes that show that everything runs.
+      time_limit: seconds of training.
 
     """
     cpu_peers: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {
@@ -124,7 +124,7 @@ def _rollout_rate(task: str, substeps: int, threads: int, actions: int) -> float
 
 
 def _reference(task: str) -> str:
-    """Returns the name of the Gymnasium environment that a task is held to."""
+    """Returns the name of a task's reference environment in Gymnasium."""
     name = hgail_envs.find_class(task).reference
     if name is None:
         raise ValueError(f"{task} has no counterpart in Gymnasium")
@@ -171,7 +171,7 @@ def envpool_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
 def stable_baselines_rows(task: str, quick: bool, time_limit: float) -> Iterator[dict[str, Any]]:
     """Times stable-baselines3's SAC with HER on the reference, to a success rate of .98 in 100 episodes; reach only.
 
-    It is stopped after `time_limit` seconds, tests included, once the steps until the next test are done.
+    It stops at the first test after `time_limit` seconds, tests included.
     """
     if task != "reach":
         return
@@ -206,9 +206,9 @@ def stable_baselines_rows(task: str, quick: bool, time_limit: float) -> Iterator
 
 
 def _evaluate(learner: Any, env: Any, episodes: int) -> float:
-    """Returns the share of episodes whose last step is a success, with the mean action.
+    """Returns the success rate of the mean action at the last step of episodes.
 
-    The test ends early where the rest could no longer make it `_SUCCESS`.
+    It ends early once `_SUCCESS` is out of reach.
     """
     successes: list[float] = []
     for seed in range(episodes):
@@ -225,7 +225,7 @@ def _evaluate(learner: Any, env: Any, episodes: int) -> float:
 
 
 def jaxgcrl_rows(task: str, quick: bool) -> Iterator[dict[str, Any]]:
-    """Times JaxGCRL's arm task that resembles ours, 25 × 2 ms an action on MJX-JAX, stepped as ours is."""
+    """Times JaxGCRL's arm task that resembles ours, 25 × 2 ms an action on MJX-JAX, stepped as ours."""
     env = _make_jaxgcrl(*{"reach": ("arm_reach", "ArmReach"), "grasp": ("arm_grasp", "ArmGrasp")}[task])
 
     def step(states: hgail_envs.State, actions: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""The file of measurements, rows of quantities, and how rows are printed."""
+"""File of measurements, and the printing of its rows."""
 
 import json
 import tempfile
@@ -21,25 +21,25 @@ _SAME = (
     "options",
     "quick",
 )
-"""Entries that tell rows apart; a row that agrees with an older one in these, and its device, takes its place."""
+"""Entries that identify a row; it replaces an older one with the same entries and device."""
 
 
 class Results:
-    """The rows in a JSON file; each is written as soon as it is there.
+    """Rows of a JSON file, which is written with each new row.
 
     Args:
-      path: the file, which need not exist; its folder is made.
+      path: the file, which may be missing; its folder is made.
 
     Raises:
-      ValueError: the file is there and is not one of measurements.
-      OSError: the folder cannot be made, or the file not be read, or not be written.
+      ValueError: the file exists and is not one of measurements.
+      OSError: the folder cannot be made, or the file cannot be read or written.
 
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows: list[dict[str, Any]] = []
-        """All rows, each with what made it."""
+        """All rows, each with its provenance in `made_by`."""
         self.added: list[dict[str, Any]] = []
         """The rows of this process."""
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -50,11 +50,11 @@ class Results:
                     _key(row)
             except (ValueError, KeyError, TypeError, AttributeError) as error:
                 raise ValueError(f"{path} is no file of measurements: {error!r}") from None
-        with tempfile.TemporaryFile(dir=path.parent):  # now, not once something is measured
+        with tempfile.TemporaryFile(dir=path.parent):  # fail now, not after a measurement
             pass
 
     def add(self, row: dict[str, Any], made_by: dict[str, Any]) -> None:
-        """Adds a row, in place of an older one of the same.
+        """Adds a row, in place of an older one with the same `_SAME` and device.
 
         Args:
           row: quantities by name.
@@ -68,7 +68,7 @@ class Results:
 
 
 def _key(row: dict[str, Any]) -> tuple:
-    """Returns what a row that takes its place agrees in."""
+    """Returns the identity of a row."""
     return *(row.get(name) for name in _SAME), json.dumps(row["made_by"]["device"], sort_keys=True)
 
 
@@ -81,7 +81,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Returns a number to three digits, of a list its first and its last, anything else as it is.
+    """Formats a number to three digits, a list as its first and last, anything else as text.
 
     >>> _short(1234567.8), _short(0.98765), _short(4), _short([0.1, 0.2, 0.3])
     ('1,230,000', '0.988', '4', '0.1 ... 0.3')

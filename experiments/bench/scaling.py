@@ -1,4 +1,4 @@
-"""Measures what more seeds, and more devices, cost and bring."""
+"""Measures the scaling with seeds and with devices."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from hgail_jax.devices.sharding import make_mesh
 
 
 def measure_seeds(workload: Workload, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:
-    """Times a round for each number of seeds side by side on one device, the first of them 1; yields rows."""
+    """Times a round for each number of seeds side by side on one device, the first number 1; yields rows."""
     alone = None
     for seeds in counts:
         row = _measure(workload, seeds, devices=1)
@@ -22,19 +22,19 @@ def measure_seeds(workload: Workload, counts: tuple[int, ...]) -> Iterator[dict[
 
 
 def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
-    """Times seeds and environments on one device and on all there are; yields rows.
+    """Times seeds and environments on one device and on all devices; yields rows.
 
-    A weak speed-up compares with one device that has its share of the work, a strong one with one that has all of it.
+    A weak speed-up compares with one device that has one device's part of the work, a strong one with all of it.
 
     Raises:
-      ValueError: there is one device alone.
+      ValueError: there is only one device.
 
     """
     devices = jax.device_count()
     if devices == 1:
         raise ValueError("there is one device; the section devices compares several with one")
-    share = _measure(workload, 1, devices=1)
-    yield share
+    part = _measure(workload, 1, devices=1)
+    yield part
     wide = dataclasses.replace(workload, num_envs=workload.num_envs * devices)
     for measured, seeds in ((wide, 1), (workload, devices)):
         all_on_one = _measure(measured, seeds, devices=1)
@@ -42,12 +42,12 @@ def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
         spread_out = _measure(measured, seeds, devices)
         yield spread_out | {
             f"{kind}_speed_up": spread_out["train_env_steps_per_second"] / base["train_env_steps_per_second"]
-            for kind, base in (("weak", share), ("strong", all_on_one))
+            for kind, base in (("weak", part), ("strong", all_on_one))
         }
 
 
 def _measure(workload: Workload, seeds: int, devices: int) -> dict[str, Any]:
-    """Times a round of so many seeds, each in `workload.num_envs` environments, on so many devices."""
+    """Times a round of `seeds`, each in `workload.num_envs` environments, on `devices`."""
     mesh = make_mesh(seeds, workload.num_envs, jax.devices()[:devices])
     workload = dataclasses.replace(workload, worlds=seeds * workload.num_envs // devices)
     training = Training(workload, seeds, mesh)

@@ -1,4 +1,4 @@
-"""The row of a workload: how fast it steps, rolls out and trains, and the ratios between these."""
+"""Row of a workload: its speed of stepping, roll-outs and training, and their ratios."""
 
 from collections.abc import Collection
 from typing import Any
@@ -6,15 +6,15 @@ from typing import Any
 from experiments.bench.floors import measure_floors
 from experiments.bench.stepping import Stepping
 from experiments.bench.timing import seconds_side_by_side
-from experiments.bench.training import Learning, RollingOut, shares
+from experiments.bench.training import Learning, RollingOut, round_fractions
 from experiments.bench.workload import Workload
 
 COLUMNS = ("physics", "rollout", "train", "shares")
-"""What can be measured of a workload; `shares` are worked out from the others, and bring them along."""
+"""Groups of columns to measure; `shares`, the fractions of a round's time, need and include the others."""
 
 
 def speed_row(workload: Workload, columns: Collection[str]) -> dict[str, Any]:
-    """Measures those of `COLUMNS` that are named."""
+    """Measures the named groups of `COLUMNS`."""
     wanted = set(COLUMNS if "shares" in columns else columns)
     row: dict[str, Any] = {
         "task": workload.task,
@@ -36,4 +36,4 @@ def speed_row(workload: Workload, columns: Collection[str]) -> dict[str, Any]:
         row |= part.row(seconds)
     if {"physics", "train"} <= wanted:
         row["train_to_raw"] = row["train_env_steps_per_second"] / row["raw_env_steps_per_second"]
-    return row | (shares(workload, row) if "shares" in wanted else {})
+    return row | (round_fractions(workload, row) if "shares" in wanted else {})

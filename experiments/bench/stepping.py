@@ -1,4 +1,4 @@
-"""Stepping: the task's step in a compiled program, and beside it the engine alone on the same work."""
+"""Stepping: the task's step in a compiled program, beside the bare engine on the same work."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -15,10 +15,10 @@ from hgail_envs.fetch.arm import FetchEnv
 
 
 class Stepping:
-    """An episode of random actions: the task's step under a scan, and the engine's own loops, to be timed.
+    """Calls to be timed, an episode of random actions each: the task's step under a scan, and the engine's bare loops.
 
     Args:
-      workload: what is stepped.
+      workload: to step.
 
     """
 
@@ -28,10 +28,10 @@ class Stepping:
         raw, self._compile_seconds = _raw(workload, start)
         _, controls = raw()
         self.calls = {"raw": raw, **bare_loops(workload.env, start.pipeline_state, controls)}
-        """An episode each: `raw`, and the engine's loops, whose names begin with `bare`."""
+        """Calls by name: `raw`, and the engine's loops, whose names begin with `bare`."""
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
-        """Returns environment steps per second from the seconds of each call, and what explains them.
+        """Returns the row's columns from the seconds of each call: environment steps per second, kernels and ratios.
 
         `raw_to_bare` compares with the fastest of the loops.
         """
@@ -52,7 +52,7 @@ def raw_rate(workload: Workload) -> float:
 
 
 def _raw(workload: Workload, start: hgail_envs.State) -> tuple[Callable, float]:
-    """Returns an episode of random actions in one compiled program, and the seconds that its compilation took."""
+    """Returns an episode of random actions as one compiled program, and the seconds of its compilation."""
     actions = workload.actions()
     step, compile_seconds = compile_timed(functools.partial(step_task, workload.env), start, actions)
     return functools.partial(step, start, actions), compile_seconds
@@ -62,7 +62,7 @@ def step_task(env: FetchEnv, states: hgail_envs.State, actions: jax.Array) -> tu
     """Steps `N` environments by actions `[T, N, action_size]`.
 
     Returns:
-      The last states, `[N, ...]`, and what each action set the engine's controls to, `[T, N, ...]`.
+      The last states, `[N, ...]`, and the engine's controls of each action, `[T, N, ...]`.
 
     """
 

@@ -1,4 +1,4 @@
-"""Measures how long calls take on a device."""
+"""Times calls on a device."""
 
 import functools
 import statistics
@@ -21,21 +21,21 @@ _QUICK_MULTIPLIED = 2**8
 
 
 def compile_timed(function: Callable, *arguments: Any) -> tuple[Callable, float]:
-    """Returns `function` compiled for `arguments`, with the options of training, and the seconds that this took."""
+    """Returns `function` compiled for `arguments` with the options of training, and the seconds of the compilation."""
     started = time.perf_counter()
     compiled = compile_program(jax.jit(function), *arguments)
     return compiled, time.perf_counter() - started
 
 
 def seconds_per_call(call: Callable[[], Any]) -> float:
-    """Returns the median of timed calls, each waited for, after one that is not timed."""
+    """Returns the median time of a call, after one to warm up."""
     return seconds_side_by_side({"call": call})["call"]
 
 
 def seconds_side_by_side(calls: Mapping[str, Callable[[], Any]]) -> dict[str, float]:
-    """Returns what `seconds_per_call` does of each call, with the calls taken in turn.
+    """Returns the median time of each call, timed in turn.
 
-    A machine that is slower for a while, as other work comes to it, is so for all of them: ratios stay.
+    A machine that is slower for a while then slows all of them, which leaves their ratios unchanged.
     """
     for call in calls.values():
         jax.block_until_ready(call())

@@ -1,4 +1,4 @@
-"""Roll-outs and training, and which share of a round is physics, the policy, relabelling or an update."""
+"""Roll-outs and training, and the fractions of a round in physics, policy, relabelling and updates."""
 
 import functools
 import time
@@ -25,9 +25,9 @@ class Training:
     """Seeds in training, to be timed phase by phase.
 
     Args:
-      workload: what each seed trains on.
+      workload: of each seed.
       seeds: side by side.
-      mesh: the devices; None is one.
+      mesh: of devices; None is a single one.
 
     """
 
@@ -43,10 +43,10 @@ class Training:
         self.compile_seconds = time.perf_counter() - started
 
     def call(self, *phases: Phase) -> Callable[[], Any]:
-        """Returns a function that trains on, from the start, for a round of these phases; its row's rest is skipped."""
+        """Returns a function that trains a round of these phases with each call, and skips the rest of the round."""
         row = np.full_like(self._row, Phase.SKIP)
         row[: len(phases)] = phases
-        states = jax.tree.map(jnp.copy, self._states)  # its own: the step takes what it is given
+        states = jax.tree.map(jnp.copy, self._states)  # a copy, as the step donates its argument
 
         def call() -> Any:
             nonlocal states
@@ -56,17 +56,16 @@ class Training:
         return call
 
     def updates(self) -> list[Phase]:
-        """Returns the phases of a round that learn."""
-        return [Phase.POLICY] * ppo_sizes(self.config).policy_phases + [Phase.DISCRIMINATOR] * ppo_sizes(
-            self.config
-        ).discriminator_phases
+        """Returns the phases of a round with updates."""
+        sizes = ppo_sizes(self.config)
+        return [Phase.POLICY] * sizes.policy_phases + [Phase.DISCRIMINATOR] * sizes.discriminator_phases
 
 
 class RollingOut:
     """A roll-out of an untrained policy, and the relabelling of its samples, to be timed.
 
     Args:
-      workload: what is rolled out.
+      workload: to roll out.
 
     """
 
@@ -87,10 +86,10 @@ class RollingOut:
             "rollout": lambda: compiled(state, rollout_rng),
             "relabel": lambda: relabel(trajectory, relabel_rng),
         }
-        """An episode in every environment, each."""
+        """Calls by name, each an episode in every environment."""
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
-        """Returns what is in a row, from the seconds of each call."""
+        """Returns the row's columns from the seconds of each call."""
         return {
             "rollout_env_steps_per_second": self._env_steps / seconds["rollout"],
             "relabel_seconds": seconds["relabel"],
@@ -98,11 +97,11 @@ class RollingOut:
 
 
 class Learning:
-    """The phases of a round that learn, PPO and discriminator as often as by default, to be timed without pre-training.
+    """PPO and discriminator phases of a default round, without pre-training, to be timed.
 
     Args:
-      workload: what is trained on.
-      each_phase: each kind of phase alone as well.
+      workload: to train on.
+      each_phase: also time each kind of phase alone.
 
     """
 
@@ -111,7 +110,7 @@ class Learning:
         phases = training.updates()
         self._env_steps, self._compile_seconds = len(phases) * workload.env_steps, training.compile_seconds
         self.calls = {"train": training.call(*phases)}
-        """A round's updates, and each kind of phase alone."""
+        """Calls by name: a round's updates, and each kind of phase alone."""
         if each_phase:
             self.calls |= {
                 "ppo_phase": training.call(Phase.POLICY),
@@ -121,7 +120,7 @@ class Learning:
             }
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
-        """Returns what is in a row, from the seconds of each call."""
+        """Returns the row's columns from the seconds of each call."""
         return {
             "train_env_steps_per_second": self._env_steps / seconds["train"],
             "train_compile_seconds": self._compile_seconds,
@@ -129,17 +128,17 @@ class Learning:
         }
 
 
-def shares(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
-    """Works out the shares of a round's time from what was measured in a row; they add up to 1.
+def round_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
+    """Returns the fractions of a round's time, which add up to 1, from a row's measurements.
 
-    A phase is a roll-out, perhaps the relabelling of its samples, and an update, which is the rest.
+    A phase is a roll-out, the relabelling of its samples if it needs them, and an update, which is the rest.
     """
-    config = workload.preset().config
-    policy, discriminator = ppo_sizes(config).policy_phases, ppo_sizes(config).discriminator_phases
+    sizes = ppo_sizes(workload.preset().config)
+    policy, discriminator = sizes.policy_phases, sizes.discriminator_phases
     stepping = workload.env_steps / row["raw_env_steps_per_second"]
     rolling_out = workload.env_steps / row["rollout_env_steps_per_second"]
     relabelling = row["relabel_seconds"]
-    policy_relabelling = relabelling if ppo_sizes(config).bc_batch else 0.0  # PPO alone needs no expert samples
+    policy_relabelling = relabelling if sizes.bc_batch else 0.0  # without behaviour cloning PPO needs no expert samples
     seconds = {
         "physics": (policy + discriminator) * stepping,
         "policy_and_bookkeeping": (policy + discriminator) * (rolling_out - stepping),

@@ -15,7 +15,7 @@ from typing import Any
 from hgail_jax.io.provenance import own_command
 
 SUCCESS = {"reach": 0.98}
-"""The success rate that every seed is to reach, by task."""
+"""Success rate that every seed must reach, by task."""
 _SUCCESS_ELSE = 0.95
 
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
@@ -24,17 +24,17 @@ _QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
 
 
 def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Compiles the program that a run trains with three times; returns a row and what made it.
+    """Compiles a run's training program three times; returns a row and its provenance.
 
-    The totals are those of whole runs without rounds, and hold the compilation of the final evaluation too.
+    The totals are of whole runs without rounds, and include the compilation of the final evaluation.
 
-    At `first` nothing is cached; MuJoCo Warp then compiles its kernels when the program first runs, so that they count
-    in the total alone. At `cold` they are there and the program is not, at `cached` both are.
+    For `first` nothing is cached; MuJoCo Warp then compiles its kernels when the program first runs, so that they count
+    in the total alone. For `cold` the kernels are cached, for `cached` also the program.
 
     Args:
-      task: what is trained.
+      task: to train.
       options: further ones of `hgail train`.
-      quick: whether to take the smallest sizes.
+      quick: take the smallest sizes.
 
     """
     arguments = ["--task", task, "--iterations", "0", *(_QUICK if quick else ()), *options]
@@ -48,7 +48,7 @@ def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple
 
 
 def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Trains by default; returns when every seed had the success rate wanted in one evaluation, and what made it.
+    """Trains by default; returns a row with the time until every seed had the success rate, and its provenance.
 
     See `measure_compilation` for the arguments.
     """
@@ -74,7 +74,7 @@ def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> t
 
 
 def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
-    """Returns seconds and environment steps per seed at the first round in which every seed has the success rate.
+    """Returns seconds and environment steps per seed at the first round with every seed at the success rate.
 
     Both are None if there is no such round. Seconds count from the start of the training, after compilation.
 
@@ -95,7 +95,7 @@ def train(
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
     """Trains, its output shown, and returns the run's summary and the rows of metrics.csv.
 
-    It finds compiled programs in the cache `programs`, and MuJoCo Warp's kernels in `kernels` or in the user's cache.
+    The run's cache of programs is `programs`, that of MuJoCo Warp's kernels `kernels` or the user's.
     """
     environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
     own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -108,7 +108,7 @@ def train(
 
 
 def _end_with_parent() -> None:
-    """Has Linux end this process, a child, with the one that started it, even where that one is killed."""
+    """Makes Linux end this child process with its parent, even if that is killed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
@@ -118,5 +118,5 @@ def _given(options: Sequence[str]) -> dict[str, str]:
 
 
 def made_by(summary: dict[str, Any]) -> dict[str, Any]:
-    """Returns what made a run, of its summary, and this process's command."""
+    """Returns the provenance in a run's summary, with this process's command."""
     return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "cpu_cores", "versions")}

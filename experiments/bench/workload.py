@@ -1,4 +1,4 @@
-"""What is stepped and trained in a measurement: a task on an engine, in so many environments."""
+"""Workload of a measurement: a task on an engine, in a number of environments."""
 
 import dataclasses
 import functools
@@ -13,7 +13,7 @@ _QUICK_EPISODE = 4  # steps
 
 
 def default_preset(task: str) -> Preset:
-    """Returns what a task is trained with on this platform."""
+    """Returns a task's default preset on this platform."""
     return task_preset(hgail_envs.find_class(task), platform_name())
 
 
@@ -33,9 +33,9 @@ class Workload:
     substeps: int
     """Physics steps per action."""
     quick: bool = False
-    """Takes short episodes and few updates, to show that everything runs."""
+    """Takes short episodes and few updates to show that everything runs."""
     worlds: int | None = None
-    """Environments that a device steps at once, where that is not `num_envs`."""
+    """Environments that a device steps at once; None is `num_envs`."""
 
     @functools.cached_property
     def env(self) -> FetchEnv:
@@ -52,7 +52,7 @@ class Workload:
         return self.num_envs * self.env.episode_length
 
     def preset(self) -> Preset:
-        """Returns what the task is trained with by default, in roll-outs of `num_envs` episodes."""
+        """Returns the task's default preset, in roll-outs of `num_envs` episodes."""
         preset = default_preset(self.task)
         quick = FEW_UPDATES if self.quick else {}
         return dataclasses.replace(preset, config=preset.config.replace(num_envs=self.num_envs, **quick))

@@ -1,1 +1,1 @@
-"""Finds the target's position in pictures of RGB-D cameras, instead of taking it from the simulator."""
+"""Localisation of the target in pictures of RGB-D cameras, in place of the simulator's position."""

@@ -9,9 +9,9 @@ from experiments.localisation.figures import draw_examples, draw_sweeps
 from experiments.localisation.keypoint_network import load_detector, save_weights
 from experiments.localisation.keypoint_training import train
 from experiments.localisation.localiser import detect_colour
-from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
-from hgail_envs.validation import check_count
+from experiments.paths import WEIGHTS
+from hgail_envs.validation import MOST_SEED, check_count
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.provenance import provenance
@@ -19,14 +19,13 @@ from hgail_jax.trainer.folder import create_folder, next_folder
 from hgail_jax.trainer.options import unless_given
 
 _PROGRAM = "localisation"
-_MOST_SEED = 2**31 - 1
 _LEAST_PICTURES = 64  # one batch
 
 
 @dataclasses.dataclass(frozen=True)
 class _Options:
     seed: int = 0
-    """Of the scenes and of the training; an evaluation never has the scenes of a training."""
+    """Seed of the scenes and of the training; evaluations never reuse the scenes of a training."""
     out: Annotated[Path | None, unless_given("runs/localisation-<number>", "FOLDER")] = None
     """Folder to write, which must not exist yet."""
 
@@ -47,7 +46,7 @@ class Evaluate(_Options):
 
     scenes: int = 500
     """Scenes of each kind."""
-    weights: Annotated[Path | None, unless_given("those that come with the repository", "FILE")] = None
+    weights: Annotated[Path | None, unless_given("the repository's", "FILE")] = None
     """The network's weights."""
 
 
@@ -57,14 +56,14 @@ def main(arguments: list[str] | None = None) -> None:
     options: Train | Evaluate = parse(both, _PROGRAM, __doc__, arguments)  # type: ignore[arg-type]
     folder = options.out or next_folder(Path("runs"), "localisation")
     try:
-        check_count("seed", options.seed, least=0, most=_MOST_SEED)
+        check_count("seed", options.seed, least=0, most=MOST_SEED)
         if isinstance(options, Train):
             check_count("pictures", options.pictures, least=_LEAST_PICTURES)
             check_count("epochs", options.epochs)
         else:
             check_count("scenes", options.scenes)
             load_detector(options.weights or WEIGHTS)
-        Studio().close()  # where MuJoCo cannot render, say so before anything is written
+        Studio().close()  # raises before anything is written if MuJoCo cannot render
         create_folder(folder)
     except (ValueError, OSError, RuntimeError) as error:
         fail(_PROGRAM, error, 2)

@@ -1,4 +1,4 @@
-"""Measures the error of localised positions, without noise and with each kind of it."""
+"""Measures the error of localised positions, without noise and with each kind of noise."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -19,25 +19,25 @@ SWEEPS: dict[str, tuple[float, ...]] = {
 
 _EXAMPLES = 4  # samples of each kind of scene that are kept for pictures
 _REPEATS = 4  # draws of the noise per scene
-_FAR = 50.0  # millimetres; beyond it the tasks count a position as missed
+_FAR = 50.0  # millimetres, the tasks' threshold of success
 _TARGETS = {"cube": False, "marker": True}
 _SCENES = {"plain": False, "randomised": True}
 
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """A target that was found."""
+    """Target that a detector found."""
 
     sightings: Sequence[Sighting]
     """At least one, that of the highest score first."""
     position: np.ndarray
     """`[3]`: the target's true centre, metres."""
     marker: bool
-    """Whether the target is the ball; if not, it is the cube."""
+    """True if the target is the ball, false if it is the cube."""
 
 
 def find(sample: Sample, detect: Detector) -> Found | None:
-    """Returns where a detector finds a sample's target; None if in no view."""
+    """Returns a detector's sightings of a sample's target; None if no view has one."""
     sightings = sight(((view.picture, view.camera) for view in sample.views), detect, sample.marker)
     return Found(sightings, sample.position, sample.marker) if sightings else None
 
@@ -85,7 +85,7 @@ def measure(
 
 
 def quantiles(millimetres: np.ndarray) -> dict[str, float]:
-    """Returns the median and the 95th percentile of errors, `[count]`; NaN where there are none.
+    """Returns the median and the 95th percentile of errors, `[count]`; NaN if there are no errors.
 
     >>> quantiles(np.arange(101.0))
     {'median_mm': 50.0, 'p95_mm': 95.0}

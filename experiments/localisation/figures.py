@@ -48,9 +48,9 @@ def draw_sweeps(path: Path, rows: list[dict], detector: str) -> None:
 
 
 def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: Mapping[str, Detector]) -> None:
-    """Writes a PNG of samples, a row for each kind, with what each detector takes for the target.
+    """Writes a PNG of samples, a row for each kind, with each detector's detections marked.
 
-    Of each sample it shows the view that is best for the last detector; what another finds in another view is left out.
+    It shows the best view of the last detector for each sample, without detections in other views.
     """
     columns = max(len(samples) for samples in examples.values())
     figure, grid = plt.subplots(

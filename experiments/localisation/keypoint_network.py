@@ -1,6 +1,6 @@
 """A small convolutional keypoint detector: a picture in, the pixel at the middle of the target out.
 
-It stands in for the paper's detector, a VGG-16 of 138 million parameters: it has 28 thousand, and learns from rendered
+It replaces the paper's detector, a VGG-16 of 138 million parameters: it has 28 thousand, and learns from rendered
 pictures alone. For each kind of target it gives a distribution over the cells of a coarse grid and "nowhere"; the mean
 over the best cell and its neighbours (a local soft argmax) is the pixel. The weights are an npz of float32 arrays,
 named by their path in the parameters, which NumPy alone can read.
@@ -30,7 +30,7 @@ GRID = PIXELS // STRIDE
 _KINDS = 2  # cube, marker
 _FINE_CHANNELS, _CHANNELS = 16, 24  # at half the resolution, and at a quarter
 _DILATIONS = (1, 2, 4, 8)
-_LEAST_SEEN = 0.5  # probability that the target is in the picture at all, below which it counts as not seen
+_LEAST_SEEN = 0.5  # probability of a target in the picture, below which it counts as not seen
 
 
 class KeypointNetwork(nn.Module):
@@ -56,11 +56,11 @@ class KeypointNetwork(nn.Module):
 def labels(pixels: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Returns the distributions to learn, `[batch, GRID² + 1]`.
 
-    The four cells around a pixel share the probability (bilinear weights), so that their mean is the pixel.
+    The probability is split over the four cells around a pixel (bilinear weights), whose mean is the pixel.
 
     Args:
       pixels: `[batch, 2]`, (u, v).
-      seen: `[batch]`, whether the target is in view; if not, all the probability is on "nowhere".
+      seen: `[batch]`, true if the target is in view; else "nowhere" has all the probability.
 
     """
     result = np.zeros((len(pixels), GRID**2 + 1), np.float32)
@@ -69,10 +69,10 @@ def labels(pixels: np.ndarray, seen: np.ndarray) -> np.ndarray:
     corner = where.astype(int)
     right, down = (where - corner).T
     rows = np.flatnonzero(seen)
-    for row, row_share in ((0, 1 - down), (1, down)):
-        for column, column_share in ((0, 1 - right), (1, right)):
+    for row, row_weight in ((0, 1 - down), (1, down)):
+        for column, column_weight in ((0, 1 - right), (1, right)):
             cells = (corner[:, 1] + row) * GRID + corner[:, 0] + column
-            result[rows, cells[rows]] += (row_share * column_share)[rows]
+            result[rows, cells[rows]] += (row_weight * column_weight)[rows]
     return result
 
 
@@ -106,11 +106,11 @@ def predictor(params: Any) -> Callable[[np.ndarray, bool], Detection | None]:
 
 @functools.cache
 def load_detector(path: Path | str) -> Detector:
-    """Returns the detector whose weights are in a file; raises what `load_weights` does."""
+    """Returns the detector with the weights of a file; raises the errors of `load_weights`."""
     predict = predictor(load_weights(path))
 
     def detect(picture: Picture, camera: Camera, marker: bool) -> Detection | None:
-        del camera  # it only looks at colours
+        del camera  # the network reads colours only
         return predict(picture.rgb, marker)
 
     return detect
@@ -128,7 +128,7 @@ def load_weights(path: Path | str) -> Any:
 
     Raises:
       FileNotFoundError: there is no such file.
-      ValueError: it does not hold this network.
+      ValueError: the file does not hold this network.
 
     """
     return load_npz(path, "the detector's weights", _from_file)

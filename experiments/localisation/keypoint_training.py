@@ -18,7 +18,7 @@ from hgail_jax.terminal.status import progress_bar
 
 _BATCH = 64
 _LEARNING_RATE, _WEIGHT_DECAY = 3e-3, 1e-4
-_WARM_UP = 0.1  # share of the steps in which the learning rate rises
+_WARM_UP = 0.1  # fraction of the steps in which the learning rate rises
 _SHIFT = 8  # pixels, the largest shift of a picture in each direction
 _COLOUR_NOISE = 0.02  # standard deviation, colours being in [0, 1]
 _HELD_OUT = 0.1  # size of the held-out set, relative to the training set
@@ -35,7 +35,7 @@ class Pictures:
     seen: np.ndarray
     """`[count]`, boolean."""
     markers: np.ndarray
-    """`[count]`, boolean: whether the target is the ball."""
+    """`[count]`, boolean: true if the target is the ball."""
 
 
 def take_pictures(studio: Studio, count: int, rng: np.random.Generator, title: str) -> Pictures:
@@ -49,15 +49,15 @@ def take_pictures(studio: Studio, count: int, rng: np.random.Generator, title: s
 
 
 def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
-    """Trains a network on pictures that it takes first.
+    """Takes pictures and trains a network on them.
 
     Args:
-      pictures: how many to learn from.
+      pictures: number to learn from.
       epochs: passes over them.
       seed: of the pictures, the initial parameters and the batches.
 
     Returns:
-      The parameters, and a row per epoch: mean loss, what `validate` returns for held-out pictures, and seconds so far.
+      The parameters, and a row per epoch: mean loss, the result of `validate` on held-out pictures, and seconds so far.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
@@ -89,11 +89,11 @@ def train(pictures: int, epochs: int, seed: int) -> tuple[Any, list[dict]]:
 
 
 def validate(params: Any, pictures: Pictures) -> dict[str, float]:
-    """Returns how well a network finds the targets in pictures.
+    """Returns a network's errors on pictures.
 
-    `median_pixels` and `p95_pixels` are distances from the truth where the target is in view and found. `missed_rate`
-    is the rate of false negatives, targets in view that are not found; `imagined_rate` that of false positives, hidden
-    ones that are.
+    `median_pixels` and `p95_pixels` are distances from the truth of targets in view that are found. `missed_rate` is
+    the rate of false negatives, targets in view that are not found; `imagined_rate` that of false positives, hidden
+    targets that are found.
     """
     predict = predictor(params)
     errors: list[float] = []
@@ -117,7 +117,7 @@ def validate(params: Any, pictures: Pictures) -> dict[str, float]:
 
 
 def _make_update(network: KeypointNetwork, optimiser: optax.GradientTransformation) -> Callable[..., tuple]:
-    """Returns the compiled training step: parameters, optimiser's state and a batch to both anew, and the loss."""
+    """Returns the compiled training step, from (parameters, optimiser's state, batch) to new ones and the loss."""
 
     def loss_of(params: Any, rgb: jax.Array, targets: jax.Array, kinds: jax.Array) -> jax.Array:
         logits = cast(jax.Array, network.apply(params, rgb))[jnp.arange(len(kinds)), kinds]
@@ -160,7 +160,7 @@ def _batches(pictures: Pictures, rng: np.random.Generator) -> Iterator[tuple[np.
 
 
 def _shifted(rgb: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Returns a picture shifted by (right, down) pixels; its edge pixels fill what comes into view."""
+    """Returns a picture shifted by (right, down) pixels; its edge pixels fill the rest."""
     right, down = shift
     padded = np.pad(rgb, ((_SHIFT, _SHIFT), (_SHIFT, _SHIFT), (0, 0)), mode="edge")
     return padded[_SHIFT - down : _SHIFT - down + PIXELS, _SHIFT - right : _SHIFT - right + PIXELS]

@@ -3,7 +3,7 @@
 The target is the cube, painted red, or for reach a red ball at the goal (`MARKER_RADIUS`), which only the cameras see.
 Each camera takes a picture at the episode's start, in which a detector finds the pixel at the target's middle. The
 paper's Eq. 8 turns pixel and depth into a point on the surface, from which the target's known size leads to its centre.
-Cameras that agree count the same.
+The estimate is the mean over the cameras that agree.
 
     localiser = Localiser(overhead(gripper_start), detect=load_detector(WEIGHTS), noise=Noise(pixel=1.0))
     position = localiser(model, data, rng)                 # the cube's centre, [3], metres, world frame
@@ -34,19 +34,19 @@ PIXELS = 128
 TILTED = ((90.0, 55.0), (-30.0, 55.0))
 """Azimuth about z, from x, and elevation of two cameras, degrees; an arm hides a cube from at most one of them."""
 ABOVE = ((0.0, 65.0),)
-"""Likewise, of a single camera over the workspace, opposite the robot. The nearer it were to straight above, the fewer
-cubes would the detector find, which has learnt from pictures of the two."""
+"""Azimuth and elevation of a single camera over the workspace, opposite the robot. The detector learnt from pictures of
+the two cameras, and finds fewer cubes from straight above."""
 
 _DISTANCE = 1.0  # metres from the middle of the workspace
 _BELOW_START = 0.05  # metres from the gripper's start down to the middle of the workspace
 _FOVY = 34.0  # degrees, vertical field of view; every goal of reach is in the picture
 
-_AGREEMENT = 0.03  # metres between the first estimate and others that count
+_AGREEMENT = 0.03  # metres, most distance from the first estimate of those averaged with it
 
 _LEAST_REDNESS = 0.5  # (red - the larger of green and blue) / red
 _LEAST_RED = 50  # of 255
 _LEAST_AREA = 12  # pixels
-_HIGHEST_SHARE = 0.1  # of the red pixels; they are taken to be on the cube's top face
+_HIGHEST_FRACTION = 0.1  # fraction of the red pixels that is taken to be on the cube's top face
 _TOP = 0.005  # metres below those that still count as the top face
 
 
@@ -56,21 +56,21 @@ class TargetNotSeenError(LookupError):
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Standard deviations of a real camera's errors, drawn anew for each picture; each is at least 0.
+    """Standard deviations of a real camera's errors, drawn anew for each picture; at least 0.
 
     Raises:
-      ValueError: one is negative or not finite.
+      ValueError: a value is negative or not finite.
 
     """
 
     pixel: float = 0.0
-    """Of u and v each, pixels."""
+    """Standard deviation of u and v, pixels."""
     depth: float = 0.0
-    """Of the measured depth, metres."""
+    """Standard deviation of the depth, metres."""
     rotation: float = 0.0
-    """Of the camera's calibrated orientation, about each of its axes, degrees."""
+    """Standard deviation of the calibrated orientation, about each of the camera's axes, degrees."""
     translation: float = 0.0
-    """Of the camera's calibrated position, along each axis, metres."""
+    """Standard deviation of the calibrated position, along each axis, metres."""
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
@@ -80,12 +80,12 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class Detection:
-    """Where in a picture the middle of the cube's top face, or of the ball, is."""
+    """Position in a picture of the middle of the cube's top face, or of the ball."""
 
     pixel: np.ndarray
     """`[2]`: (u, v)."""
     score: float
-    """Larger where the target is seen better; comparable between pictures, not between detectors."""
+    """Score, larger for a target that is seen better; comparable between pictures, not between detectors."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,10 +98,10 @@ class Sighting:
 
 
 CALIBRATED = Noise(pixel=1.0, depth=0.003, rotation=0.25, translation=0.002)
-"""Of an RGB-D camera of the usual kind at a metre, after a careful calibration."""
+"""Noise of a common RGB-D camera at a metre, after a careful calibration."""
 
 Detector = Callable[[Picture, Camera, bool], Detection | None]
-"""Finds the cube in a camera's picture, or the ball where the boolean is set; None where it finds none."""
+"""Finds the cube in a camera's picture, or the ball if the boolean is set; None if not found."""
 
 
 def overhead(
@@ -110,7 +110,7 @@ def overhead(
     """Returns cameras that look down at the workspace, by default two from different sides of the arm.
 
     Args:
-      start: `[3]`, where the gripper starts, metres, world frame.
+      start: `[3]`, the gripper's start, metres, world frame.
       pixels: width and height of the pictures.
       views: azimuth and elevation of each, degrees, as `TILTED` has them.
 
@@ -135,7 +135,7 @@ def detect_colour(picture: Picture, camera: Camera, marker: bool) -> Detection |
     pixels = np.argwhere(patches == 1 + areas.argmax())[:, ::-1] + 0.5
     if not marker:
         heights = camera.to_world(pixels, read_depth(picture.depth, pixels))[:, 2]
-        pixels = pixels[heights >= np.quantile(heights, 1.0 - _HIGHEST_SHARE) - _TOP]
+        pixels = pixels[heights >= np.quantile(heights, 1.0 - _HIGHEST_FRACTION) - _TOP]
     return Detection(pixels.mean(axis=0), float(areas.max()))
 
 
@@ -173,7 +173,7 @@ def estimate(
 
 
 def sight(pictures: Iterable[tuple[Picture, Camera]], detect: Detector, marker: bool) -> list[Sighting]:
-    """Returns where a detector finds the ball, or else the cube, in pictures of one scene, the highest score first."""
+    """Returns a detector's sightings of the ball, or else the cube, in pictures of one scene, highest score first."""
     found = [Sighting(detection, *each) for each in pictures if (detection := detect(*each, marker)) is not None]
     return sorted(found, key=lambda sighting: sighting.detection.score, reverse=True)
 
@@ -183,9 +183,9 @@ def locate(sightings: Sequence[Sighting], marker: bool, noise: Noise, rng: np.ra
 
     Args:
       sightings: from `sight`, at least one.
-      marker: whether the target is the ball.
-      noise: of each camera on its own.
-      rng: what the noise is drawn with.
+      marker: true if the target is the ball.
+      noise: drawn for each camera.
+      rng: source of the noise.
 
     """
     estimates = np.array(
@@ -196,7 +196,7 @@ def locate(sightings: Sequence[Sighting], marker: bool, noise: Noise, rng: np.ra
 
 
 def paint(model: mujoco.MjModel, geom: str, rgba: np.ndarray = RED) -> Stage:
-    """Returns a stage that paints a geom of the model, whose name is given.
+    """Returns a stage that paints the geom `geom` of the model.
 
     Raises:
       ValueError: the model has no such geom.
@@ -224,12 +224,12 @@ def ball(position: np.ndarray, rgba: np.ndarray = RED) -> Stage:
 
 
 class Localiser(contextlib.AbstractContextManager):
-    """Estimates the target's position from pictures; see the module. For use in one thread, and to be closed.
+    """Estimates the target's position from pictures; see the module. Use it in one thread, and close it.
 
     Args:
       cameras: their true poses; all pictures have one size.
       detect: finds the target in a picture.
-      noise: of the measurements and of the cameras' calibrated poses; None is none.
+      noise: of the measurements and the cameras' calibrated poses; None for exact ones.
       cube: name of the cube's geom.
 
     """
@@ -256,7 +256,7 @@ class Localiser(contextlib.AbstractContextManager):
         """Returns the centre of the cube, or of the ball that is put at `marker`, `[3]`, metres, world frame.
 
         Raises:
-          TargetNotSeenError: the detector finds it in no picture.
+          TargetNotSeenError: the detector finds the target in no picture.
           RuntimeError: MuJoCo cannot render here.
           ValueError: the model has no geom of the cube's name.
 

@@ -23,14 +23,14 @@ from hgail_envs.scenes import load_scene
 from hgail_envs.vision.camera import Camera
 from hgail_envs.vision.rgbd import Photographer, Picture, Stage, add_shape
 
-_AWAY = [0.0, 0.0, -1.0]  # metres; under the floor, where the cube is when the ball is the target
+_AWAY = [0.0, 0.0, -1.0]  # metres, under the floor: the cube's position when the ball is the target
 _MOST_CLUTTER = 8
 _CLUTTER_RANGE = 0.22  # metres around the gripper's start, in the plane
 _ARM = ("shoulder_pan", "shoulder_lift", "upperarm_roll", "elbow_flex", "forearm_roll", "wrist_flex", "wrist_roll")
 _POSTURE = 0.06  # radians, standard deviation of each of the arm's joints from its start
 _CAMERA_ROTATION, _CAMERA_TRANSLATION = 1.5, 0.02  # degrees and metres, standard deviations
 _ZOOM = 0.03  # relative, standard deviation of the focal length
-_CLOSE = 0.005  # metres; a pixel whose depth leads farther from the target than this shows something else
+_CLOSE = 0.005  # metres, largest error of a pixel's depth that still shows the target
 _BOX, _SPHERE, _CYLINDER, _ELLIPSOID = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -39,20 +39,20 @@ _BOX, _SPHERE, _CYLINDER, _ELLIPSOID = (
 )
 _SHAPES = (_BOX, _SPHERE, _CYLINDER, _ELLIPSOID)
 _RED_SHAPES = {False: (_SPHERE, _CYLINDER), True: (_BOX, _CYLINDER)}  # unlike the cube, unlike the marker
-_RED_SHARE = 0.3  # of the clutter
+_RED_FRACTION = 0.3  # of the clutter
 _MOST_LIGHTS = 8
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What one camera sees of a scene, with its label."""
+    """Picture of a scene by one camera, with its label."""
 
     picture: Picture
     camera: Camera
     pixel: np.ndarray
     """`[2]`: (u, v) of the middle of the cube's top face, or of the ball; see `Detection`."""
     seen: bool
-    """Whether that pixel shows the target, which may be hidden or out of the picture."""
+    """True if that pixel shows the target, which may be hidden or out of the picture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,11 +63,11 @@ class Sample:
     position: np.ndarray
     """`[3]`: the target's centre, metres, world frame."""
     marker: bool
-    """Whether the target is the ball; if not, it is the cube."""
+    """True if the target is the ball, false if it is the cube."""
 
 
 class Studio(contextlib.AbstractContextManager):
-    """Draws samples. For use in one thread, and to be closed.
+    """Draws samples. Use it in one thread, and close it.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
@@ -94,9 +94,9 @@ class Studio(contextlib.AbstractContextManager):
 
         Args:
           rng: source of randomness.
-          marker: whether the target is the ball; if not, it is the cube.
-          randomised: whether the scene is, see the module.
-          cameras: how many of the two take a picture; None is one of them at random.
+          marker: true if the target is the ball, false if it is the cube.
+          randomised: true for a randomised scene, see the module.
+          cameras: number of the two that take a picture; None is one of them at random.
 
         """
         position = self._place_target(rng, marker, randomised)
@@ -129,7 +129,7 @@ class Studio(contextlib.AbstractContextManager):
         return position if marker else cube
 
     def _view(self, camera: Camera, stages: Sequence[Stage], position: np.ndarray, marker: bool) -> View:
-        """Takes a picture, after all changes of `stages`, and labels it with the target whose centre is `position`."""
+        """Takes a picture after the changes of `stages`, labelled with the target centred at `position`."""
 
         def stage(scene: mujoco.MjvScene) -> None:
             for change in stages:
@@ -142,7 +142,7 @@ class Studio(contextlib.AbstractContextManager):
 
 
 def _is_seen(picture: Picture, camera: Camera, pixel: np.ndarray, position: np.ndarray, marker: bool) -> bool:
-    """Returns whether the depth at a pixel leads to the target, and not to what hides it."""
+    """Returns whether the depth at a pixel is the target's, and not that of an occluder."""
     surface = camera.to_world(pixel, read_depth(picture.depth, pixel))
     centre = surface_to_centre(camera, surface, marker)
     return bool(camera.contains(pixel) and np.linalg.norm(centre - position) < _CLOSE)
@@ -189,7 +189,7 @@ def _clutter(rng: np.random.Generator, start: np.ndarray, target: np.ndarray, ma
     for _ in range(rng.integers(_MOST_CLUTTER + 1)):
         size = rng.uniform(0.012, 0.04, 3)
         place = np.append(start[:2] + rng.uniform(-_CLUTTER_RANGE, _CLUTTER_RANGE, 2), TABLE_HEIGHT + size[2])
-        red = rng.random() < _RED_SHARE
+        red = rng.random() < _RED_FRACTION
         kind = rng.choice(_RED_SHAPES[marker] if red else _SHAPES)
         if kind == _SPHERE:
             place[2] = TABLE_HEIGHT + size[0]

@@ -1,4 +1,4 @@
-"""Makes the paper's tables and figures: trains what they compare, and writes data, tables and pictures."""
+"""Makes the paper's tables and figures: trains the methods they compare, and writes data, tables and pictures."""
 
 import contextlib
 import dataclasses
@@ -28,7 +28,7 @@ _QUICK_SEEDS = 2
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Makes the paper's tables and figures. What is there already is left as it is."""
+    """Makes the paper's tables and figures. Results that are there already are kept."""
 
     table: tuple[Literal[1, 2, 3], ...] = ()
     """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
@@ -37,12 +37,12 @@ class Options:
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), and those behind the tables and figures;
-    paper-sizes, gail-demo-weight and grasp-sizes, by which settings are chosen, on seeds of their own."""
+    paper-sizes, gail-demo-weight and grasp-sizes, which choose settings, on seeds of their own."""
     all: bool = False
-    """Everything that is reported of the tasks: all that the paper has on reach, table 1 on grasp, the parts on push,
+    """All studies that are reported: all of the paper's on reach, table 1 on grasp, the parts on push,
     pick-and-place and slide."""
     longer: bool = True
-    """With table 1, also train GASIL and PPO for 10 times the steps."""
+    """Train GASIL and PPO for 10 times the steps too, with table 1."""
     sweep: bool = False
     """Time 18 settings as one program against the same one after another."""
     plots_only: bool = False
@@ -54,16 +54,16 @@ class Options:
     processes: Annotated[int | None, unless_given("as many as GPUs", "INT")] = None
     """Programs to train at a time, each on a GPU of its own where there are any."""
     quick: bool = False
-    """Sizes that show in a minute or two that everything runs, and nothing else."""
+    """Take tiny sizes that show in a minute or two that everything runs."""
     out: Annotated[Path | None, unless_given("runs/paper; runs/quick with --quick", "FOLDER")] = None
     """Folder to write to; the published one is experiments/results/paper."""
 
 
 def plan(options: Options, platform: str) -> list[Work]:
-    """Works out what the options ask for on `"cpu"` or `"gpu"`, task by task.
+    """Returns the work of each task that the options name, on `"cpu"` or `"gpu"`.
 
     Raises:
-      ValueError: they ask for nothing, or for what cannot be.
+      ValueError: the options name no study, or an impossible one.
 
     """
     tasks = dict.fromkeys(options.task or (["point"] if options.quick else ["reach"]))
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _places(options: Options) -> list[str]:
-    """Returns the GPUs to train on, one for each program at a time; empty names where there are none."""
+    """Returns the GPU of each process that trains; empty names on a machine without GPUs."""
     gpus = visible_gpus() or [""]
     count = len(gpus) if options.processes is None else max(options.processes, 1)
     if count > 1:  # JAX in this process must leave their memory to those that train
@@ -147,7 +147,7 @@ def _places(options: Options) -> list[str]:
 
 
 def _carry_out(unfinished: list[Unfinished], gpus: list[str], stop: threading.Event) -> None:
-    """Trains what is missing, and writes each study once all of its trials are there."""
+    """Trains the missing trials, and writes each study once all of its trials are there."""
 
     def write() -> None:
         for of_task in unfinished:

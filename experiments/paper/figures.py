@@ -31,13 +31,13 @@ def figure_path(folder: Path, number: int) -> Path:
 
 
 def draw_figure(folder: Path, number: int) -> Path | None:
-    """Draws a figure from the results of its studies in a folder, and returns its path; None where there are none.
+    """Draws a figure from the results of its studies in a folder, and returns its path; None if the folder has none.
 
     A row for each task and panel, success on the left and distance on the right; a line is the mean over the seeds, its
     band the 95 % interval.
 
     Raises:
-      ValueError: a file of the folder is not what a study writes.
+      ValueError: a file of the folder is not a study's.
 
     """
     studies = [study for study in STUDIES if study.figure == number]
@@ -70,7 +70,7 @@ def draw_figure(folder: Path, number: int) -> Path | None:
 
 
 def _commits(rows: list[dict[str, Any]]) -> str:
-    """Says which commits made a figure's data, where they are several."""
+    """Returns the commits that made a figure's data, if there are several."""
     commits = sorted({str(row["made_by"]["commit"]) for row in rows})
     return f" (commits {', '.join(commits)})" if len(commits) > 1 else ""
 

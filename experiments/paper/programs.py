@@ -1,4 +1,4 @@
-"""Trains trials: those that share their shapes and counts side by side, as one compiled program."""
+"""Trains trials, those with the same shapes and counts side by side in one compiled program."""
 
 import threading
 import time
@@ -23,7 +23,7 @@ _CHECKPOINT_SECONDS = 60.0
 
 
 def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
-    """Returns the trials in groups that one compiled program trains, in the order in which each group first comes."""
+    """Groups trials that one compiled program can train, in order of first appearance."""
     groups: dict[Any, list[Trial]] = {}
     for trial in trials:
         options = tuple(sorted(trial.task_options.items()))
@@ -33,7 +33,7 @@ def group_by_program(trials: Iterable[Trial]) -> list[list[Trial]]:
 
 
 def make_program(env: hgail_envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None) -> Program:
-    """Returns the program of trials that share one."""
+    """Returns the program that trains a group of `group_by_program`."""
     return Program(
         env=env,
         config=trials[0].config,
@@ -48,29 +48,28 @@ def make_program(env: hgail_envs.GoalEnv, trials: list[Trial], demonstrations: S
 def train_program(
     env: hgail_envs.GoalEnv, trials: list[Trial], demonstrations: Samples | None, folder: Path, stop: threading.Event
 ) -> list[dict[str, Any]] | None:
-    """Trains and evaluates all seeds of trials that share a program.
+    """Trains and evaluates all seeds of a group of trials in one program.
 
     Args:
       env: the task.
-      trials: of one of `group_by_program`.
+      trials: a group of `group_by_program`.
       demonstrations: see `init_state`.
-      folder: of its checkpoints; where there is one, the training goes on from it.
-      stop: once it is set, the training ends with the round that it is in, and a checkpoint.
+      folder: of checkpoints; the training resumes from the newest.
+      stop: once set, the training saves a checkpoint and ends after the present round.
 
     Returns:
-      What came of each trial: lists over the rounds evaluated and seeds, and the seconds that the program took. None if
-      it was stopped.
+      The results of each trial: lists over evaluated rounds and seeds, and the program's seconds. None if stopped.
 
     Raises:
       OSError: a checkpoint cannot be written.
-      OverflowError: the simulation ran out of room for contacts.
-      FloatingPointError: no seed's update was finite in a round, or no episode's simulation.
+      OverflowError: the simulation had more contacts than its buffers hold.
+      FloatingPointError: no seed's update, or no episode's simulation, was finite in a round.
 
     """
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()
     with ThreadPoolExecutor(1) as background, StatusLine("compiling the training program"):
-        preparing = background.submit(env.prepare)  # which must have done with the device before the first step
+        preparing = background.submit(env.prepare)  # must be done with the device before the first step
         step = program.compile()
         preparing.result()
     seconds = {"compile": time.perf_counter() - started}
@@ -80,7 +79,7 @@ def train_program(
     if stop.is_set():
         return None
     started = time.perf_counter()
-    with StatusLine("evaluating the policies in the most accurate physics"):
+    with StatusLine("evaluating the policies in the reference physics"):
         final = evaluate_seeds(env, program.config, progress.states, trials[0].evaluation_episodes)
     seconds |= {"train": progress.seconds, "evaluation": time.perf_counter() - started}
     return _results(trials, program, progress, vars(final), seconds)
@@ -89,7 +88,7 @@ def train_program(
 def _results(
     trials: list[Trial], program: Program, progress: Progress, final: dict[str, Any], seconds: dict[str, float]
 ) -> list[dict[str, Any]]:
-    """Takes what came of a program apart into its trials."""
+    """Splits a program's results into those of its trials."""
     evaluated = np.flatnonzero(program.phases()[:, -1] == EVALUATE)
     columns = {"success": "success_rate", "distance_l1": "distance_l1"}
     curves = {
@@ -119,9 +118,9 @@ def _results(
 
 
 def time_sweep(env: hgail_envs.GoalEnv, trials: list[Trial]) -> dict[str, Any]:
-    """Trains trials that share a program at once, then one after another, and returns the seconds of both.
+    """Returns the seconds of training a group of trials side by side, and of training them one after another.
 
-    Both compile once, apart from the training, and neither is evaluated in the end.
+    Both compile once, timed apart, and skip the final evaluation.
     """
 
     def measure(groups: list[list[Trial]]) -> dict[str, float]:

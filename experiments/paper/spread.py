@@ -1,4 +1,4 @@
-"""Shares programs out over processes, each on a GPU of its own."""
+"""Distributes programs over processes, each on a GPU of its own."""
 
 import multiprocessing
 import os
@@ -15,18 +15,17 @@ from experiments.paper.work import Job
 from hgail_jax.cli.command_line import prepare_process
 from hgail_jax.learners.ppo import ppo_sizes
 
-_LISTEN = 0.5  # seconds between two looks at whether to stop
+_LISTEN = 0.5  # seconds between two checks of the stop signal
 
 
 def carry_out(jobs: list[Job], gpus: list[str], stop: threading.Event, after_each: Callable[[], None]) -> None:
     """Carries jobs out, several at a time.
 
     Args:
-      jobs: what to train.
-      gpus: as CUDA_VISIBLE_DEVICES names them; as many processes as there are names train at a time. This process does
-        it alone where there is one.
-      stop: once it is set, each process ends with the round that it is in, and a checkpoint.
-      after_each: called once a job is done.
+      jobs: programs to train.
+      gpus: as CUDA_VISIBLE_DEVICES names them, a process each; with a single one this process trains by itself.
+      stop: once set, each process saves a checkpoint and ends after its present round.
+      after_each: called after each job.
 
     Raises:
       OSError: a checkpoint cannot be written, or a process ended.
@@ -44,7 +43,9 @@ def carry_out(jobs: list[Job], gpus: list[str], stop: threading.Event, after_eac
     with ExitStack() as held:
         context = multiprocessing.get_context("spawn")
         shared, waiting = context.Event(), queue.SimpleQueue[Job]()
-        for job in sorted(jobs, key=_size, reverse=True):  # the longest first: the end is then the least uneven
+        for job in sorted(
+            jobs, key=_size, reverse=True
+        ):  # the longest first, so that all GPUs end at about the same time
             waiting.put(job)
         pools = [held.enter_context(_pool(gpu, context, shared)) for gpu in gpus[: len(jobs)]]
         running = {_next(pool, waiting): pool for pool in pools}
@@ -83,7 +84,7 @@ def _next(pool: ProcessPoolExecutor, waiting: "queue.SimpleQueue[Job]") -> Futur
 
 @contextmanager
 def _pool(gpu: str, context: multiprocessing.context.SpawnContext, shared: Event) -> Iterator[ProcessPoolExecutor]:
-    """Yields a pool of one process, on one GPU; it starts before this returns, and takes the environment along."""
+    """Yields a pool of one process on one GPU, started with this environment variable set."""
     before = dict(os.environ)
     os.environ |= {"CUDA_VISIBLE_DEVICES": gpu, "TQDM_DISABLE": "1"}
     os.environ.pop("XLA_PYTHON_CLIENT_PREALLOCATE", None)
@@ -101,7 +102,7 @@ _stop = threading.Event()
 
 
 def _prepare(shared: Event) -> None:
-    """Prepares a process that trains: an interrupt is for the one that started it, and without that it ends."""
+    """Prepares a training process: it leaves interrupts to its parent, and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     threading.Thread(target=_stop_with_all, args=(shared,), daemon=True).start()
@@ -125,7 +126,7 @@ def _carry_out(job: Job) -> None:
 
 
 def _size(job: Job) -> int:
-    """Returns about how many environment steps a job has."""
+    """Returns a job's approximate number of roll-out episodes, to sort by."""
     config = job.trials[0].config
     phases = config.rounds * (ppo_sizes(config).policy_phases + ppo_sizes(config).discriminator_phases + 1)
     return phases * config.num_envs * len(job.trials) * len(job.trials[0].seeds)

@@ -1,4 +1,4 @@
-"""The paper's experiments as data: which settings a table or figure compares, and what the paper found."""
+"""The paper's experiments as data: the settings that each table or figure compares, and the paper's figures."""
 
 import dataclasses
 from typing import Any
@@ -14,7 +14,7 @@ LONGER = "table1-longer"
 
 
 def _both(*settings: Setting) -> tuple[Setting, ...]:
-    """Returns ablations with and without pre-training, over more rounds than it takes to learn: some diverge late."""
+    """Returns ablations with and without pre-training, over 3 times the steps: some diverge late."""
     variants: tuple[tuple[str, dict], ...] = (("with pre-training", {}), ("without pre-training", {"pretrain": False}))
     return tuple(
         dataclasses.replace(setting, panel=panel, config=setting.config | change, steps=3)
@@ -112,10 +112,10 @@ _STRATEGIES = Study(
     table=3,
     figure=5,
 )
-_SHARES = Study(
+_P_HT = Study(
     "p_ht",
     "probability of relabelling",
-    _both(*(Setting(f"p_ht {share}", hyperparameters={"p_ht": share}) for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))),
+    _both(*(Setting(f"p_ht {p_ht}", hyperparameters={"p_ht": p_ht}) for p_ht in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0))),
     figure=6,
     reference="p_ht 1.0",
 )
@@ -137,7 +137,7 @@ _ABLATIONS = Study(
         *_both(Setting("HGAIL")),
         *(
             dataclasses.replace(setting, paper={})
-            for study in (_CURRICULUM, _STRATEGIES, _SHARES, _REWARDS)
+            for study in (_CURRICULUM, _STRATEGIES, _P_HT, _REWARDS)
             for setting in study.settings
             if setting.config.get("expert_source") == FROZEN or setting.hyperparameters
         ),
@@ -174,7 +174,7 @@ _STANDARDIZATION = Study(
         *_both(*(Setting(name, hyperparameters={"reward": form}) for name, form in REWARDS.items())),
     ),
 )
-_PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}  # of their own: 8 to 10 million
+_PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}  # of the task's own steps: 8 to 10 million
 
 
 def _part(
@@ -201,26 +201,24 @@ _PARTS = Study(
         _part("the reference's 25 numbers as observation", task_options={"observation": "official"}),
     ),
 )
-_REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _SHARES, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
+_REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _P_HT, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
 STUDIES = (*_REPORTED, _PARTS, *TUNING_STUDIES)
-"""Every study, in the order in which they are trained. Of grasp the paper has table 1 alone."""
+"""Every study, in order of training. The paper has table 1 alone of grasp."""
 _TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
 _NOT_IN_THE_PAPER = ("push", "pick-and-place", "slide")
 
 
 def studies_of(task: str) -> tuple[Study, ...]:
-    """Returns the studies that are reported of a task; those that settings are chosen by are not."""
+    """Returns the studies that are reported of a task, without those that choose settings."""
     if task in _NOT_IN_THE_PAPER:
         return (_PARTS,)
     return tuple(study for study in _REPORTED if task not in _TABLE_1_ALONE or study.table == 1)
 
 
 SWEEP = tuple(
-    Setting(
-        f"{name}, p_ht {share}, {form}", hyperparameters={"strategy": number, "p_ht": share, "reward": REWARDS[form]}
-    )
+    Setting(f"{name}, p_ht {p_ht}, {form}", hyperparameters={"strategy": number, "p_ht": p_ht, "reward": REWARDS[form]})
     for name, number in STRATEGIES.items()
-    for share in (0.2, 0.6, 1.0)
+    for p_ht in (0.2, 0.6, 1.0)
     for form in ("r1", "r2", "r3")
 )
-"""Settings that share all shapes and counts: what is timed as one program against one after another."""
+"""Settings with the same shapes and counts, timed as one program against one after another."""

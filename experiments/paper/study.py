@@ -1,4 +1,4 @@
-"""What a study is: settings that one table or figure compares, and the seeds that it is trained with."""
+"""Study: the settings that a table or figure compares, and the seeds they are trained with."""
 
 import dataclasses
 from typing import Any
@@ -8,9 +8,9 @@ from hgail_jax.seeds import check_seeds
 PAPER_DEMONSTRATIONS = 20
 """Demonstrations of GAIL-demo; the paper does not say how many it has."""
 REPORTED_SEEDS = range(0, 8)
-"""Of the tables and figures. No setting is chosen by what comes of them."""
+"""Seeds of the tables and figures. No setting is chosen by their results."""
 TUNING_SEEDS = range(1000, 1004)
-"""Of the studies that settings are chosen by. Nothing that comes of them is reported as a method's result."""
+"""Seeds of the studies that choose settings. Their results are never reported as a method's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,20 +19,19 @@ class Setting:
 
     name: str
     panel: str = ""
-    """The row of a figure that the line is in."""
+    """Row of the figure that has the line."""
     method: str = "hgail"
     config: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the method's config."""
     hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Options of the task's class beside those of its training, e.g. `observation`."""
+    """Further options of the task's class, e.g. `observation`."""
     steps: float | dict[str, float] = 1
-    """Environment steps, as a multiple of those that HGAIL takes by default; by task, and 1 on others,
-    where tasks differ."""
+    """Environment steps, as a multiple of HGAIL's default; a dict has it by task, and 1 for the others."""
     preset: str = "parallel"
     demonstrations: int = 0
     paper: dict[str, tuple[str, str]] = dataclasses.field(default_factory=dict)
-    """By task, the paper's success rate and L1 distance (m)."""
+    """The paper's success rate and L1 distance (m), by task."""
 
     def steps_on(self, task: str) -> float:
         """Returns the multiple of steps on a task."""
@@ -40,29 +39,29 @@ class Setting:
 
     @property
     def label(self) -> str:
-        """Name and panel: what tells it from the others of its study."""
+        """Name and panel, unique within a study."""
         return ", ".join(filter(None, (self.name, self.panel)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What one training serves: a table, a figure, or both."""
+    """Settings trained for a table, a figure, or both."""
 
     name: str
-    """Of its files: `<name>-<task>.json` and `.md`."""
+    """Name, also of its files `<name>-<task>.json` and `.md`."""
     title: str
     settings: tuple[Setting, ...]
     table: int | None = None
-    """The paper's number; more than one study may belong to it."""
+    """The paper's number, which several studies may have."""
     figure: int | None = None
     """The paper's number."""
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
     tuning: bool = False
-    """Whether settings are chosen by it: it then has seeds of its own, see `choose_seeds`."""
+    """True for a study that chooses settings, on seeds of its own, see `choose_seeds`."""
 
     def compared_with(self, setting: Setting) -> Setting | None:
-        """Returns the setting to compare one with: the reference of its panel, else the first of that name.
+        """Returns the setting to compare with: the reference of the same panel, else the first of that name.
 
         None for the reference itself.
         """
@@ -73,10 +72,10 @@ class Study:
 
 
 def choose_seeds(tuning: bool, count: int | None = None) -> range:
-    """Returns the seeds of a study: those above or, from the same start, `count` of them.
+    """Returns a study's seeds: those above, or the first `count` from the same start.
 
     Raises:
-      ValueError: there are none, or so many that seeds for reporting are also seeds for choosing.
+      ValueError: `count` is below 1, or the seeds for reporting would overlap those for choosing.
 
     >>> choose_seeds(tuning=True), choose_seeds(tuning=False, count=2)
     (range(1000, 1004), range(0, 2))
@@ -92,7 +91,7 @@ def choose_seeds(tuning: bool, count: int | None = None) -> range:
 
 
 def describe_seeds(seeds: list[int]) -> str:
-    """Says of consecutive seeds what they are for.
+    """Describes the purpose of consecutive seeds.
 
     >>> describe_seeds([0, 1])
     'Seeds 0 to 1 are for reporting; settings are chosen on others, from 1000 on.'

@@ -1,4 +1,4 @@
-"""The files of a study: what came of its settings, as JSON, and a table of it, as Markdown."""
+"""Files of a study: its settings' results as JSON, and a table of them as Markdown."""
 
 import json
 from pathlib import Path
@@ -7,10 +7,24 @@ from typing import Any
 import numpy as np
 
 from experiments.paper.figures import draw_figure
+from experiments.paper.markdown import study_table, with_bounds
 from experiments.paper.study import Setting, Study, describe_seeds
 from hgail_jax.io.files import replace_file, write_json
 from hgail_jax.trainer.statistics import Estimate, confidence_interval, interquartile_mean, probability_of_improvement
 
+_HEADER = {
+    "label": "setting",
+    "seeds": "seeds",
+    "paper_success": "success: paper",
+    "success": "ours",
+    "success_iqm": "IQM",
+    "better": "P",
+    "paper_distance_l1": "L1 distance (m): paper",
+    "distance_l1": "ours",
+    "distance_l1_iqm": "IQM",
+    "env_steps": "env steps per seed",
+    "seconds": "seconds",
+}
 _OLDER = "**Older:** the settings of this table are no longer those of its name.\n\n"
 
 
@@ -23,7 +37,7 @@ def read_study(path: Path) -> dict[str, Any]:
     """Returns the content of a JSON file of the folder.
 
     Raises:
-      ValueError: it is damaged.
+      ValueError: the file is damaged.
 
     """
     try:
@@ -33,7 +47,7 @@ def read_study(path: Path) -> dict[str, Any]:
 
 
 def write_study(folder: Path, task: str, study: Study, results: list[dict[str, Any]]) -> None:
-    """Writes what came of a study's trials, the table, and the figure that it belongs to."""
+    """Writes the results of a study's trials, their table, and the study's figure."""
     rows = make_rows(task, study, results)
     path = json_path(folder, task, study)
     write_json(path, {"study": study.name, "task": task, "settings": rows})
@@ -43,7 +57,7 @@ def write_study(folder: Path, task: str, study: Study, results: list[dict[str, A
 
 
 def set_aside(folder: Path, path: Path) -> None:
-    """Moves a study's results and table to a folder, and says in the table that it is older."""
+    """Moves a study's results and table to a folder, and marks the table as older."""
     folder.mkdir(parents=True, exist_ok=True)
     table = path.with_suffix(".md")
     if table.exists():
@@ -56,9 +70,9 @@ def set_aside(folder: Path, path: Path) -> None:
 def make_rows(task: str, study: Study, results: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Returns the rows of a study, one per setting, from the results of its trials.
 
-    `seconds` is a setting's share of the time that its program trained for. A row is `older` if another one of the
-    study was made later by another commit. `better_than` has how probably a seed of the setting has a higher success
-    rate than one of each setting after it, and the bounds of the 95 % interval.
+    `seconds` is the program's training time divided by its number of settings. A row is `older` if another one of the
+    study was made later by another commit. `better_than` has the probability that a seed of the setting has a higher
+    success rate than one of each later setting, and the bounds of its 95 % interval.
     """
     newest = max((result["made_by"] for result in results), key=lambda made_by: made_by["date"])["commit"]
     rows = []
@@ -88,7 +102,7 @@ def make_rows(task: str, study: Study, results: list[dict[str, Any]]) -> list[di
 
 
 def _statistics(final: dict[str, list[float]]) -> dict[str, float | None]:
-    """Returns statistics over the seeds of what they ended with."""
+    """Returns statistics of the final evaluation over the seeds."""
     success, distance = np.array(final["success"]), np.array(final["distance_l1"])
     return {
         "success_rate": float(success.mean()),
@@ -105,10 +119,9 @@ def _statistics(final: dict[str, list[float]]) -> dict[str, float | None]:
 
 
 def write_means_over_tasks(folder: Path, tasks: list[str], study: Study) -> None:
-    """Writes <study>-<task>-<task>.json where the folder has the study of each task.
+    """Writes <study>-<task>-<task>.json if the folder has the study of each task.
 
-    It has the interquartile mean of each setting's success rate over the seeds of all tasks; the bootstrap draws within
-    each task.
+    It has the interquartile mean of each setting's success rate over the seeds of all tasks, bootstrapped within tasks.
     """
     paths = [json_path(folder, task, study) for task in tasks]
     if not all(path.exists() for path in paths):
@@ -133,36 +146,26 @@ def write_markdown(path: Path, task: str, study: Study, rows: list[dict[str, Any
         f" probably a seed has a higher success rate than one of {study.reference or study.settings[0].name}, ties"
         " counting half.",
         "",
-        "| setting | seeds | success: paper | ours | IQM | P | L1 distance (m): paper | ours | IQM | env steps per seed"
-        " | seconds |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        study_table([_with_comparison(study, setting, by_label) for setting in study.settings], _HEADER),
+        "",
+        *_origin(rows),
     ]
-    for setting in study.settings:
-        reference = study.compared_with(setting)
-        cells = _cells(setting, by_label[setting.label], None if reference is None else by_label[reference.label])
-        lines.append(f"| {' | '.join(cells)} |")
     with replace_file(path) as file:
-        file.write("\n".join([*lines, "", *_origin(rows)]) + "\n")
+        file.write("\n".join(lines) + "\n")
 
 
-def _cells(setting: Setting, row: dict[str, Any], reference: dict[str, Any] | None) -> list[str]:
-    return [
-        setting.label + (f", *older* ({row['made_by']['commit']})" if row["older"] else ""),
-        str(len(row["identity"]["seeds"])),
-        row["paper_success"],
-        _plus_minus(row["success_rate"], row["success_ci95"]),
-        _with_bounds(row, "success_iqm", 3),
-        "" if reference is None else _with_bounds(_estimate("P", _improvement(row, reference)), "P", 2),
-        row["paper_distance_l1"],
-        _plus_minus(row["distance_l1"], row["distance_l1_ci95"]),
-        _with_bounds(row, "distance_l1_iqm", 3),
-        f"{row['env_steps_per_seed']:,}",
-        f"{row['seconds']:.1f}",
-    ]
+def _with_comparison(study: Study, setting: Setting, by_label: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Returns a setting's row with its label, and the comparison with the study's reference."""
+    row, reference = by_label[setting.label], study.compared_with(setting)
+    older = f", *older* ({row['made_by']['commit']})" if row["older"] else ""
+    if reference is None:
+        return row | {"label": setting.label + older, "better": ""}
+    better = _estimate("P", _improvement(row, by_label[reference.label]))
+    return row | {"label": setting.label + older, "better": with_bounds(better, "P", 2)}
 
 
 def _origin(rows: list[dict[str, Any]]) -> list[str]:
-    """Returns lines that say what made a table."""
+    """Returns the lines about a table's provenance."""
     lines = ["Seconds are a setting's share of its program's training, compilation apart. Made by"]
     for row in rows:
         by = row["made_by"]
@@ -184,12 +187,3 @@ def _estimate(name: str, estimate: Estimate) -> dict[str, float | None]:
 
 def _number(value: np.ndarray | float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _plus_minus(mean: float, half: float | None) -> str:
-    return f"{mean:.3f}" if half is None else f"{mean:.3f} ± {half:.3f}"
-
-
-def _with_bounds(row: dict[str, Any], name: str, digits: int) -> str:
-    value, low, high = (row[name + end] for end in ("", "_low", "_high"))
-    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")

@@ -1,4 +1,4 @@
-"""A setting worked out for a task and a platform: all that decides what is computed."""
+"""Trials: settings resolved for a task and a platform."""
 
 import dataclasses
 import json
@@ -14,9 +14,9 @@ from hgail_jax.methods import METHODS
 from hgail_jax.train import env_steps, phase_table
 
 FEW_ROUNDS = 100
-"""Up to so many rounds a setting is evaluated in every one of them."""
+"""Most rounds of a training that is evaluated in every round."""
 
-_PER_ROLL_OUT = 4  # roll-outs' worth of episodes that the best-of buffer holds
+_PER_ROLL_OUT = 4  # roll-outs whose episodes fill the best-of buffer
 _MOST_BEST = 1000  # as Guo et al. 2018 keep
 
 _QUICK: dict[str, Any] = FEW_UPDATES | {"num_envs": 4, "rounds": 1}
@@ -25,13 +25,13 @@ _QUICK_EVALUATION_EPISODES = 8
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """How large the experiments on a task are."""
+    """Sizes of the experiments on a task."""
 
     task: str
     platform: str
     """`"cpu"` or `"gpu"`."""
     quick: bool = False
-    """Takes sizes that show that everything runs, and nothing else."""
+    """Takes tiny sizes that show that everything runs."""
 
     @property
     def task_class(self) -> type[hgail_envs.GoalEnv]:
@@ -40,7 +40,7 @@ class Scale:
 
     @property
     def evaluation_episodes(self) -> int:
-        """Episodes per seed that the final evaluation has at least."""
+        """Least episodes per seed of the final evaluation."""
         return _QUICK_EVALUATION_EPISODES if self.quick else EVALUATION_EPISODES[self.platform]
 
     @property
@@ -49,18 +49,18 @@ class Scale:
         return dict(task_preset(self.task_class, self.platform).task_options)
 
     def preset(self, name: str = "parallel") -> Preset:
-        """Returns what a setting starts from."""
+        """Returns the preset that settings change."""
         preset = task_preset(self.task_class, self.platform, name)
         config = preset.config.replace(**(_QUICK if self.quick else {}))
         config = config.replace(best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
         return dataclasses.replace(preset, config=config)
 
     def make_env(self, worlds: int, **options: Any) -> hgail_envs.GoalEnv:
-        """Makes the task with the physics that it is trained in, for so many environments at once.
+        """Makes the task with its training physics.
 
         Args:
-          worlds: environments that are stepped at once.
-          options: of the task's class, in place of those of its training.
+          worlds: environments stepped at once.
+          options: of the task's class, in place of the training's.
 
         """
         options = self.task_options | options
@@ -71,7 +71,7 @@ class Scale:
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A setting worked out for a task and a platform: all that decides what is computed."""
+    """A setting resolved for a task and a platform: all inputs of the computation."""
 
     task: str
     setting: Setting
@@ -85,7 +85,7 @@ class Trial:
     """Rounds from one evaluation to the next in the task's own training."""
 
     def identity(self) -> dict[str, Any]:
-        """Returns, as JSON has it, what another computation of the same results shares with this one."""
+        """Returns all inputs that decide the results, as plain JSON."""
         physics = {"impl": resolve_impl("auto")} if "impl" in hgail_envs.accepted_options(self.task) else {}
         identity = {
             "task": self.task,
@@ -101,10 +101,9 @@ class Trial:
 
     @property
     def evaluate_every(self) -> int:
-        """Rounds from one evaluation to the next: the task's, or k in a setting of k times the steps and many rounds.
+        """Rounds from one evaluation to the next: the task's, or k in a long training of k times the steps.
 
-        An evaluation costs as much as a roll-out to learn from, and changes nothing in the training. Many are more than
-        `FEW_ROUNDS`.
+        Long is more than `FEW_ROUNDS`. An evaluation costs as much as a training roll-out, and changes nothing.
         """
         multiple = int(self.setting.steps_on(self.task)) if self.config.rounds + 1 > FEW_ROUNDS else 1
         return max(self.usual_evaluate_every, multiple)
@@ -115,20 +114,20 @@ class Trial:
 
 
 def hash_json(content: Any) -> str:
-    """Returns the first 16 hexadecimal digits of the SHA-256 of what JSON makes of `content`."""
+    """Returns the first 16 hexadecimal digits of the SHA-256 of `content` as JSON."""
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256: str | None = None) -> Trial:
-    """Returns a setting as it is trained.
+    """Resolves a setting into a trial.
 
-    It takes `setting.steps` times the environment steps that HGAIL takes by default, to the nearest whole round.
+    It has `setting.steps` times HGAIL's default environment steps, rounded to whole rounds.
 
     Args:
       scale: the task and its sizes.
-      setting: what to work out.
+      setting: to resolve.
       seeds: the seeds; see `choose_seeds`.
-      demonstrations_sha256: what the demonstrations are, where the setting has any.
+      demonstrations_sha256: hash of the demonstrations, if the setting has any.
 
     """
     env = scale.task_class

@@ -1,4 +1,4 @@
-"""The studies that settings are chosen by, on seeds that nothing is reported of."""
+"""Studies that choose settings, on seeds that are never reported."""
 
 import dataclasses
 from typing import Any
@@ -13,12 +13,12 @@ def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: 
 
 
 def _second_change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
-    """Returns a change to the preset `paper`, which has one already, over the steps that it takes to learn."""
+    """Returns a change on top of the preset `paper`'s own, over the steps that it needs to learn."""
     return Setting(name, "phases 1 + 3", preset="paper", config=config or {}, hyperparameters=hyperparameters, steps=12)
 
 
 # The paper has 16 + 3 phases of 64 episodes, 3,200 samples: 25 minibatches of 128 for the policy, once each, and 50 of
-# 64 for the discriminator. All that differs in numbers alone is one program.
+# 64 for the discriminator. Settings that differ in numbers alone are one program.
 _OF_NUMBERS = (
     _change("as they are"),
     *(_change(f"σ {std:g}", action_std=std) for std in (0.1, 0.2, 0.3, 0.5)),
@@ -87,12 +87,12 @@ _GAIL_DEMO_WEIGHT = Study(
 
 
 def _grasp(episodes: int, rounds: int, hidden: int | None) -> tuple[Setting, ...]:
-    """Returns sizes of a training of grasp, under some weights of the likelihood each.
+    """Returns settings of grasp with these sizes, one for each weight of the behaviour-cloning (BC) loss.
 
     Args:
-      episodes: in a roll-out.
+      episodes: of a roll-out.
       rounds: of the training.
-      hidden: width of the hidden layers of all networks; None leaves the usual ones.
+      hidden: width of all networks' hidden layers; None is the default.
 
     """
     widths = {} if hidden is None else {"policy_hidden": (hidden, hidden), "discriminator_hidden": (hidden, hidden)}

@@ -1,4 +1,4 @@
-"""What a call for tables and figures comes to: which studies are missing, and the programs that they need."""
+"""Work of a command: the studies that are missing, and the programs that train them."""
 
 import dataclasses
 import datetime
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.paper.figures import draw_figure, figure_path
+from experiments.paper.markdown import label
 from experiments.paper.programs import group_by_program, time_sweep, train_program
 from experiments.paper.studies import MOST_DEMONSTRATIONS, STUDIES, SWEEP
 from experiments.paper.study import Setting, Study, choose_seeds
@@ -24,17 +25,17 @@ from hgail_jax.trainer.checkpoint import AnotherRunError, refuse_another_run
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What the options ask for of a task, worked out."""
+    """Studies of a task that a command asks for."""
 
     scale: Scale
     seeds: int | None
-    """How many; None takes those that there are for a study."""
+    """Number of seeds; None is a study's own."""
     folder: Path
     studies: tuple[Study, ...]
     sweep: bool = False
-    """Whether to time many settings as one program."""
+    """True to time many settings as one program."""
     command: str = dataclasses.field(default_factory=own_command)
-    """The command that asks for it, which another process may carry out."""
+    """The command line, kept here because another process may carry it out."""
 
     @property
     def task(self) -> str:
@@ -43,39 +44,39 @@ class Work:
 
     @functools.cached_property
     def demonstrations(self) -> Demonstrations:
-        """All demonstrations of the task; recorded where the folder has none."""
+        """All demonstrations of the task, recorded if the folder has none."""
         path = self.folder / "demonstrations" / f"{self.task}.npz"
         env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS)
         return load_or_record(path, env, self.task, MOST_DEMONSTRATIONS)
 
     def trial(self, setting: Setting, tuning: bool = False) -> Trial:
-        """Returns a setting worked out for the task."""
+        """Resolves a setting for the task."""
         count = setting.demonstrations
         identity = self.demonstrations.first(count).sha256 if count else None
         return work_out(self.scale, setting, choose_seeds(tuning, self.seeds), identity)
 
     def made_by(self) -> dict[str, Any]:
-        """Returns what makes a result, here and now."""
+        """Returns the provenance of a result made now."""
         date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return provenance() | {"command": self.command, "date": date}
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """Trials of a task that one program trains."""
+    """Trials that one program trains."""
 
     work: Work
     trials: list[Trial]
 
     @property
     def names(self) -> str:
-        """What it trains."""
+        """Names of its trials."""
         return f"{self.work.task}: {'; '.join(trial.setting.label for trial in self.trials)}"
 
     def carry_out(self, stop: threading.Event) -> None:
-        """Trains and evaluates, and keeps what came of each trial.
+        """Trains and evaluates, and saves the result of each trial.
 
-        Ends early, with a checkpoint, once `stop` is set.
+        It ends early, with a checkpoint, once `stop` is set.
         """
         work, first = self.work, self.trials[0]
         worlds = len(self.trials) * len(first.seeds) * first.config.num_envs
@@ -93,7 +94,7 @@ class Job:
 
 
 class Unfinished:
-    """The studies of a task whose data are not in the folder yet.
+    """Studies of a task whose data are not in the folder yet.
 
     Raises:
       ValueError: a file of the folder is damaged.
@@ -102,19 +103,16 @@ class Unfinished:
 
     def __init__(self, work: Work) -> None:
         self.work = work
-        self._studies = [(study, trials) for study, trials in _worked_out(work) if not _is_there(work, study, trials)]
+        self._studies = [(study, trials) for study, trials in _resolved(work) if not _is_there(work, study, trials)]
 
     def jobs(self) -> list[Job]:
-        """Returns the programs that are still to be trained."""
+        """Returns the programs that remain to be trained."""
         trials = {trial.key(): trial for _, of_study in self._studies for trial in of_study}
         missing = [trial for trial in trials.values() if not _part_path(self.work, trial).exists()]
         return [Job(self.work, group) for group in group_by_program(missing)]
 
     def write_complete(self) -> None:
-        """Writes the studies whose trials are all there, which are then no longer unfinished.
-
-        Results that a study has from other settings are set aside.
-        """
+        """Writes the studies whose trials are all there; older results of other settings are set aside."""
         for study, trials in list(self._studies):
             parts = [_part_path(self.work, trial) for trial in trials]
             if all(path.exists() for path in parts):
@@ -122,12 +120,12 @@ class Unfinished:
                 self._studies.remove((study, trials))
 
 
-def _worked_out(work: Work) -> list[tuple[Study, list[Trial]]]:
+def _resolved(work: Work) -> list[tuple[Study, list[Trial]]]:
     return [(study, [work.trial(setting, study.tuning) for setting in study.settings]) for study in work.studies]
 
 
 def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:
-    """Returns whether a study's results are in the folder; a table or figure alone is made again from them."""
+    """Returns whether a study's results are in the folder; a missing table or figure is made from them."""
     path = json_path(work.folder, work.task, study)
     if not path.exists():
         return False
@@ -147,7 +145,7 @@ def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:
 
 
 def _write(work: Work, study: Study, trials: list[Trial], results: list[dict[str, Any]]) -> None:
-    """Writes a study; what is there of other settings goes to older/<their hash>/."""
+    """Writes a study; results of other settings move to older/<their hash>/."""
     path = json_path(work.folder, work.task, study)
     if path.exists() and (there := _identities_there(read_study(path)["settings"])) != _identities(trials):
         set_aside(work.folder / "older" / hash_json(there), path)
@@ -172,7 +170,7 @@ def redraw(folder: Path) -> None:
     """Draws every figure whose data a folder holds.
 
     Raises:
-      ValueError: it holds none, or data that cannot be read.
+      ValueError: the folder holds no data, or unreadable data.
 
     """
     drawn = [draw_figure(folder, number) for number in sorted({study.figure for study in STUDIES if study.figure})]
@@ -186,9 +184,9 @@ def _identities(trials: Sequence[Trial]) -> dict[str, Any]:
 
 
 def _identities_there(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    return {Setting(row["setting"], row["panel"]).label: row["identity"] for row in rows}
+    return {label(row): row["identity"] for row in rows}
 
 
 def _part_path(work: Work, trial: Trial) -> Path:
-    """Returns where a trial's result is kept until all that need it are written, and for those that come later."""
+    """Returns the file of a trial's result, kept for all studies that have the trial."""
     return work.folder / "parts" / f"{trial.key()}.json"

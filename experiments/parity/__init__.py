@@ -1,1 +1,1 @@
-"""How far this project's Fetch moves as Gymnasium-Robotics' does, and as its own scenes do in C MuJoCo."""
+"""Parity of this project's Fetch with Gymnasium-Robotics'."""

@@ -1,4 +1,4 @@
-"""Compares the Fetch tasks with Gymnasium-Robotics' on the same machine, and writes the table of it.
+"""Compares the Fetch tasks with Gymnasium-Robotics' on the same machine, and writes a table.
 
 python -m experiments.parity
 """
@@ -33,10 +33,10 @@ _ROWS = (
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """Measures how far the gripper goes another way than the reference's, for each engine that runs on a CPU."""
+    """Measures the distance of the gripper from the reference's, for each engine that runs on a CPU."""
 
     out: Path = Path("runs/parity/parity.json")
-    """The file to write."""
+    """File to write."""
 
 
 def main(arguments: list[str] | None = None) -> None:

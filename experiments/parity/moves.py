@@ -1,6 +1,6 @@
-"""Measures how far the gripper goes another way than the reference's, in one action and in an episode of them.
+"""Measures the distance of the gripper from the reference's, after one action and after an episode.
 
-Below, `N` is moves or episodes and `T` actions.
+Below, `N` is the number of moves or episodes and `T` of actions.
 """
 
 from typing import Any, NamedTuple
@@ -12,14 +12,14 @@ from experiments.parity.reference import gripper, place
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 
 EPISODES, STEPS = 8, 48
-"""Of the moves: 384 of them."""
+"""Episodes of the moves, and steps of each: 384 moves."""
 DRIFTS, ACTIONS = 32, 50
-"""Episodes without feedback, and the actions in one of them."""
+"""Episodes without feedback, and actions of each."""
 _NEW_TARGET, _HELD = 6, 5  # actions
 
 
 class Moves(NamedTuple):
-    """Actions of the reference, each with the state before it."""
+    """Actions of the reference, each with the states around it."""
 
     qpos: np.ndarray
     """`[N, nq]` of the reference."""
@@ -51,7 +51,7 @@ def random_moves(reference: Any, seed: int = 0) -> Moves:
 
 
 def one_step_errors(env: FetchEnv, reference: Any, moves: Moves) -> np.ndarray:
-    """Returns by how much each displacement of the gripper differs from the reference's, `[N]`, metres."""
+    """Returns the errors of the gripper's displacements beside the reference's, `[N]`, metres."""
     physics = place(env, reference, moves.qpos, moves.qvel)
     following = _step(env)(physics, moves.action)
     ours = following.gripper_position - physics.gripper_position
@@ -59,7 +59,7 @@ def one_step_errors(env: FetchEnv, reference: Any, moves: Moves) -> np.ndarray:
 
 
 def open_loop_ends(reference: Any, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Returns random actions, each held for a while so that the gripper travels, and where the reference's ends.
+    """Returns random actions, each held so that the gripper travels, and the reference's final gripper positions.
 
     Actions are `[T, N, 4]`, ends `[N, 3]`, metres.
     """
@@ -74,7 +74,7 @@ def open_loop_ends(reference: Any, seed: int = 1) -> tuple[np.ndarray, np.ndarra
 
 
 def open_loop_drift(env: FetchEnv, actions: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Returns how far from the reference's end ours is after actions without feedback, `[N]`, metres."""
+    """Returns the distances from the reference's final positions after actions without feedback, `[N]`, metres."""
     step, states = _step(env), jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), len(ends)))
     physics = states.pipeline_state
     for action in actions:

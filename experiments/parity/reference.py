@@ -1,4 +1,4 @@
-"""The Gymnasium environment that a task is held to, and which of its joints are ours."""
+"""Reference environments of Gymnasium-Robotics, and the mapping of their joints to ours."""
 
 from typing import Any
 
@@ -23,12 +23,12 @@ _NAMES = {
 
 
 def make_counterpart(env: FetchEnv) -> Any:
-    """Returns the Gymnasium environment that a task is held to, without its wrappers and its time limit."""
+    """Returns the reference environment of a task, without wrappers and time limit."""
     return make_reference(str(env.reference), max_episode_steps=_LONGER_THAN_ANY).unwrapped
 
 
 def joint_indices(model: mujoco.MjModel, theirs: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Returns, for each position `[nq]` and each velocity `[nv]` of our joints, its place in the reference's."""
+    """Returns the indices of our joints' positions, `[nq]`, and velocities, `[nv]`, in the reference."""
     qpos: list[int] = []
     qvel: list[int] = []
     for joint in range(model.njnt):
@@ -47,8 +47,7 @@ def place(env: FetchEnv, reference: Any, qpos: np.ndarray, qvel: np.ndarray) -> 
 
 
 def gripper(reference: Any) -> np.ndarray:
-    """Returns where the reference's gripper is, `[3]`, metres."""
-    mujoco.mj_kinematics(
-        reference.model, reference.data
-    )  # a step leaves positions as they were one physics step before
+    """Returns the position of the reference's gripper, `[3]`, metres."""
+    # A step leaves the positions of one physics step before.
+    mujoco.mj_kinematics(reference.model, reference.data)
     return reference.data.site("robot0:grip").xpos.copy()

@@ -1,1 +1,1 @@
-"""Runs policies that were trained on the Fetch in MJX, unchanged, in another simulator and on another robot."""
+"""Transfer of policies, trained on the Fetch in MJX, to other simulators and robots."""

@@ -10,7 +10,6 @@ import tyro
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
-from experiments.transfer.paths import OUT
 from experiments.transfer.policies import find_policies, load_policies
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
@@ -18,7 +17,7 @@ from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
 from hgail_envs.engines.c import usable_cores
-from hgail_envs.validation import check_count, check_not_negative, counted, parse_option
+from hgail_envs.validation import MOST_SEED, check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.terminal.status import progress_bar
 from hgail_jax.trainer.options import unless_given
@@ -27,14 +26,14 @@ if TYPE_CHECKING:
     RobotName = str
     TaskName = str
     GoalSource = str
-else:  # the command line offers what is registered
+else:  # the command line lists the registered names
     RobotName = Literal[(FETCH, *ROBOTS)]
     TaskName = Literal[tuple(dict.fromkeys(task for robot in ROBOTS.values() for task in robot.tasks))]
     GoalSource = Literal[tuple(GOAL_SOURCES)]
 
 _PROGRAM = "transfer"
+_OUT = Path("runs") / _PROGRAM
 _EPISODES = 200
-_MOST_SEED = 2**31 - 1
 _MOST_DELAY = 50  # steps, a whole episode
 _MOST_STRIDE = 2.0
 _MOST_OFFSET = 1.0  # metres
@@ -61,42 +60,42 @@ class Options:
     task: Annotated[
         TaskName | None, unless_given("reach; all with --table and --sweep", f"{{{','.join(get_args(TaskName))}}}")
     ] = None
-    """What to do there."""
+    """The task."""
     policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "FILE")] = (
         None
     )
     """The policy's file."""
     episodes: Annotated[int | None, unless_given("200", "INT")] = None
-    """How many, for each row or point."""
+    """Number of episodes of each row or point."""
     seed: int = 0
-    """Of the episodes."""
+    """Seed of the episodes."""
     noise: float = 0.0
-    """Standard deviation of the noise on each coordinate of the target's position that the policy is told, metres."""
+    """Standard deviation of the noise on each coordinate of the target's position in the observation, metres."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Constant error of the target's position that the policy is told, metres."""
+    """Constant error of the target's position in the observation, metres."""
     delay: int = 0
-    """Steps by which actions come late."""
+    """Delay of actions, steps."""
     stride: float = 1.0
-    """Factor on the displacements that the policy asks for."""
+    """Factor on the displacements of the policy's actions."""
     robot_options: tuple[str, ...] = ()
     """Options of the robot, as name=value: slowdown=1 and start_open=true of the arms, observation=official of
-    Gymnasium-Robotics' Fetch. Those that the policy's file names are given already."""
+    Gymnasium-Robotics' Fetch. Those of the policy's file are set already."""
     table: Annotated[Literal[4] | None, unless_given("none", "4")] = None
     """Measure the rows of the paper's table 4 instead, into table4.json."""
     goal_source: Annotated[
         GoalSource | None, unless_given("exact; all with --table", f"{{{','.join(GOAL_SOURCES)}}}")
     ] = None
-    """Where the target is exactly, or as two cameras or one over the workspace see it, with noise or without."""
+    """Source of the target's position: the simulator, or one or two cameras over the workspace, exact or noisy."""
     sweep: bool = False
-    """Measure success against disturbances and speed instead, into transfer-sweep.json and .png."""
+    """Measure success over quantities of the randomisation and over speed instead, into transfer-sweep.json and .png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
     """Processes for --table and --sweep."""
     pictures: bool = False
     """Draw an episode of each robot and task instead, into transfer-<robot>.png."""
-    out: Path = OUT
-    """Folder of these files, made where it is missing; rows that are measured again are replaced, others stay."""
+    out: Path = _OUT
+    """Folder of these files, made if missing; rows that are measured again are replaced, others stay."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -119,7 +118,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _check(options: Options) -> None:
-    """Refuses options that are out of range, or that do not go together, by a ValueError."""
+    """Raises a ValueError for options that are out of range or exclude each other."""
     studies = (options.table is not None) + options.sweep + options.pictures
     if studies > 1:
         raise ValueError("choose one of --table, --sweep and --pictures")
@@ -141,7 +140,7 @@ def _check(options: Options) -> None:
     if options.goal_source not in (None, EXACT) and (options.noise or any(options.offset)):
         raise ValueError("--noise and --offset are of the exact goal; --goal-source is another")
     check_count("episodes", _episodes(options))
-    check_count("seed", options.seed, least=0, most=_MOST_SEED)
+    check_count("seed", options.seed, least=0, most=MOST_SEED)
     check_count("delay", options.delay, least=0, most=_MOST_DELAY)
     check_not_negative("noise", options.noise)
     if not 0.0 <= options.stride <= _MOST_STRIDE:
@@ -168,7 +167,7 @@ def _table(options: Options) -> None:
 
 
 def _chosen(options: Options, robots: list[str]) -> tuple[list[str], tuple[str, ...]]:
-    """Returns the robots and tasks of a table or of curves: those that are named, else all."""
+    """Returns the robots and tasks of a table or sweep: those named, else all."""
     return [options.to] if options.to else robots, (options.task,) if options.task else tuple(TASKS)
 
 

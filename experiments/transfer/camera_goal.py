@@ -1,4 +1,4 @@
-"""Tells a transferred policy where cameras see the target, as a `Localiser` estimates it at the start."""
+"""Target positions from cameras, as a `Localiser` estimates them at the start of an episode."""
 
 import contextlib
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.localisation.keypoint_network import load_detector
 from experiments.localisation.localiser import TILTED, Localiser, Noise, overhead
-from experiments.localisation.paths import WEIGHTS
+from experiments.paths import WEIGHTS
 from experiments.transfer.conditions import Estimate
 from experiments.transfer.robots.base import Robot
 from hgail_envs.vision.rgbd import open_renderer
@@ -22,8 +22,8 @@ def check_rendering() -> None:
 def camera_estimate(robot: Robot, localiser: Localiser) -> Estimate:
     """Returns the estimate that a localiser makes of the target in a robot's scene.
 
-    Of the true position it only uses where to put the red ball that makes a goal of reach visible. The estimate raises
-    `TargetNotSeenError` where no camera sees the target.
+    It uses the true position only to place the red ball that makes a goal of reach visible. The estimate raises
+    `TargetNotSeenError` if no camera sees the target.
     """
 
     def estimate(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -42,10 +42,10 @@ def overhead_estimate(
     """Returns the estimate of cameras over the workspace and the repository's detector.
 
     Args:
-      robot: is reset, to find where its gripper starts.
+      robot: the robot, which is reset to find its gripper's start.
       stack: closes the renderer.
       views: of the cameras, see `overhead`.
-      noise: of the cameras; None is none.
+      noise: of the cameras; None for exact ones.
 
     """
     robot.reset(np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""What acts in an episode on a robot, and what the episode is disturbed by."""
+"""Policies, and the conditions of an episode on a robot."""
 
 import dataclasses
 from collections.abc import Callable
@@ -8,13 +8,13 @@ import numpy as np
 MeanAction = Callable[[np.ndarray], np.ndarray]
 """A policy's mean action, `[4]`, for an observation of the task that it was trained on, `[observation_size]`."""
 Estimate = Callable[[np.ndarray, np.random.Generator], np.ndarray]
-"""Where the target is believed to be, `[3]`, given where it is, `[3]`, and a source of randomness; metres, in the
-policy's frame. An episode calls it once, at its start."""
+"""Estimate of the target's position, `[3]`, from the true one, `[3]`, and a generator; metres, in the policy's frame.
+An episode calls it once, at its start."""
 
 
 @dataclasses.dataclass(frozen=True)
 class NoisyEstimate:
-    """An `Estimate` that is off by a constant and by Gaussian noise; by default it is exact."""
+    """An `Estimate` with a constant offset and Gaussian noise; exact by default."""
 
     noise: float = 0.0
     """Standard deviation of each coordinate, metres; drawn once per episode."""
@@ -28,23 +28,23 @@ class NoisyEstimate:
 
 @dataclasses.dataclass(frozen=True)
 class Conditions:
-    """What an episode is disturbed by; by default nothing."""
+    """Conditions of an episode; nominal by default."""
 
     estimate: Estimate = NoisyEstimate()
-    """Where the policy is told that the target is; success is judged by where it really is."""
+    """The target's position in the observation; success is judged by the true one."""
     delay: int = 0
     """Steps between an observation and the action that answers it; the robot stands still until the first arrives."""
     stride: float = 1.0
     """Factor on each displacement, between the policy and the robot."""
     goal_noise: float = 0.0
-    """Standard deviation of each coordinate of the target's position at each step, metres."""
+    """Standard deviation of the observed target's coordinates at each step, metres."""
     robot_noise: float = 0.0
-    """Likewise, of the gripper's position that the policy is told."""
+    """Standard deviation of the observed gripper's coordinates at each step, metres."""
     robot_offset: float = 0.0
-    """Likewise, drawn once per episode."""
+    """Standard deviation of an error of the observed gripper's coordinates, drawn once per episode, metres."""
     friction: float = 1.0
     """Factor on the friction of all contacts."""
     object_mass: float = 1.0
     """Factor on the cube's mass."""
     gravity: float = 0.0
-    """Share of the arm's weight that is not compensated, where the robot's model compensates it."""
+    """Fraction of the arm's weight that is not compensated, in a model that compensates it."""

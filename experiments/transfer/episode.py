@@ -1,4 +1,4 @@
-"""Runs a policy on a robot that it was not trained on, and judges how the episode ended."""
+"""Runs a policy on a robot that it was not trained on, and measures the outcome."""
 
 import collections
 from collections.abc import Callable, Iterable, Sequence
@@ -20,17 +20,17 @@ def run_episode(
     conditions: Conditions | None = None,
     watch: Callable[[], None] = lambda: None,
 ) -> EpisodeMetrics:
-    """Runs one episode from the robot's present state, followed by the probe if the task has one.
+    """Runs one episode from the robot's present state, and the lift test if the task has one.
 
     Args:
       robot: already reset.
       policy: decides the actions.
       rng: for the estimate of the target's position.
-      conditions: what disturbs the episode; None is nothing.
+      conditions: of the episode; None is nominal.
       watch: called at the start and after each step.
 
     Returns:
-      What `GoalEnv.outcome` of the robot's task would measure, as plain numbers.
+      Metrics of the last step, as `GoalEnv.outcome` of the robot's task defines them, as plain numbers.
 
     """
     conditions = conditions or Conditions()
@@ -44,7 +44,7 @@ def _run(
     """Runs the episode in the robot's present model; see `run_episode`."""
     task = find_class(robot.task)
     believed = conditions.estimate(robot.target(), rng)
-    goal = np.append(believed, np.ones(task.goal_size - len(believed)))  # 1: to hold the cube there, the object's place
+    goal = np.append(believed, np.ones(task.goal_size - len(believed)))  # 1: the cube is to be held there
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
     sensors = Sensors(rng, conditions)
@@ -59,9 +59,7 @@ def _run(
         robot.step(action)
         watch()
     position, target = robot.carried(), robot.target()
-    achieved = (
-        bool(robot.features()[7]) if task.lift_test_steps else robot.reached()
-    )  # 7: whether the hand holds the cube
+    achieved = bool(robot.features()[7]) if task.lift_test_steps else robot.reached()  # 7: the hand holds the cube
     for _ in range(task.lift_test_steps):
         robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.lift_test_action`
         watch()
@@ -78,7 +76,7 @@ def run_episodes(
 ) -> list[EpisodeMetrics]:
     """Runs the episodes with these indices, the policies taking turns.
 
-    An episode's start depends on the seed and its index alone, so that all conditions are compared on the same starts.
+    An episode's start depends on the seed and its index alone, so all conditions are compared on the same starts.
     """
     outcomes = []
     for index in indices:
@@ -97,7 +95,7 @@ def episode_rngs(seed: int, index: int) -> tuple[np.random.Generator, np.random.
 def _judge(
     task: type[GoalEnv], position: np.ndarray, target: np.ndarray, achieved: bool, success: bool
 ) -> EpisodeMetrics:
-    """Returns the metrics of the last step, given where what was to come to the target is."""
+    """Returns the metrics of the last step, from the position of the gripper or object and its target's."""
     l1, l2 = np.abs(position - target).sum(), np.linalg.norm(position - target)
     return EpisodeMetrics(
         success=float(success),

@@ -32,7 +32,7 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
     """Writes a PNG of the success rate against each quantity, with 95 % intervals.
 
     Args:
-      path: where to.
+      path: of the PNG.
       rows: the points of the sweep, as measured; each task and quantity has a panel, each robot a colour, each policy a
         style.
       axes: the label of the x axis for each quantity.
@@ -72,8 +72,8 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
     """Writes a PNG with a row of pictures for each episode.
 
     Args:
-      path: where to.
-      episodes: robot, policy, and indices of the steps to show, in which the probe's steps count on.
+      path: of the PNG.
+      episodes: robot, policy, and indices of the steps to show, counted on through the lift test.
       seed: of the starts.
 
     Raises:
@@ -89,7 +89,7 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
 
 
 def _acting(row: Mapping[str, Any]) -> str:
-    """Returns the robot of a row, and the option of it that a quantity's line has, which share a colour."""
+    """Returns the robot of a row, with the option of the line if there is one; each has a colour."""
     robot, option = row["robot"].partition(",")[0], row["quantity"].partition(", ")[2]
     return f"{robot}, {option}" if option else robot
 

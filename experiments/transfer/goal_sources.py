@@ -1,4 +1,4 @@
-"""Where table 4 takes the target's position from, by name."""
+"""Sources of the target's position in table 4, by name."""
 
 import contextlib
 import functools
@@ -18,11 +18,11 @@ GOAL_SOURCES: dict[str, Callable[[Robot, contextlib.ExitStack], Estimate]] = {
     "one-camera": functools.partial(overhead_estimate, views=ABOVE),
     "one-noisy-camera": functools.partial(overhead_estimate, views=ABOVE, noise=CALIBRATED),
 }
-"""Each makes the estimate for a robot, and leaves the stack to close it."""
+"""Makers of the estimate for a robot; the stack closes its cameras."""
 
 
 def check_source(source: str, task: str) -> None:
-    """Refuses cameras where they cannot see a task's target by a ValueError, or cannot render by a RuntimeError."""
+    """Raises a ValueError if cameras cannot see the task's target, a RuntimeError if MuJoCo cannot render."""
     if source == EXACT:
         return
     seen = [name for name, each in TASKS.items() if each.seen_by_cameras]
@@ -32,7 +32,7 @@ def check_source(source: str, task: str) -> None:
 
 
 def stage(source: str) -> str:
-    """Returns what the column `stage` of table 4 says of a goal source.
+    """Returns the entry of a goal source in table 4's column `stage`.
 
     >>> stage("camera")
     'camera goal'

@@ -1,4 +1,4 @@
-"""Measures how often policies succeed on a robot, and how far from the target they end."""
+"""Measures success rates and final distances of policies on a robot."""
 
 import concurrent.futures
 import contextlib
@@ -36,18 +36,18 @@ def measure(
     conditions: Conditions,
     on_episode: Callable[[], object] = lambda: None,
 ) -> EpisodeMetrics:
-    """Runs episodes, the policies taking turns.
+    """Runs episodes of several policies on a robot.
 
     Args:
-      robot: what acts.
-      policies: what decides.
+      robot: to act.
+      policies: to take turns.
       indices: of the episodes.
       seed: of the episodes' starts and of the estimates.
-      conditions: what disturbs the episodes.
+      conditions: of the episodes.
       on_episode: called after each episode.
 
     Returns:
-      How the episodes ended whose target was seen, leaves `[at most the number of indices]`.
+      Metrics of the episodes whose target was seen, leaves `[at most the number of indices]`.
 
     """
     outcomes = []
@@ -60,16 +60,15 @@ def measure(
 
 
 def measured(outcomes: EpisodeMetrics, policies: int, episodes: int) -> Measured:
-    """Returns what a row has of episodes.
+    """Returns the measured columns of a row.
 
     Args:
-      outcomes: leaves `[n]`. Of the other episodes, up to `episodes`, no target was seen: they have failed, and have no
-        distance.
-      policies: how many took turns.
-      episodes: how many there were.
+      outcomes: leaves `[n]`; of the other `episodes - n` no target was seen: failures without a distance.
+      policies: number of them that took turns.
+      episodes: number of all episodes.
 
     Returns:
-      Rates, that of success with its 95 % Wilson interval, and mean distances in metres, None where there is none.
+      Rates, success with its 95 % Wilson interval, and mean distances in metres, None if no target was seen.
 
     """
     success, achieved = np.asarray(outcomes.success), np.asarray(outcomes.achieved)
@@ -89,20 +88,20 @@ def measured(outcomes: EpisodeMetrics, policies: int, episodes: int) -> Measured
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """A row of a table, or a point of a curve, that is to be measured."""
+    """Row of a table, or point of a curve, to be measured."""
 
     to: str
     """Name of the robot in `ROBOTS`."""
     task: str
     policies: tuple[Path, ...]
-    """Their files."""
+    """Files of the policies."""
     conditions: Conditions = Conditions()  # noqa: RUF009  (frozen)
     goal_source: str | None = None
-    """Name in `GOAL_SOURCES` of what estimates the target's position; None is as the conditions have it."""
+    """Name in `GOAL_SOURCES` of the target's estimate; None is that of the conditions."""
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """The robot's options."""
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Columns of the row besides robot, task and what is measured."""
+    """Further columns of the row, besides robot, task and those measured."""
 
     def measure(self, indices: Sequence[int], seed: int) -> EpisodeMetrics:
         """Runs some of its episodes; see `measure`."""
@@ -119,16 +118,16 @@ class Point:
         return {"robot": ROBOTS[self.to].name, "task": self.task} | dict(self.labels) | measured
 
     def key(self) -> tuple:
-        """Returns what is equal for points that differ in their labels alone, and so measure the same."""
+        """Returns a key that is equal for points that differ in labels alone, and so measure the same."""
         options = tuple(sorted(self.options.items()))
         return self.to, self.task, self.policies, self.conditions, self.goal_source, options
 
 
 def measure_rows(points: Sequence[Point], episodes: int, seed: int, workers: int) -> Iterator[dict[str, Any]]:
-    """Yields the rows of points, in order, and shows how far it is; points that measure the same do so once.
+    """Yields the rows of points, in order, with a progress bar; points with equal keys are measured once.
 
     Args:
-      points: what is measured.
+      points: to measure.
       episodes: for each of them.
       seed: of the episodes.
       workers: processes.
@@ -152,7 +151,7 @@ def measure_rows(points: Sequence[Point], episodes: int, seed: int, workers: int
 
 @contextlib.contextmanager
 def _mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Gives a `map` that runs in so many processes, or in this one alone."""
+    """Yields a `map` over this many processes; with 1 it runs in this one."""
     if workers == 1:
         yield map
         return
@@ -165,7 +164,7 @@ def _mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
 
 
 def _keep_to_the_cpu() -> None:
-    """Leaves a GPU, which many processes would fill, to others."""
+    """Keeps JAX off the GPU, whose memory many processes would fill."""
     jax.config.update("jax_platforms", "cpu")
 
 

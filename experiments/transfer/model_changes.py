@@ -1,4 +1,4 @@
-"""Changes a robot's model for an episode: friction, the cube's mass, and how well gravity is compensated."""
+"""Changes a robot's model for an episode: friction, the cube's mass, and gravity compensation."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,10 +13,10 @@ def changed(robot: Robot, friction: float, object_mass: float, gravity: float) -
     """Changes the robot's model, and undoes it in the end.
 
     Args:
-      robot: whose model it is.
+      robot: the robot with the model.
       friction: factor on the friction of all contacts.
       object_mass: factor on the mass of the cube, if there is one.
-      gravity: share of the arm's weight that is not compensated, where the model compensates it.
+      gravity: fraction of the arm's weight that is not compensated, in a model that compensates it.
 
     """
     if (friction, object_mass, gravity) == (1.0, 1.0, 0.0):
@@ -43,6 +43,6 @@ def changed(robot: Robot, friction: float, object_mass: float, gravity: float) -
 
 
 def _derive(model: mujoco.MjModel, object_mass: float) -> None:
-    """Has MuJoCo work out what derives from masses, where these have changed."""
+    """Recomputes the model's constants that derive from masses, if these have changed."""
     if object_mass != 1.0:
         mujoco.mj_setConst(model, mujoco.MjData(model))

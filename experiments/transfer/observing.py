@@ -1,4 +1,4 @@
-"""What a policy on a robot is shown: features and goals with their errors, and the history that it was trained with."""
+"""Observations of a policy on a robot: features and goals with sensor errors, and the history."""
 
 import collections
 
@@ -13,8 +13,8 @@ class Sensors:
     """The errors of an episode's sensors.
 
     Args:
-      rng: what they are drawn with; nothing is drawn for sensors that are exact.
-      conditions: their sizes.
+      rng: source of the errors; exact sensors draw none.
+      conditions: with the errors' sizes.
 
     """
 
@@ -24,10 +24,10 @@ class Sensors:
         self._noise: np.ndarray | None = None
 
     def features(self, robot: Robot) -> np.ndarray:
-        """Returns the robot's features with the gripper, which they begin with, where it seems to be.
+        """Returns the robot's features with errors of the gripper's position.
 
-        They go on with how far it moved in the last action, as far as its positions show it, and in a task with an
-        object with where that is relative to the gripper.
+        The errors enter the position, `0:3`, the displacement in the last action, `3:6`, and, in a task with an object,
+        its position relative to the gripper, `6:9`.
         """
         seen, noise = robot.features().copy(), self._draw(self._conditions.robot_noise)
         seen[:3] += self._offset + noise
@@ -38,7 +38,7 @@ class Sensors:
         return seen
 
     def goal(self, goal: np.ndarray) -> np.ndarray:
-        """Returns a goal, `[3]` or more, with the noise of a step."""
+        """Returns a goal, `[3]` or more, with the noise of one step."""
         return goal + np.append(self._draw(self._conditions.goal_noise), np.zeros(len(goal) - 3))
 
     def _draw(self, deviation: float) -> np.ndarray:
@@ -46,12 +46,12 @@ class Sensors:
 
 
 class History:
-    """The last actions and what was seen before each, as `RandomizedEnv` shows them.
+    """The last actions and the features before each, as in `RandomizedEnv`.
 
     Args:
       robot: at the start of an episode.
-      policy: whose `randomization`, if it has one, says how many.
-      sensors: what the first is seen with.
+      policy: with the length of the history in its `randomization`, if it has one.
+      sensors: of the first features.
 
     """
 
@@ -62,5 +62,5 @@ class History:
         """Newest first, each an action and features."""
 
     def add(self, action: np.ndarray, seen: np.ndarray) -> None:
-        """Takes the next action, and what it answered."""
+        """Adds an action and the features that it answered."""
         self.rows.appendleft(np.concatenate([action, seen]))

@@ -1,4 +1,4 @@
-"""Measures policies on this package's Fetch, on C MuJoCo with all episodes of a point at once."""
+"""Measures policies on this project's Fetch, all episodes of a point at once on C MuJoCo."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -15,9 +15,9 @@ from hgail_jax.io.policy import MeanPolicy, mean_action
 from hgail_jax.rollout import rollout
 
 NAME = "This package's Fetch, C MuJoCo"
-"""As the rows of tables have it."""
+"""Name of this robot in the rows of tables."""
 
-_MOST = Randomization(  # of what the points below ask for; the program is made for these
+_MOST = Randomization(  # upper bounds of the points below, for which the program is compiled
     delay=(0, 4),
     robot_noise=1.0,
     object_noise=1.0,
@@ -29,12 +29,12 @@ _SIZES = tuple(name for name in vars(_MOST) if name not in ("posture", "history"
 
 
 class ParallelFetch:
-    """A Fetch task whose episodes are disturbed, and some policies for it, which take turns.
+    """A Fetch task with randomised episodes, and policies for it that take turns.
 
     Args:
       task: a Fetch task's name.
-      policies: of the same sizes, trained with the same history.
-      episodes: of a point; each point has the same starts.
+      policies: with the same network sizes and the same history.
+      episodes: of a point; all points have the same starts.
       seed: of the episodes.
 
     """
@@ -66,7 +66,7 @@ class ParallelFetch:
         """Returns the outcomes of a point's episodes, leaves `[episodes]`.
 
         Args:
-          **sizes: fields of `Randomization` but `posture`, `history` and `ramp`; all others disturb nothing.
+          **sizes: fields of `Randomization` but `posture`, `history` and `ramp`; the others are nominal.
 
         """
         unknown = set(sizes) - set(_SIZES)

@@ -1,32 +1,32 @@
-"""Finds the policies that are transferred: those that come with the repository, and others."""
+"""Finds the policies to transfer: the repository's, and others."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from experiments.transfer.paths import RESULTS
+from experiments.paths import RESULTS
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import MeanPolicy, load_policy
 
 PLAIN = "plain"
-"""Label of the policies that were trained without disturbances."""
+"""Label of the policies that were trained without randomisation."""
 RUNS = {PLAIN: "{task}-hgail", "robust": "{task}-hgail-robust"}
-"""Folder of the run that the policies with a label come from."""
+"""Folders of the runs that made the repository's policies, by label."""
 Policies = Mapping[str, Mapping[str, Sequence[Path]]]
 """Files of policies by label and then by task."""
 
 
 def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
-    """Returns the files of a task's policies in the repository, none if there are none: its run's, or the package's."""
+    """Returns the files of a task's policies in the repository: its run's, else the package's, else none."""
     run = RUNS[label].format(task=task)
     of_run = sorted((RESULTS / "runs" / run / "policies").glob("*.npz"))
     return of_run or sorted((assets_directory() / "policies").glob(f"{run.replace('-hgail', '')}.npz"))
 
 
 def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
-    """Loads one policy, or all plain ones that come with the repository for a task.
+    """Loads one policy, or all plain ones of the repository for a task.
 
     Raises:
-      ValueError: there is none, or a file is not a policy of the task.
+      ValueError: no policy is found, or a file is not a policy of the task.
       OSError: a file cannot be read.
 
     """
@@ -40,14 +40,14 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
 
 
 def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
-    """Returns the policies that come with the repository, and others.
+    """Returns the repository's policies, and others.
 
     Args:
-      tasks: of the former.
-      more: each `label=path`, of a policy's file or of a folder of them; a label may come several times.
+      tasks: of the repository's.
+      more: each `label=path`, a policy's file or a folder of them; labels may repeat.
 
     Raises:
-      ValueError: one is not of this form, or there is no policy in it.
+      ValueError: an entry is not of this form, or has no policy.
       OSError: a file cannot be read.
 
     """

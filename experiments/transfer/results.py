@@ -1,4 +1,4 @@
-"""Measures table 4 and the robustness curves, draws the pictures, and writes their files into a folder."""
+"""Writes the files of a folder: table 4, the sweep's curves, and the pictures."""
 
 import itertools
 import json
@@ -29,12 +29,12 @@ def write_table(
     seed: int,
     workers: int,
 ) -> None:
-    """Writes table4.json: the rows, and what made them.
+    """Writes table4.json: the rows and their provenance.
 
-    Rows that are there already stay, with what is said of them, where goal source, robot or task is another.
+    Rows of other goal sources, robots or tasks stay in the file, with their provenance.
 
     Args:
-      folder: where to.
+      folder: of the files.
       sources: names in `GOAL_SOURCES`.
       robots: names in `ROBOTS`.
       tasks: of the rows.
@@ -43,7 +43,7 @@ def write_table(
       workers: processes that measure side by side.
 
     Raises:
-      RuntimeError: MuJoCo cannot render here, and the goal is to be seen.
+      RuntimeError: a goal source needs cameras, and MuJoCo cannot render here.
 
     """
     path = folder / "table4.json"
@@ -67,13 +67,13 @@ def write_sweep(
     seed: int,
     workers: int,
 ) -> None:
-    """Writes transfer-sweep.json, the points of the curves and what made them, and transfer-sweep.png.
+    """Writes transfer-sweep.json, the points of the curves and their provenance, and transfer-sweep.png.
 
-    Curves that are there already stay, with what is said of them, where they are of another robot or task.
+    Curves of other robots or tasks stay in the file, with their provenance.
 
     Args:
-      folder: where to.
-      policies: what decides, by label and task.
+      folder: of the files.
+      policies: by label and task.
       robots: names in `ROBOTS`, or `sweeps.FETCH`.
       tasks: of the curves.
       episodes: for each point.
@@ -112,12 +112,12 @@ def write_pictures(folder: Path, seed: int) -> None:
 
 
 def _part(*columns: str) -> str:
-    """Returns what `made_by` of a file calls the rows with these values in common."""
+    """Returns the key in a file's `made_by` of the rows with these values."""
     return ": ".join(columns)
 
 
 def _kept(path: Path, stays: Callable[[Mapping[str, Any]], bool]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Returns the rows of a file that stay, and what it says made all of its rows, if it is there yet."""
+    """Returns the rows of a file that stay, and its provenance; nothing if there is no file yet."""
     if not path.exists():
         return [], {}
     content = json.loads(path.read_text())

@@ -1,4 +1,4 @@
-"""What table 4 measures on other robots."""
+"""Rows of table 4, on other robots."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,8 +16,8 @@ from hgail_envs.fetch.arm import CONTROL_PERIOD
 def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], policies: Policies) -> Iterator[Point]:
     """Yields the rows of table 4: each of these `ROBOTS`, `TASKS` and policies with each of these `GOAL_SOURCES`.
 
-    With the exact goal a robot has a row for each of its variants, else one. Tasks whose target cameras cannot see have
-    rows with the exact goal alone.
+    With the exact goal a robot has a row for each of its variants, else one. Tasks whose target is hidden from cameras
+    have rows with the exact goal alone.
     """
     for source in sources:
         for to, task in parts(source, robots, tasks):
@@ -29,7 +29,7 @@ def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], p
 
 
 def parts(source: str, robots: Iterable[str], tasks: Iterable[str]) -> list[tuple[str, str]]:
-    """Returns the robots and tasks that table 4 has rows of with a goal source."""
+    """Returns the robots and tasks that have rows of a goal source in table 4."""
     return [
         (to, task)
         for to, task in itertools.product(robots, tasks)

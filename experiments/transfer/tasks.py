@@ -1,20 +1,20 @@
-"""What the tables and pictures need to know of each task, besides its environment in `envs`."""
+"""Entries of each task in the tables and pictures, besides its environment in `hgail_envs`."""
 
 import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A task that policies are transferred on."""
+    """Task of transferred policies."""
 
     paper_success: float | None
-    """Success rate that the paper reports on the real UR5; None where it has none."""
+    """Success rate that the paper reports on the real UR5; None if it reports none."""
     paper_distance_l1: float | None
     """L1 distance that the paper reports there, metres."""
     pictured_steps: tuple[int, ...]
-    """Steps to draw of an episode; -1 is the last, the probe's steps included."""
+    """Steps to draw of an episode; -1 is the last, lift test included."""
     seen_by_cameras: bool = True
-    """Whether cameras can tell where the target is: a ball that is put there, or the cube."""
+    """True if cameras can see the target: a ball that is put there, or the cube."""
 
 
 TASKS = {

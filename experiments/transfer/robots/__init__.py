@@ -13,7 +13,7 @@ ROBOTS: dict[str, type[Robot]] = {
     "ur5e": UR5e,
     "franka": Franka,
 }
-"""The robots' classes by the names that the command line knows them by."""
+"""Robots' classes by their names on the command line."""
 
 
 @functools.cache
@@ -21,7 +21,7 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
     """Makes a robot of `ROBOTS` for a task, e.g. `"reach"`; the same arguments return the same robot.
 
     Raises:
-      ValueError: it cannot do the task, has no such option, or a package that it needs is not installed.
+      ValueError: the robot lacks the task, an option, or an installed package.
 
     """
     robot = ROBOTS[name]

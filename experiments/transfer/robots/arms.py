@@ -1,4 +1,4 @@
-"""The arms that policies are transferred to, as numbers: a page for each, which `ServoArm` and `cell` work from."""
+"""Parameters of the arms that policies are transferred to, for `ServoArm` and `cell`."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -13,7 +13,7 @@ HAND = "hand_"
 
 @dataclasses.dataclass(frozen=True)
 class Hand:
-    """How a hand opens and closes, and how its gap compares with the Fetch's."""
+    """Hand: its drive, and its gap beside the Fetch's."""
 
     drive: str
     """Name of a joint that opens and closes it."""
@@ -22,7 +22,7 @@ class Hand:
     control_range: tuple[float, float]
     """Controls of its actuators, the model's last ones, at which it opens and closes."""
     pads: tuple[str, str]
-    """Bodies whose geoms touch what it grasps, one for each side."""
+    """Bodies of the finger pads, one for each side."""
     widest_gap: float
     """Metres between the pads when it is open."""
     below_tool: float
@@ -33,18 +33,18 @@ class Hand:
 
 @dataclasses.dataclass(frozen=True)
 class Arm:
-    """An arm with servos for its joints, and a hand at its end, both as the MJCF of some package has them."""
+    """Arm with servos for its joints, and a hand at its end, from the MJCF of a package."""
 
     name: str
     """Robot and hand, a comma, the simulator."""
     extra: str
-    """Extra of this project with which pip installs the models and what drives them."""
+    """Extra of this project that installs the models and their solvers."""
     packages: tuple[str, ...]
     """Distributions behind the extra; results record their versions."""
     load: Callable[[], mujoco.MjSpec]
     """Returns the arm, its base at the origin, and its hand where that is part of it."""
     load_hand: Callable[[], mujoco.MjSpec] | None
-    """Returns the hand that is attached to `flange`; None where the arm has one."""
+    """Returns the hand that is attached to `flange`; None if the arm's MJCF has one."""
     flange: str | None
     """Site of the arm that the hand is attached to."""
     tool_body: str
@@ -56,9 +56,9 @@ class Arm:
     downward: np.ndarray
     """`[3, 3]`: rotation of the tool in the base's frame when it points downward and the hand closes along y."""
     joints: int
-    """Of the arm, the model's first ones, whose servos are its first actuators."""
+    """Number of the arm's joints, the model's first, whose servos are its first actuators."""
     near_start: tuple[float, ...]
-    """Joint positions from which the start of an episode is found, radians."""
+    """Joint positions from which the search for an episode's start begins, radians."""
     lag: tuple[float, ...]
     """Seconds by which each joint is behind its control, fed forward."""
     top_speed: tuple[float, ...]
@@ -67,11 +67,11 @@ class Arm:
     """Metres from the base, in x and y, at which the Fetch's start is put."""
     hand: Hand
     slowdown: int
-    """How many times longer an action lasts than on the Fetch, by default."""
+    """Default duration of an action, times the Fetch's."""
     posture_cost: float = 0.0
     """Weight of `near_start` beside the tool's place, for an arm with more than six joints."""
     stiffness: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """Servos by name whose stiffness is another than their model's, newtons per metre or newton metres per radian."""
+    """Stiffness of servos by name, in place of their model's, newtons per metre or newton metres per radian."""
 
 
 def _without_extras(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -100,7 +100,7 @@ def _franka() -> mujoco.MjSpec:
         f"""<mujoco model="franka"><include file="{folder}/assets.xml"/><compiler meshdir="{folder}/meshes"/>
         <worldbody><include file="{folder}/chain.xml"/></worldbody><include file="{folder}/actuator.xml"/></mujoco>"""
     )
-    spec.nuser_actuator = -1  # which the table's scene has; MuJoCo would warn
+    spec.nuser_actuator = -1  # the table's scene has them; MuJoCo would warn
     fingers = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, solref=(0.005, 1.0))  # one motor moves both
     fingers.name1, fingers.name2 = "robot:panda0_finger_joint1", "robot:panda0_finger_joint2"
     fingers.objtype, fingers.data[:5] = mujoco.mjtObj.mjOBJ_JOINT, (0.0, 1.0, 0.0, 0.0, 0.0)

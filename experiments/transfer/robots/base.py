@@ -1,4 +1,4 @@
-"""What a robot must provide so that policies trained on the Fetch can drive it."""
+"""Interface of a robot that policies trained on the Fetch can drive."""
 
 import abc
 import dataclasses
@@ -20,7 +20,7 @@ class OptionCurve:
     axis: str
     """Label of the panel's x axis."""
     line: str
-    """What tells this curve from the robot's others in the panel."""
+    """Label of this curve among the robot's others in the panel."""
     task: str
     """One of the robot's tasks."""
     option: str
@@ -44,20 +44,20 @@ class Robot(abc.ABC):
     name: ClassVar[str]
     """Robot and hand, then a comma and the simulator; tables call it this, and legends the part before the comma."""
     extra: ClassVar[str]
-    """Extra of this project, in `pyproject.toml`, with which pip installs what the robot needs."""
+    """Extra of this project, in `pyproject.toml`, that installs the robot's packages."""
     packages: ClassVar[tuple[str, ...]]
     """Distributions behind the extra; results record their versions."""
     tasks: ClassVar[tuple[str, ...]] = ("reach", "grasp")
-    """Tasks that it can do, by their names in `hgail_envs.TASKS`."""
+    """Tasks of the robot, by their names in `hgail_envs.TASKS`."""
     curves: ClassVar[tuple[OptionCurve, ...]] = ()
     """Curves over the robot's own options, for the robustness figure."""
     unaffected_by: ClassVar[tuple[str, ...]] = ()
-    """Names in `DISTURBANCES` of what changes nothing on it; it has no curves of these."""
+    """Names in `QUANTITIES` that do not affect the robot; it has no curves of them."""
 
     slowdown: int = 1
-    """How many times longer an action lasts than `CONTROL_PERIOD`."""
+    """Duration of an action, times `CONTROL_PERIOD`."""
     starts_closed: bool = True
-    """Whether the hand is closed at the start of an episode."""
+    """True if the hand is closed at the start of an episode."""
 
     task: str
     """One of `tasks`."""
@@ -66,7 +66,7 @@ class Robot(abc.ABC):
     data: mujoco.MjData
     """Its state."""
     offset: np.ndarray
-    """`[3]`: what turns a position in the scene's world frame into one in the policy's frame, when added."""
+    """`[3]`: origin of the scene's world frame in the policy's frame, added to positions."""
     cube: str
     """Name of the cube's geom, in a scene for `grasp`."""
     marker: str
@@ -81,7 +81,7 @@ class Robot(abc.ABC):
 
     @abc.abstractmethod
     def features(self) -> np.ndarray:
-        """Returns what the policy sees besides the goal, in the Fetch's units.
+        """Returns the observation without the goal, in the Fetch's units.
 
         That is `[6]` as in `hgail_envs.fetch.reach.Reach`, `[8]` as in `hgail_envs.fetch.grasp.Grasp`, and so on.
         """
@@ -91,11 +91,11 @@ class Robot(abc.ABC):
         """Returns the target's position, `[3]`: the point to reach, the cube's centre in grasp, the object's goal."""
 
     def carried(self) -> np.ndarray:
-        """Returns the position of what is to come to the target, `[3]`; by default the gripper's."""
+        """Returns the position, `[3]`, that is compared with the target; by default the gripper's."""
         return self.features()[:3]
 
     def reached(self) -> bool:
-        """Returns whether that is near enough to the target."""
+        """Returns whether that position is near enough to the target."""
         return bool(
             np.linalg.norm(self.carried() - self.target()) <= hgail_envs.find_class(self.task).success_threshold
         )
@@ -104,12 +104,12 @@ class Robot(abc.ABC):
     def step(self, action: np.ndarray) -> None:
         """Carries out an action, `[4]`: a displacement of the gripper, and the hand's command, in [-1, 1].
 
-        A disturbed episode may ask for displacements up to 2, which no policy does.
+        An episode with a longer stride has displacements up to 2, beyond any policy's.
         """
 
     @classmethod
     def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
-        """Returns the options of each of the robot's rows for a task in the table with the exact goal.
+        """Returns the options of the robot's rows for a task in the table with the exact goal.
 
         The first must be the defaults, `{}`.
         """

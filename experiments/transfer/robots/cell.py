@@ -1,4 +1,4 @@
-"""Puts an arm's scene together: this project's table and cube, and the models of arm and hand of a package."""
+"""Builds an arm's scene from this project's table and cube and a package's models of arm and hand."""
 
 import mujoco
 
@@ -22,7 +22,7 @@ def load_arm(arm: Arm) -> mujoco.MjModel:
 
 
 def load_cell(arm: Arm, cube: bool) -> mujoco.MjModel:
-    """Returns arm, hand and table, with the cube if asked for, in the frame of the arm's base.
+    """Returns arm, hand and table, with `cube` also the cube, in the frame of the arm's base.
 
     No torque is needed against gravity, as with the controller of the real arm once its payload is set.
     """

@@ -9,15 +9,14 @@ from experiments.reference import make_reference
 from experiments.transfer.robots.base import Robot
 from hgail_envs.fetch.grasp import is_held
 from hgail_envs.fetch.objects import OBSERVATIONS
-from hgail_envs.validation import check_name
+from hgail_envs.validation import MOST_SEED, check_name
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # see `Robot.step`
-_MOST_SEED = 2**31
 
 
 class GymnasiumFetch(Robot):
-    """The environment that a task is held to: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
+    """The reference environment of a task: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
 
     Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
     FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
@@ -41,7 +40,7 @@ class GymnasiumFetch(Robot):
         numbers (`hgail_envs.fetch.objects.ObjectEnv.official_features`).
 
     Raises:
-      ValueError: there is no such observation of the task.
+      ValueError: the task has no such observation.
 
     """
 
@@ -71,10 +70,10 @@ class GymnasiumFetch(Robot):
 
     def reset(self, rng: np.random.Generator) -> None:
         """Starts an episode of the environment, which `rng` seeds."""
-        self._env.reset(seed=int(rng.integers(_MOST_SEED)))
+        self._env.reset(seed=int(rng.integers(MOST_SEED + 1)))
 
     def features(self) -> np.ndarray:
-        """Returns the features of the task's class in `envs`, with the same `observation`."""
+        """Returns the features of the task's class in `hgail_envs`, with the same `observation`."""
         seen = self._observation()
         if self._official:
             return seen
@@ -96,7 +95,7 @@ class GymnasiumFetch(Robot):
         return self._observation()[:3] if self.task in ("reach", "grasp") else self._observation()[3:6]
 
     def reached(self) -> bool:
-        """Returns what the environment calls a success; in grasp whether the gripper is near the cube."""
+        """Returns whether the environment counts a success; in grasp, whether the gripper is near the cube."""
         return (
             super().reached() if self.task == "grasp" else bool(self._env._is_success(self.carried(), self._env.goal))
         )

@@ -12,15 +12,14 @@ _ITERATIONS = 100  # after which `move_to` has arrived
 
 
 class DownwardArm:
-    """An arm's joint positions, which its servos are to follow.
+    """Joint positions of an arm, which its servos follow.
 
     Args:
       model: the arm alone.
       tool: name of the tool's site.
       orientation: `[3, 3]`, rotation of that site in the world frame when the tool points downward.
       top_speed: of each joint, radians per second.
-      posture_cost: weight of where the joints are first set beside the tool's place, for an arm that could reach the
-        place in other ways; 0 for one of six joints.
+      posture_cost: weight of the first joint positions beside the tool's position, for an arm of more than six joints.
 
     """
 
@@ -51,7 +50,7 @@ class DownwardArm:
             self._posture.set_target(positions)
 
     def approach(self, position: np.ndarray, time: float) -> np.ndarray:
-        """Moves the joints so that the tool comes as near to a position as it can in some time.
+        """Moves the joints to bring the tool as near to a position as possible in a time.
 
         Args:
           position: `[3]`, metres, in the frame of the arm's base.
@@ -68,6 +67,6 @@ class DownwardArm:
         return velocities
 
     def move_to(self, position: np.ndarray) -> None:
-        """Sets the joints so that the tool is at a position, `[3]`, starting the search from where they are."""
+        """Sets the joints to bring the tool to a position, `[3]`, searching from the present ones."""
         for _ in range(_ITERATIONS):
             self.approach(position, time=1.0)

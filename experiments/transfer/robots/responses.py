@@ -1,7 +1,7 @@
-"""How the Fetch's gripper and fingers respond to an action: what another robot is led along so that it moves alike.
+"""Responses of the Fetch's gripper and fingers to an action, which other robots track to move alike.
 
-Both start each action near where the robot is measured to be, as the Fetch's weld and servos do. Times are the Fetch's,
-on which an action lasts `CONTROL_PERIOD`.
+Both start each action near the robot's measured position, as the Fetch's weld and servos do. Times are the Fetch's, on
+which an action lasts `CONTROL_PERIOD`.
 """
 
 import numpy as np
@@ -12,21 +12,21 @@ from hgail_envs.fetch.grasp import WIDEST_GAP
 # The weld of assets/fetch/robot.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
 # as the gripper drags the arm along; this constant fits the reference.
 _TIME_CONSTANT = 0.0203  # seconds
-_SLACK = 0.003  # metres between the gripper and its reference at most: how hard it presses on what it meets
+_SLACK = 0.003  # metres, most distance between the gripper and its reference, which bounds its push on obstacles
 
 # A finger and its servo, of the same file and of grasp.xml.
 _MASS = 104.0  # kilograms, with the armature
 _STIFFNESS = 30_000.0  # newtons per metre
 _DAMPING = 1_000.0  # newton seconds per metre
-_FARTHEST = 0.2  # metres, to which the servo may be told to move
-_SQUEEZE = 0.01  # metres between a finger and its reference at most: how hard it squeezes a cube
+_FARTHEST = 0.2  # metres, farthest target of the servo
+_SQUEEZE = 0.01  # metres, most distance between a finger and its reference, which bounds its squeeze of a cube
 
 
 class GripperResponse:
     """A point that follows a target as the Fetch's gripper follows its mocap body.
 
     Args:
-      position: where it starts, `[3]`, metres.
+      position: at the start, `[3]`, metres.
 
     """
 
@@ -34,10 +34,10 @@ class GripperResponse:
         self.position, self._velocity = position.copy(), np.zeros(3)
 
     def lead(self, measured: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-        """Starts an action, and returns the target that the point is to follow in it, `[3]`, metres.
+        """Starts an action, and returns the target of the point in it, `[3]`, metres.
 
         Args:
-          measured: `[3]`, where the gripper is, metres.
+          measured: `[3]`, the gripper's position, metres.
           displacement: `[3]`, the action's first three numbers.
 
         """
@@ -70,10 +70,10 @@ class FingerResponse:
         return 2 * self._finger
 
     def lead(self, measured: float, command: float) -> float:
-        """Starts an action, and returns where it tells each finger to be, metres from the middle.
+        """Starts an action, and returns the target of each finger, metres from the middle.
 
         Args:
-          measured: the gap as it is, metres.
+          measured: the robot's gap, metres.
           command: the action's last number, by which a finger's servo leads the finger, metres.
 
         """
@@ -81,9 +81,9 @@ class FingerResponse:
         return min(max(self._finger + command, 0.0), _FARTHEST)
 
     def follow(self, target: float, time: float) -> None:
-        """Moves each finger towards a target, metres, for a time that is short: a physics step or so, seconds."""
+        """Moves each finger towards a target, metres, for a short time, seconds: about a physics step."""
         self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
         moved = self._finger + time * self._velocity
         self._finger = min(max(moved, 0.0), WIDEST_GAP / 2)
-        if moved != self._finger:  # it has met its limit
+        if moved != self._finger:  # at its limit
             self._velocity = 0.0

@@ -1,4 +1,4 @@
-"""Arms with servos that stand in for the Fetch: `arms` has their numbers."""
+"""Arms with servos in place of the Fetch; `arms` has their parameters."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -29,11 +29,10 @@ class ServoArm(Robot):
     The policy's frame is shifted so that the tool starts where the Fetch's gripper starts. Cubes, points to reach and
     places to bring the cube to are drawn as the Fetch scenes draw them.
 
-    The tool and the hand are led along what the Fetch's would do with the same action (`responses`), and follow as
-    fast as the models' servos can. The features are those of `Reach`, `Grasp` and `PickAndPlace`: velocities are
-    multiplied by the time that an action lasts. The gap is taken from the drive, and what is wider than the cube is
-    stretched to the Fetch's range, so that each hand is 100 mm wide when open and 50 mm at the cube. In reach the hand
-    stays closed.
+    The tool and the hand track the Fetch's responses to the same action (`responses`), as fast as the models' servos
+    can. The features are those of `Reach`, `Grasp` and `PickAndPlace`: velocities are multiplied by the duration of an
+    action. The gap is taken from the drive; gaps wider than the cube are stretched to the Fetch's range, so that each
+    hand is 100 mm wide when open and 50 mm at the cube. In reach the hand stays closed.
 
     Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
     tenths of it instead of 80. So an action lasts `slowdown` times longer. With actions as fast as the Fetch's the hand
@@ -43,16 +42,16 @@ class ServoArm(Robot):
 
     Args:
       task: `"reach"`, `"grasp"` or `"pick-and-place"`.
-      slowdown: how many times longer an action lasts than `CONTROL_PERIOD`; None is the arm's own.
-      start_open: start with an open hand, unlike the Fetch, where there is a cube.
+      slowdown: duration of an action, times `CONTROL_PERIOD`; None is the arm's default.
+      start_open: start with an open hand in tasks with a cube, unlike the Fetch.
 
     Raises:
-      ValueError: an option has a value that it cannot have.
+      ValueError: an option is out of range.
 
     """
 
     arm: ClassVar[Arm]
-    """Its numbers."""
+    """Parameters of the arm."""
     tasks = tuple(_SCENES)
     curves = tuple(
         OptionCurve(
@@ -99,7 +98,7 @@ class ServoArm(Robot):
         self._goal = self._start
 
     def _find(self, tool: str) -> None:
-        """Looks up where the parts are in the model."""
+        """Looks up the indices of the parts in the model."""
         model, hand = self.model, self.arm.hand
         self._site = model.site(tool).id
         self._cube = model.geom(self.cube).id if self.task != "reach" else -1
@@ -117,7 +116,7 @@ class ServoArm(Robot):
         return [{}, {"slowdown": 1, "start_open": True}, {"start_open": True}]
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Starts an episode: the cube on the table, or the point to reach, at random, and where the cube is to go."""
+        """Starts an episode with a random cube on the table or point to reach, and a random goal of the cube."""
         mujoco.mj_copyData(self.data, self.model, self._settled)
         if self.task == "reach":
             self._goal = self._start + rng.uniform(-GOAL_RANGE, GOAL_RANGE, 3)
@@ -148,7 +147,7 @@ class ServoArm(Robot):
         return np.concatenate([position, velocity, cube - position, cube, moved, hand])
 
     def target(self) -> np.ndarray:
-        """Returns the point to reach, the cube's centre in grasp, or where it is to go, `[3]`."""
+        """Returns the point to reach, the cube's centre in grasp, or its goal, `[3]`."""
         return self._cube_position() if self.task == "grasp" else self._goal + self.offset
 
     def carried(self) -> np.ndarray:
@@ -158,11 +157,11 @@ class ServoArm(Robot):
     def step(self, action: np.ndarray) -> None:
         """Moves the arm and the hand for `slowdown` times `CONTROL_PERIOD`, by an action, `[4]`."""
         target = self._gripper.lead(self._position(), action[:3])
-        # The Fetch's pads come to rest on the table; these servos would press on.
+        # The Fetch's pads rest on the table, while these servos would keep pressing.
         target[2] = max(target[2], self.arm.hand.below_tool)
         finger = self._fingers.lead(self._gap(), action[3])
         commands = self.slowdown * REFERENCE_SUBSTEPS // _SERVO_STEPS
-        fetch_time = CONTROL_PERIOD / commands  # here it lasts `slowdown` times longer
+        fetch_time = CONTROL_PERIOD / commands  # `slowdown` times shorter than on this arm
         period, lag = _SERVO_STEPS * self.model.opt.timestep, np.array(self.arm.lag)
         for _ in range(commands):
             self._gripper.follow(target, fetch_time)
@@ -183,15 +182,15 @@ class ServoArm(Robot):
         return float(np.interp(self._closed(drive + self.arm.hand.lag * rate), [0.0, 1.0], self.arm.hand.control_range))
 
     def _closed(self, drive: float) -> float:
-        """Returns how far the hand is closed where its drive is at `drive`: 0 is open, 1 closed."""
+        """Returns the closing of the hand with its drive at `drive`: 0 is open, 1 closed."""
         opened, closed = self.arm.hand.drive_range
         return (drive - opened) / (closed - opened)
 
     def _drive_at(self, gap: float) -> float:
-        """Returns where the drive is when the hand is as wide as the Fetch's is at `gap`, metres."""
+        """Returns the drive's position at which the hand is as wide as the Fetch's at `gap`, metres."""
         opened, closed = self.arm.hand.drive_range
-        share = 1.0 - float(np.interp(gap, _FETCH_GAPS, self._own_gaps)) / self.arm.hand.widest_gap
-        return opened + (closed - opened) * share
+        fraction = 1.0 - float(np.interp(gap, _FETCH_GAPS, self._own_gaps)) / self.arm.hand.widest_gap
+        return opened + (closed - opened) * fraction
 
     def _gap(self) -> float:
         """Returns the gap between the pads, metres, on the Fetch's scale."""
@@ -203,7 +202,7 @@ class ServoArm(Robot):
         return self.data.geom_xpos[self._cube] + self.offset
 
     def _position(self) -> np.ndarray:
-        """Returns where the tool is, `[3]`, metres, in the scene's world frame."""
+        """Returns the tool's position, `[3]`, metres, in the scene's world frame."""
         return self.data.site_xpos[self._site].copy()
 
     def _touching(self) -> bool:

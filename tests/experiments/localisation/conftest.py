@@ -1,8 +1,8 @@
 import pytest
 
 from experiments.localisation.keypoint_network import load_detector
-from experiments.localisation.paths import WEIGHTS
 from experiments.localisation.random_scenes import Studio
+from experiments.paths import WEIGHTS
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from experiments.localisation.keypoint_network import (
     save_weights,
     to_pixel,
 )
-from experiments.localisation.paths import WEIGHTS
+from experiments.paths import WEIGHTS
 
 
 def test_labels_have_the_pixel_as_their_mean():

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from experiments.paths import RESULTS
 from experiments.transfer import __main__ as transfer
 from experiments.transfer import goal_sources
 from experiments.transfer.conditions import NoisyEstimate
-from experiments.transfer.disturbances import DISTURBANCES
 from experiments.transfer.goal_sources import GOAL_SOURCES
-from experiments.transfer.paths import RESULTS
+from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
 from hgail_jax import save_policy
 from hgail_jax.io.policy import MeanPolicy
@@ -146,9 +146,9 @@ def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp
     monkeypatch.chdir(tmp_path)
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
-    for quantity, disturbance in DISTURBANCES.items():
-        least = dataclasses.replace(disturbance, values=disturbance.values[:1])
-        monkeypatch.setitem(DISTURBANCES, quantity, least)
+    for name, quantity in QUANTITIES.items():
+        least = dataclasses.replace(quantity, values=quantity.values[:1])
+        monkeypatch.setitem(QUANTITIES, name, least)
     before = committed()
     transfer.main(arguments)
     assert {path.name for path in (tmp_path / "runs" / "transfer").iterdir()} == written

@@ -24,8 +24,8 @@ def test_points_are_measured_as_each_alone_and_policies_take_turns(shipped_polic
     plain = fetch.outcomes()
     assert list(np.asarray(plain.success)[::2]) == [1.0, 1.0, 1.0]
     assert np.asarray(plain.distance_l1)[1::2].min() > 0.02
-    disturbed = fetch.outcomes(delay=(3, 3), goal_offset=0.05)
-    assert np.asarray(disturbed.distance_l1)[::2].mean() > 2 * np.asarray(plain.distance_l1)[::2].mean()
+    randomised = fetch.outcomes(delay=(3, 3), goal_offset=0.05)
+    assert np.asarray(randomised.distance_l1)[::2].mean() > 2 * np.asarray(plain.distance_l1)[::2].mean()
     np.testing.assert_array_equal(fetch.outcomes().distance_l1, plain.distance_l1)
 
     # the same sizes, drawn by a task that has no others; what may differ in length is as long as the program's

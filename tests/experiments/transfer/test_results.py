@@ -14,9 +14,9 @@ from experiments.localisation.localiser import CALIBRATED, TargetNotSeenError
 from experiments.transfer import __main__ as transfer
 from experiments.transfer import camera_goal, results
 from experiments.transfer.conditions import NoisyEstimate
-from experiments.transfer.disturbances import DISTURBANCES
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.policies import RUNS, find_policies
+from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
@@ -172,7 +172,7 @@ class Crane(Robot):
 
 
 def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy, few_values):
-    """The table has its variants, the sweep its own curve and the disturbances, and the files its packages."""
+    """The table has its variants, the sweep its own curve and the quantities, and the files its packages."""
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
@@ -187,7 +187,7 @@ def test_a_robot_is_added_by_one_entry(tmp_path, monkeypatch, shipped_policy, fe
     plain, other = ([row for row in rows if row["policy"] == label] for label in ("plain", "other"))
     assert len(plain) + len(other) == len(rows)
     assert [row["quantity"] for row in plain][:2] == ["reel, wet"] * 2
-    on_robots = {name for name, disturbance in DISTURBANCES.items() if disturbance.conditions}
+    on_robots = {name for name, quantity in QUANTITIES.items() if quantity.conditions}
     assert {row["quantity"] for row in plain[2:]} == on_robots
     assert {row["quantity"] for row in other[2:]} == on_robots - {"mass"}  # a policy of reach has no object
     assert set(made_by) == {"Crane, no simulator: reach", "Crane, no simulator: grasp"}  # it cannot slide

@@ -1,4 +1,4 @@
-"""What makes an episode harder in the robustness curves: on other robots, and on this package's own Fetch."""
+"""Quantities that the sweep varies, on other robots and on this project's own Fetch."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -15,130 +15,130 @@ _WITH_OBJECT_IN_SIGHT = ("pick-and-place",)  # in grasp the policy sees it as th
 
 
 @dataclasses.dataclass(frozen=True)
-class Disturbance:
-    """A quantity that an episode is disturbed by."""
+class Quantity:
+    """Quantity of an episode that a sweep varies."""
 
     axis: str
     """Label of the x axis, with the unit."""
     values: tuple[float, ...]
-    """Values to measure, in order; the undisturbed one is among them."""
+    """Values to measure, in order, the nominal one among them."""
     conditions: Callable[[float], Conditions] | None = None
-    """On another robot: the conditions in which the quantity has a value and nothing else is disturbed."""
+    """Conditions on another robot in which the quantity has a value and all others are nominal."""
     sizes: Callable[[float], Mapping[str, Any]] | None = None
-    """On this package's Fetch: the sizes of a `Randomization`, likewise."""
+    """Sizes of a `Randomization` of this project's Fetch, likewise."""
     tasks: tuple[str, ...] = tuple(TASKS)
-    """Tasks in which it can change anything."""
+    """Tasks that it affects."""
 
 
 def _twice(name: str, number: Callable = float) -> Callable[[float], Mapping[str, Any]]:
-    """Returns the sizes in which a range has one value."""
+    """Returns the sizes in which both ends of a range are a value."""
     return lambda value: {name: (number(value), number(value))}
 
 
-DISTURBANCES = {
-    "noise": Disturbance(
+QUANTITIES = {
+    "noise": Quantity(
         "noise of the target's position (m, σ per axis, once per episode)",
         (*_DEVIATIONS, 0.05),
         lambda metres: Conditions(NoisyEstimate(noise=metres)),
         lambda metres: {"goal_offset": metres},
     ),
-    "goal noise": Disturbance(
+    "goal noise": Quantity(
         "noise of the target's position (m, σ per axis, at each step)",
         _DEVIATIONS,
         lambda metres: Conditions(goal_noise=metres),
         lambda metres: {"goal_noise": metres},
     ),
-    "offset x": Disturbance(
+    "offset x": Quantity(
         "constant offset in x (m)",
         _OFFSETS,
         lambda metres: Conditions(NoisyEstimate(offset=(metres, 0.0, 0.0))),
     ),
-    "offset y": Disturbance(
+    "offset y": Quantity(
         "constant offset in y (m), along which the hand closes",
         _OFFSETS,
         lambda metres: Conditions(NoisyEstimate(offset=(0.0, metres, 0.0))),
     ),
-    "offset z": Disturbance(
+    "offset z": Quantity(
         "constant offset in z (m)",
         _OFFSETS,
         lambda metres: Conditions(NoisyEstimate(offset=(0.0, 0.0, metres))),
     ),
-    "delay": Disturbance(
+    "delay": Quantity(
         "delay of actions (steps)",
         (0, 1, 2, 3),
         lambda steps: Conditions(delay=int(steps)),
         _twice("delay", int),
     ),
-    "stride": Disturbance(
+    "stride": Quantity(
         "length of a step, times the trained one",
         (0.6, 0.8, 1.0, 1.2, 1.4),
         lambda factor: Conditions(stride=factor),
         _twice("step_size"),
     ),
-    "gripper offset": Disturbance(
+    "gripper offset": Quantity(
         "error of the gripper's position (m, σ per axis, once per episode)",
         (0.0, 0.0025, 0.005, 0.01, 0.02),
         lambda metres: Conditions(robot_offset=metres),
         lambda metres: {"robot_offset": metres},
     ),
-    "gripper noise": Disturbance(
+    "gripper noise": Quantity(
         "noise of the gripper's position (m, σ per axis, at each step)",
         (0.0, 0.001, 0.002, 0.005, 0.01),
         lambda metres: Conditions(robot_noise=metres),
         lambda metres: {"robot_noise": metres},
     ),
-    "object offset": Disturbance(
+    "object offset": Quantity(
         "error of the object's position (m, σ per axis, once per episode)",
         _DEVIATIONS,
         sizes=lambda metres: {"object_offset": metres},
         tasks=_WITH_OBJECT_IN_SIGHT,
     ),
-    "object noise": Disturbance(
+    "object noise": Quantity(
         "noise of the object's position (m, σ per axis, at each step)",
         _DEVIATIONS,
         sizes=lambda metres: {"object_noise": metres},
         tasks=_WITH_OBJECT_IN_SIGHT,
     ),
-    "gravity": Disturbance(
+    "gravity": Quantity(
         "share of the arm's weight that is not compensated",
         (-0.1, -0.05, 0.0, 0.05, 0.1),
-        lambda share: Conditions(gravity=share),
+        lambda fraction: Conditions(gravity=fraction),
     ),
-    "z_bias": Disturbance(
+    "z_bias": Quantity(
         "sinking in each action, share of a full displacement",
         (-0.1, -0.05, 0.0, 0.05, 0.1),
         sizes=_twice("z_bias"),
     ),
-    "friction": Disturbance(
+    "friction": Quantity(
         "friction, times the model's",
-        _FACTORS,  # at twice MuJoCo's contacts are so soft that the fingers sink into the cube: none counts as held
+        _FACTORS,  # at 2, MuJoCo's contacts are so soft that the fingers sink into the cube, which is then never held
         lambda factor: Conditions(friction=factor),
         _twice("friction"),
     ),
-    "mass": Disturbance(
+    "mass": Quantity(
         "mass of the cube, times the model's",
         (0.25, 0.5, 1.0, 1.5, 2.0),
         lambda factor: Conditions(object_mass=factor),
         _twice("object_mass"),
         tasks=_WITH_OBJECT,
     ),
-    "size": Disturbance(
+    "size": Quantity(
         "width of the cube, times the model's",
         (0.8, 0.9, 1.0, 1.1, 1.2),
         sizes=_twice("object_size"),
         tasks=_WITH_OBJECT,
     ),
-    "finger force": Disturbance(
+    "finger force": Quantity(
         "force of the fingers, times the model's", _FACTORS, sizes=_twice("finger_force"), tasks=_WITH_OBJECT
     ),
-    "finger speed": Disturbance(
+    "finger speed": Quantity(
         "speed of the fingers, times the model's", (0.25, *_FACTORS), sizes=_twice("finger_speed"), tasks=_WITH_OBJECT
     ),
-    "hand opening": Disturbance(
+    "hand opening": Quantity(
         "opening of the hand at the start at most, share of the widest",
         (0.0, 0.25, 0.5, 0.75, 1.0),
-        sizes=lambda share: {"hand_opening": share},
+        sizes=lambda fraction: {"hand_opening": fraction},
         tasks=_WITH_OBJECT,
     ),
 }
-"""The disturbances by the names that the curves' rows have."""
+"""Quantities by their names in the curves' rows."""
