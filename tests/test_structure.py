@@ -76,7 +76,6 @@ def test_tasks_stand_below_the_algorithm():
     assert not {name for name in names if name.startswith("hgail_jax")}
 
 
-@pytest.mark.xfail(strict=False, reason="three modules are being shortened")
 def test_modules_are_short():
     lengths = {path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines()) for path in MODULES}
     assert not {path: lines for path, lines in lengths.items() if lines > MODULE_LINES}
@@ -110,7 +109,6 @@ def public_docstrings(node):
                     yield text
 
 
-@pytest.mark.xfail(strict=False, reason="being reworded")
 def test_documentation_names_things_of_the_field():
     """Where a sentence is about "what" something does, it could mostly have named it."""
     public = [path for path in MODULES if path.stem == "__init__" or not path.stem.startswith("_")]
