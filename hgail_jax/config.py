@@ -137,8 +137,6 @@ class Config:
         _check_fields(self)
         if type(self.learner) not in LEARNERS.values():
             raise ValueError(f"learner is {self.learner!r}; it must be one of {', '.join(LEARNERS)}, with its sizes")
-        if isinstance(self.learner, PPO):  # off-policy none are HER, which has no discriminator
-            check_count("discriminator_minibatches", self.discriminator_minibatches)
         if self.expert_source not in EXPERT_SOURCES:
             raise ValueError(f"expert_source is {self.expert_source!r}; it must be one of {', '.join(EXPERT_SOURCES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
@@ -185,6 +183,8 @@ class Config:
         samples = self.num_envs * env.episode_length
         if isinstance(self.learner, PPO):
             check_count("minibatches", self.learner.minibatches, most=samples)
+            # off-policy none are HER, which has no discriminator
+            check_count("discriminator_minibatches", self.discriminator_minibatches)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
 

@@ -117,5 +117,5 @@ def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the
 def test_help_has_the_numbers_of_the_task(capsys, prepared, arguments, numbers):
     with pytest.raises(SystemExit):
         main(["train", *arguments, "--help"])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --learner " in line]
     assert all(number in line for number in numbers)

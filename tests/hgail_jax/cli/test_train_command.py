@@ -236,7 +236,7 @@ def test_every_option_has_a_help_line(capsys):
 def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     with pytest.raises(SystemExit):
         run.main(["--task", "point", "--method", "ppo", "--help"])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --num-envs " in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --learner " in line]
     assert "--action-std" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 

@@ -402,6 +402,6 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     finish("--resume", "auto")
     assert "is damaged" not in (tmp_path / "output").read_text()
     assert read_metrics(folder) == read_metrics(tmp_path / "whole")
-    last = [json.loads(record_of(run / "checkpoints" / f"{rounds + 1}.npz")) for run in (folder, tmp_path / "whole")]
+    last = [json.loads(record_of(run / "checkpoints" / str(rounds + 1))) for run in (folder, tmp_path / "whole")]
     assert last[0]["body"]["arrays"] == last[1]["body"]["arrays"]
     assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))

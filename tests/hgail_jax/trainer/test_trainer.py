@@ -50,7 +50,7 @@ def table(folder):
 
 def bits(folder):
     """All that a run of `SMALL` computed."""
-    return table(folder), json.loads(record_of(folder / "checkpoints" / "5.npz"))["body"]["arrays"]
+    return table(folder), json.loads(record_of(folder / "checkpoints" / "5"))["body"]["arrays"]
 
 
 @pytest.fixture(scope="module")
