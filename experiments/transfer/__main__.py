@@ -87,7 +87,7 @@ class Options:
     ] = None
     """Source of the target's position: the simulator, or one or two cameras over the workspace, exact or noisy."""
     sweep: bool = False
-    """Measure success over quantities of the randomisation and over speed instead, into transfer-sweep.json and .png."""
+    """Measure success over quantities of the randomisation and speed instead, into transfer-sweep.json and .png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
