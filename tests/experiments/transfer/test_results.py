@@ -209,9 +209,8 @@ def test_rows_of_another_task_stay(tmp_path, monkeypatch):
 @pytest.fixture
 def few_values(monkeypatch):
     """Has sweeps measure two values of each quantity."""
-    for quantity, disturbance in DISTURBANCES.items():
-        few = dataclasses.replace(disturbance, values=disturbance.values[:2])
-        monkeypatch.setitem(DISTURBANCES, quantity, few)
+    for name, quantity in QUANTITIES.items():
+        monkeypatch.setitem(QUANTITIES, name, dataclasses.replace(quantity, values=quantity.values[:2]))
 
 
 def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):
