@@ -130,18 +130,9 @@ def _on_gpus(row: Row, rows: list[Row]) -> list[str]:
 def on_a_cpu() -> str:
     """Env steps per second on two CPU cores: C MuJoCo in the program, its bare loop, and MJX-JAX."""
     rows = [row for row in bench_rows("speed") if row["impl"] in ("c", "jax") and row["platform"] == "cpu"]
+    header = ["task", "engine", "environments", "physics steps", "raw", "its bare loop", "ratio", "training"]
     return markdown(
-        [
-            "task",
-            "engine",
-            "environments",
-            "physics steps",
-            "raw",
-            "its bare loop",
-            "ratio",
-            "training",
-            "training / raw",
-        ],
+        [*header, "training / raw"],
         [
             [
                 row["task"],

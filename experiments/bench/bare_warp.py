@@ -37,6 +37,7 @@ class WarpLoop:
         import warp as wp  # not a dependency of the project
         from mujoco.mjx.third_party import mujoco_warp
 
+        self._warp, self._engine = wp, mujoco_warp
         self._substeps, (self._num_actions, self._num_envs) = substeps, controls.ctrl.shape[:2]
         self._model = mujoco_warp.put_model(model)
         for name, value in options.items():
@@ -60,53 +61,43 @@ class WarpLoop:
 
     def __call__(self) -> None:
         """Steps from the start under all controls, and waits for the end."""
-        import warp as wp
-
         self._set(self._start)
         for index in range(self._num_actions):
             self._set_control(index)
             self._replay()
-        wp.synchronize()
+        self._warp.synchronize()
 
     def positions(self) -> np.ndarray:
         """Returns the present joint positions, `[N, nq]`."""
         return self._data.qpos.numpy()
 
     def _set(self, values: dict[str, Any]) -> None:
-        import warp as wp
-
         for name, array in values.items():
-            wp.copy(getattr(self._data, name), array)
+            self._warp.copy(getattr(self._data, name), array)
 
     def _set_control(self, index: int) -> None:
         self._set({name: values[index] for name, values in self._controls.items()})
 
     def _count_kernels(self) -> int:
-        from mujoco.mjx.third_party import mujoco_warp
-
         options, conditional = self._model.opt, self._model.opt.graph_conditional
         options.graph_conditional = False
         try:
-            return _count_launches(lambda: mujoco_warp.step(self._model, self._data))
+            return _count_launches(lambda: self._engine.step(self._model, self._data))
         finally:
             options.graph_conditional = conditional
 
     def _act(self) -> None:
-        from mujoco.mjx.third_party import mujoco_warp
-
         for _ in range(self._substeps):
-            mujoco_warp.step(self._model, self._data)
+            self._engine.step(self._model, self._data)
 
     def _capture(self) -> Callable[[], Any]:
         """Returns a function that steps one action, on a GPU as a CUDA graph with a single launch."""
-        import warp as wp
-
         self._act()  # once outside the graph, to compile the kernels
-        if not wp.get_device().is_cuda:
+        if not self._warp.get_device().is_cuda:
             return self._act
-        with wp.ScopedCapture() as capture:
+        with self._warp.ScopedCapture() as capture:
             self._act()
-        return functools.partial(wp.capture_launch, capture.graph)
+        return functools.partial(self._warp.capture_launch, capture.graph)
 
 
 def _count_launches(call: Callable[[], None]) -> int:

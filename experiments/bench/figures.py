@@ -3,13 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 
-from hgail_jax.io.files import replace_file
+from experiments.figures import style_axes, write_figure
 
 _PANELS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("env_steps", {"xscale": "log", "xlabel": "environment steps of a seed"}),
@@ -36,14 +32,11 @@ def draw_learners(rows: list[dict[str, Any]], path: Path) -> None:
             axis.plot(row[column], row["success"], label=name, **style)
             named.add(row["what"])
         axis.set(ylim=(-0.02, 1.02), **settings)
-        axis.grid(alpha=0.3)
-        axis.spines[["top", "right"]].set_visible(False)
+        style_axes(axis)
     axes[0].set_ylabel("success rate")
     axes[1].legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     made_by = rows[-1]["made_by"]
     kind = made_by["device"]["kind"]
     where = f"{made_by['cpu_cores']} CPU cores" if made_by["device"]["platform"] == "cpu" else kind
     figure.suptitle(f"{rows[-1]['task']}, {where}", fontsize=11)
-    with replace_file(path, "wb") as file:
-        figure.savefig(file, dpi=130, format="png")
-    plt.close(figure)
+    write_figure(figure, path, dpi=130)

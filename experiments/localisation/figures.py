@@ -3,16 +3,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 
+from experiments.figures import style_axes, write_figure
 from experiments.localisation.error import SWEEPS, find
 from experiments.localisation.localiser import Detector
 from experiments.localisation.random_scenes import Sample
-from hgail_jax.io.files import replace_file
 
 _AXES = {  # of each field of `Noise`: label, and factor to the label's unit
     "pixel": ("pixel noise σ (pixels)", 1.0),
@@ -39,12 +35,11 @@ def draw_sweeps(path: Path, rows: list[dict], detector: str) -> None:
                 axis.plot(values, [row[column] for row in line], style, color=colour, marker="o", ms=3, label=name)
         axis.axhline(_SUCCESS, color="grey", linewidth=0.8, linestyle="--")
         axis.set(xlabel=label, ylim=(0, 100))
-        axis.grid(alpha=0.3)
-        axis.spines[["top", "right"]].set_visible(False)
+        style_axes(axis)
     axes[0].set_ylabel("error of the position (mm)")
     axes[0].legend(fontsize=8, frameon=False)
     figure.suptitle(f"Localisation by the {detector} in plain scenes; dashed: the tasks' 5 cm", fontsize=11)
-    _write(path, figure)
+    write_figure(figure, path, dpi=110)
 
 
 def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: Mapping[str, Detector]) -> None:
@@ -76,10 +71,4 @@ def draw_examples(path: Path, examples: Mapping[str, list[Sample]], detectors: M
         if name in detectors
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8)
-    _write(path, figure)
-
-
-def _write(path: Path, figure: plt.Figure) -> None:
-    with replace_file(path, "wb") as file:
-        figure.savefig(file, dpi=110, format="png")
-    plt.close(figure)
+    write_figure(figure, path, dpi=110)

@@ -6,15 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 
+from experiments.figures import style_axes, write_figure
 from experiments.paper.studies import STUDIES
-from hgail_jax.io.files import replace_file
 from hgail_jax.trainer.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
@@ -58,14 +54,11 @@ def draw_figure(folder: Path, number: int) -> Path | None:
             _draw_lines(axis, of_panel, column, colors)
             axis.set(title=", ".join(filter(None, (task, panel))), xlabel="environment steps per seed", ylabel=label)
             axis.set_ylim(*limits)
-            axis.grid(alpha=0.3)
-            axis.spines[["top", "right"]].set_visible(False)
+            style_axes(axis)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.suptitle(f"Figure {number}: {studies[0].title}{_commits(rows)}", fontsize=11)
     path = figure_path(folder, number)
-    with replace_file(path, "wb") as file:
-        figure.savefig(file, dpi=130, format="png")
-    plt.close(figure)
+    write_figure(figure, path, dpi=130)
     return path
 
 

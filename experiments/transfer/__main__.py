@@ -33,7 +33,6 @@ else:  # the command line lists the registered names
 
 _PROGRAM = "transfer"
 _OUT = Path("runs") / _PROGRAM
-_EPISODES = 200
 _MOST_DELAY = 50  # steps, a whole episode
 _MOST_STRIDE = 2.0
 _MOST_OFFSET = 1.0  # metres
@@ -65,7 +64,7 @@ class Options:
         None
     )
     """The policy's file."""
-    episodes: Annotated[int | None, unless_given("200", "INT")] = None
+    episodes: int = 200
     """Number of episodes of each row or point."""
     seed: int = 0
     """Seed of the episodes."""
@@ -87,7 +86,7 @@ class Options:
     ] = None
     """Source of the target's position: the simulator, or one or two cameras over the workspace, exact or noisy."""
     sweep: bool = False
-    """Measure success over quantities of the randomisation and over speed, into transfer-sweep.json and .png."""
+    """Measure success over quantities of the randomisation and speed instead, into transfer-sweep.json and .png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
@@ -139,7 +138,7 @@ def _check(options: Options) -> None:
         raise ValueError("--goal-source does not go with --sweep or --pictures")
     if options.goal_source not in (None, EXACT) and (options.noise or any(options.offset)):
         raise ValueError("--noise and --offset are of the exact goal; --goal-source is another")
-    check_count("episodes", _episodes(options))
+    check_count("episodes", options.episodes)
     check_count("seed", options.seed, least=0, most=MOST_SEED)
     check_count("delay", options.delay, least=0, most=_MOST_DELAY)
     check_not_negative("noise", options.noise)
@@ -149,21 +148,13 @@ def _check(options: Options) -> None:
         raise ValueError(f"offset is {options.offset}; each number must be from {-_MOST_OFFSET} to {_MOST_OFFSET} m")
 
 
-def _episodes(options: Options) -> int:
-    return _EPISODES if options.episodes is None else options.episodes
-
-
-def _workers(options: Options) -> int:
-    return usable_cores() if options.workers is None else options.workers
-
-
 def _table(options: Options) -> None:
     sources = [options.goal_source] if options.goal_source else list(GOAL_SOURCES)
     robots, tasks = _chosen(options, list(ROBOTS))
     if not any(parts(source, robots, tasks) for source in sources):
         raise ValueError("table 4 has no rows of this robot, task and goal source")
-    workers = _workers(options)
-    write_table(_make_folder(options.out), sources, robots, tasks, _episodes(options), options.seed, workers)
+    workers = options.workers or usable_cores()
+    write_table(_make_folder(options.out), sources, robots, tasks, options.episodes, options.seed, workers)
 
 
 def _chosen(options: Options, robots: list[str]) -> tuple[list[str], tuple[str, ...]]:
@@ -177,7 +168,7 @@ def _sweep(options: Options) -> None:
     if not measured_pairs(policies, robots, tasks):
         raise ValueError(f"{options.to} has no curves of {options.task!r}")
     folder = _make_folder(options.out)
-    write_sweep(folder, policies, robots, tasks, _episodes(options), options.seed, _workers(options))
+    write_sweep(folder, policies, robots, tasks, options.episodes, options.seed, options.workers or usable_cores())
 
 
 def _make_folder(path: Path) -> Path:
@@ -189,7 +180,7 @@ def _make_folder(path: Path) -> Path:
 
 
 def _run(options: Options) -> None:
-    episodes = _episodes(options)
+    episodes = options.episodes
     task, source = options.task or "reach", options.goal_source or EXACT
     policies = load_policies(task, options.policy)
     check_source(source, task)

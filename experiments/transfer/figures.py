@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import imageio.v3 as imageio
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 
+from experiments.figures import style_axes, write_figure
 from experiments.transfer.conditions import MeanAction
 from experiments.transfer.episode import episode_rngs, run_episode
 from experiments.transfer.robots.base import Robot
@@ -56,16 +53,13 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
             drawn[name] = _draw_line(panel, line, colours[_acting(line[0])], styles[line[0].get("policy", "plain")])
         panel.set(xlabel=axes[quantity], title=task, ylim=(-0.03, 1.03))
         panel.xaxis.label.set_size(8)
-        panel.grid(alpha=0.3)
-        panel.spines[["top", "right"]].set_visible(False)
+        style_axes(panel)
     for panel in grid[:, 0]:
         panel.set_ylabel("success rate")
     for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
     figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=_COLUMNS, fontsize=8)
-    with replace_file(path, "wb") as file:
-        figure.savefig(file, dpi=90, format="png")
-    plt.close(figure)
+    write_figure(figure, path, dpi=90)
 
 
 def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[int]]], seed: int) -> None:

@@ -1,7 +1,9 @@
+import numpy as np
 import pytest
 
 import hgail_envs
 from hgail_envs.engines import ENGINES
+from hgail_envs.scenes import load_scene
 
 
 @pytest.mark.parametrize(
@@ -50,3 +52,12 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
 
 def made():
     return {task: hgail_envs.make(task) for task in hgail_envs.TASKS}
+
+
+@pytest.mark.parametrize("scene", ["fetch/reach", "fetch/grasp"])
+def test_pictures_change_no_dynamics(scene):
+    physics, pictures = load_scene(scene), load_scene(scene, visual=True)
+    assert pictures.ngeom > physics.ngeom
+    np.testing.assert_array_equal(physics.body_mass, pictures.body_mass)
+    np.testing.assert_array_equal(physics.body_inertia, pictures.body_inertia)
+    assert physics.npair == pictures.npair

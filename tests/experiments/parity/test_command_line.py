@@ -2,9 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
+from gymnasium_robotics.utils import mujoco_utils
 
 from experiments.parity import __main__ as parity
+from experiments.reference import make_reference
 
 
 def test_rows_are_written_with_what_made_them(tmp_path, monkeypatch):
@@ -22,3 +25,14 @@ def test_a_file_that_cannot_be_written_is_noticed_before_anything_is_measured(tm
         parity.main(["--out", str(tmp_path / "file" / "parity.json")])
     assert stop.value.code == 2
     assert capsys.readouterr().err == f"parity: {tmp_path}/file: Not a directory\n"
+
+
+def test_the_reference_knows_joints_by_numbers():
+    """Those of newer MuJoCos are no numbers, and it looks for a number among them."""
+    env = make_reference("FetchReach-v4", max_episode_steps=7).unwrapped
+    hinge = env.model.joint("robot0:elbow_flex_joint").type[0]
+    kinds = mujoco_utils.mujoco.mjtJoint
+    assert {type(kind) for kind in vars(kinds).values()} == {int}
+    assert hinge == kinds.mjJNT_HINGE
+    mujoco_utils.set_joint_qpos(env.model, env.data, "robot0:elbow_flex_joint", 0.5)
+    assert np.isclose(env.data.joint("robot0:elbow_flex_joint").qpos[0], 0.5)

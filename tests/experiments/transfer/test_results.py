@@ -210,8 +210,7 @@ def test_rows_of_another_task_stay(tmp_path, monkeypatch):
 def few_values(monkeypatch):
     """Has sweeps measure two values of each quantity."""
     for name, quantity in QUANTITIES.items():
-        few = dataclasses.replace(quantity, values=quantity.values[:2])
-        monkeypatch.setitem(QUANTITIES, name, few)
+        monkeypatch.setitem(QUANTITIES, name, dataclasses.replace(quantity, values=quantity.values[:2]))
 
 
 def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):

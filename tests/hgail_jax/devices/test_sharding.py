@@ -100,3 +100,11 @@ def test_what_does_not_divide_is_refused_or_left_out():
     with pytest.raises(ValueError, match="num_envs must be a multiple of 4"):
         make_mesh(3, 6, [jax.devices()[0]] * 4)
     assert most_devices(3, 6, 4) == 3
+
+
+@pytest.mark.slow
+def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
+    """Each device calls C MuJoCo on the host from a thread of its own."""
+    one = {"task": "reach", "groups": [[0]], "devices": 1, "final": False}
+    trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
+    assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)

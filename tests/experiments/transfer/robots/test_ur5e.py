@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from experiments.transfer.episode import run_episode, run_episodes
-from experiments.transfer.robots.cell import TOOL_CENTRE
+from experiments.transfer.robots.arms import UR5E
+from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots.inverse_kinematics import DownwardArm
 from experiments.transfer.robots.servo_arm import Franka, UR5e
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
@@ -147,3 +149,9 @@ def test_pick_and_place_shows_the_cube_and_where_it_is_to_go():
     assert seen.shape == (17,)
     np.testing.assert_allclose(robot.carried(), seen[9:12])
     assert not robot.reached()
+
+
+def test_joints_keep_to_their_speed():
+    arm = DownwardArm(load_arm(UR5E), TOOL_CENTRE, np.diag([1.0, -1.0, -1.0]), top_speed=[np.pi] * 6)
+    velocities = arm.approach(np.array([0.3, 0.5, 0.2]), time=0.01)
+    assert np.abs(velocities).max() == pytest.approx(np.pi, rel=1e-3)
