@@ -8,7 +8,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import pytest  # noqa: E402
 
-import hgail_envs  # noqa: E402, F401  (sets what XLA reads before JAX starts)
+import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
 from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
 
@@ -41,3 +41,15 @@ def rendering():
         open_renderer(load_scene("fetch/reach"), 8, 8).close()
     except RuntimeError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def step_of_two():
+    """The compiled step of two states side by side, tiny ones of point."""
+    from hgail_jax import Hyperparameters, phase_table
+    from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
+    from tests.support import TINY
+
+    env = hgail_envs.make("point")
+    states = init_sweep(env, TINY, [Hyperparameters()] * 2, seed_keys(0, 1))
+    return compile_train_step(env, TINY, states, phase_table(TINY)[0])

@@ -7,6 +7,8 @@ import os
 import resource
 from pathlib import Path
 
+import numpy as np
+
 from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset
 from hgail_jax.defaults import DEFAULTS, EVALUATION_EPISODES
 from hgail_jax.seeds import compile_train_step, trace_evaluation
@@ -101,3 +103,18 @@ def small_files_only(size):
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+HERE = {"device": {"platform": "cpu", "kind": "a", "count": 1}}
+ELSEWHERE = {"device": {"platform": "gpu", "kind": "b", "count": 1}}
+"""Places where rows of a benchmark were made."""
+
+
+def move(robot, actions):
+    """Returns a robot's features after each action, from a start."""
+    robot.reset(np.random.default_rng(0))
+    seen = [robot.features()]
+    for action in actions:
+        robot.step(np.array(action))
+        seen.append(robot.features())
+    return np.array(seen)

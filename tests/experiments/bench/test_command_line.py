@@ -11,7 +11,7 @@ import pytest
 from experiments.bench import __main__ as bench
 from experiments.bench import results
 from hgail_jax.io.provenance import provenance
-from tests.experiments.bench.devices import HERE
+from tests.support import HERE
 
 ROOT = Path(results.__file__).resolve().parents[2]
 BENCH = [sys.executable, "-m", "experiments.bench"]

@@ -9,7 +9,7 @@ from PIL import Image
 from experiments.bench import __main__ as bench
 from experiments.bench import learners
 from experiments.bench.figures import draw_learners
-from tests.experiments.bench.devices import ELSEWHERE, HERE
+from tests.support import ELSEWHERE, HERE
 
 
 @pytest.mark.parametrize(("limit", "count"), [(900.0, 3), (15.0, 2)])

@@ -1,7 +1,12 @@
 import dataclasses
+import types
 
+import mujoco
+import numpy as np
 import pytest
 
+from experiments.transfer.camera_goal import camera_estimate
+from experiments.transfer.model_changes import changed
 from experiments.transfer.policies import find_policies, load_policies, policy_paths
 from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy, save_policy
@@ -30,3 +35,52 @@ def test_a_sweep_refuses_a_policy_of_other_task_options(shipped_policy, tmp_path
     save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(shipped_policy), task_options={"size": 3}))
     with pytest.raises(ValueError, match="trained with task options size=3; curves are of tasks as they are alone"):
         find_policies(["reach"], [f"other={tmp_path / 'p.npz'}"])
+
+
+@pytest.mark.parametrize("task", ["reach", "grasp"])
+def test_cameras_see_the_robot_s_own_frame(task):
+    """The ball is put where the target is in the scene; what is seen comes back in the policy's frame."""
+    offset, put = np.array([1.0, 2.0, 3.0]), []
+
+    def localiser(model, data, rng, marker):
+        put.append(marker)
+        return np.array([0.1, 0.2, 0.3])
+
+    robot = types.SimpleNamespace(task=task, offset=offset, model=None, data=None)
+    estimate = camera_estimate(robot, localiser)(np.array([1.5, 2.5, 3.5]), np.random.default_rng(0))
+    np.testing.assert_allclose(estimate, [1.1, 2.2, 3.3])
+    if task == "reach":
+        np.testing.assert_allclose(put[0], 0.5)
+    else:
+        assert put == [None]
+
+
+XML = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+  <body name="arm" gravcomp="1" pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size=".1" mass="3"/></body>
+  <body name="cube" pos="1 0 1"><freejoint/><geom name="cube" type="box" size=".1 .1 .1" mass="2"/></body>
+  </worldbody></mujoco>"""
+
+
+def fields(model):
+    return {name: getattr(model, name).copy() for name in dir(model) if isinstance(getattr(model, name), np.ndarray)}
+
+
+def test_it_changes_what_it_says_and_undoes_it():
+    model = mujoco.MjModel.from_xml_string(XML)
+    robot, before = types.SimpleNamespace(model=model, cube="cube"), fields(model)
+    with changed(robot, friction=0.5, object_mass=3.0, gravity=0.2):
+        np.testing.assert_allclose(model.geom_friction, 0.5 * before["geom_friction"])
+        np.testing.assert_allclose(model.body("cube").mass, 6.0)
+        np.testing.assert_allclose(model.body("cube").inertia, 3.0 * before["body_inertia"][2])
+        np.testing.assert_allclose(model.body("cube").invweight0, before["body_invweight0"][2] / 3.0)
+        assert model.body("arm").mass == 3.0
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.qacc[0], -0.2 * 9.81)  # the arm falls with what is left of its weight
+    for name, values in fields(model).items():
+        np.testing.assert_allclose(values, before[name], err_msg=name)
+
+
+def test_nothing_is_changed_by_default():
+    with changed(None, friction=1.0, object_mass=1.0, gravity=0.0):  # it asks for no model
+        pass

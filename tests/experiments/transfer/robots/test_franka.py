@@ -10,8 +10,8 @@ from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka
 from hgail_envs.fetch import controllers
 from hgail_jax.io.policy import load_policy
-from tests.experiments.transfer.robots.motion import move
 from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_table_is_not_pressed
+from tests.support import move
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """The UR5e moves as the Fetch does, and policies trained on the Fetch drive it."""
 
+import itertools
+
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -10,12 +12,13 @@ from experiments.transfer.robots.arms import UR5E
 from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.inverse_kinematics import DownwardArm
+from experiments.transfer.robots.responses import FingerResponse, GripperResponse
 from experiments.transfer.robots.servo_arm import Franka, UR5e
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
-from tests.experiments.transfer.robots.motion import move
+from tests.support import move
 
 
 @pytest.fixture(scope="module")
@@ -155,3 +158,18 @@ def test_joints_keep_to_their_speed():
     arm = DownwardArm(load_arm(UR5E), TOOL_CENTRE, np.diag([1.0, -1.0, -1.0]), top_speed=[np.pi] * 6)
     velocities = arm.approach(np.array([0.3, 0.5, 0.2]), time=0.01)
     assert np.abs(velocities).max() == pytest.approx(np.pi, rel=1e-3)
+
+
+def test_responses_are_the_fetch_s():
+    """The references alone, against the simulation they stand for."""
+    theirs = move(GymnasiumFetch("grasp"), [[-1.0, 0.0, 0.0, 1.0]] * 3 + [[0.0, 0.0, 0.0, -1.0]] * 3)
+    gripper, fingers = GripperResponse(theirs[0, :3]), FingerResponse(0.0)
+    for number, (last, seen) in enumerate(itertools.pairwise(theirs), start=1):
+        before = gripper.position
+        target = gripper.lead(gripper.position, np.array([-1.0, 0.0, 0.0]) if number <= 3 else np.zeros(3))
+        gripper.follow(target, CONTROL_PERIOD)
+        goal = fingers.lead(fingers.gap, 1.0 if number <= 3 else -1.0)
+        for _ in range(20):
+            fingers.follow(goal, CONTROL_PERIOD / 20)
+        np.testing.assert_allclose(gripper.position - before, seen[:3] - last[:3], atol=1e-3)
+        assert fingers.gap == pytest.approx(seen[6], abs=8e-3)

@@ -1,12 +1,15 @@
-"""The wheel, in a project whose folders are named as this one's are."""
+"""The distribution: its version, and its wheel in a project whose folders are named as this one's are."""
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 
 import pytest
 
+import hgail_jax
 from tests.support import ROOT
 
 FOLDERS = ("assets", "docs", "envs", "experiments", "tests")
@@ -71,3 +74,16 @@ def test_a_project_with_folders_of_the_same_names_trains_with_it(wheel, tmp_path
     success, diverged = map(float, measured.split())
     assert 0.0 <= success <= 1.0
     assert diverged == 0.0
+
+
+def test_the_citation_has_the_version_and_the_changelog_its_date():
+    citation = (ROOT / "CITATION.cff").read_text()
+    version, date = (re.search(rf"^{key}: (\S+)$", citation, re.MULTILINE)[1] for key in ("version", "date-released"))
+    assert version == hgail_jax.__version__
+    assert f"## {version} ({date})" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_distribution_takes_the_version_from_the_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["hatch"]["version"]["path"] == "hgail_jax/__init__.py"
