@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest, chisquare
 
 from hgail_jax.config import STRATEGIES
-from hgail_jax.hindsight import FINAL, FUTURE, relabel
+from hgail_jax.hindsight import FINAL, FUTURE, count_kinds, draw_source, relabel
 
 LENGTH, DRAWS = 7, 20_000
 # A goal says where it is from: achieved in state l is (l, 100), desired in step j is (j, -100).
@@ -111,3 +111,25 @@ def test_hyperparameters_may_be_traced_and_swept():
         )
     assert not swept.chosen[0].any()
     np.testing.assert_array_equal(swept.source[2], LENGTH)
+
+
+def test_states_before_each_one_are_counted_by_kind():
+    kind = np.random.default_rng(0).integers(0, 3, (4, LENGTH + 1))
+    expected = [[[(row[:state] == one).sum() for one in range(3)] for state in range(LENGTH + 2)] for row in kind]
+    np.testing.assert_array_equal(count_kinds(jnp.asarray(kind), 3), expected)
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+def test_single_steps_are_drawn_by_the_law_of_whole_episodes(kinds):
+    share = SHARES[kinds]
+    counts = count_kinds(jnp.array([KINDS["two"], KINDS[kinds]]) % len(share), len(share))
+    for step in range(LENGTH):
+        same = jnp.ones(DRAWS, jnp.int32)
+        arguments = (counts, same, same * (step + 1), same * LENGTH, jnp.array(share))
+        expected = DRAWS * law(step, FUTURE, False, KINDS[kinds], share)
+        found = np.bincount(draw_source(jax.random.key(step), *arguments), minlength=LENGTH + 1)
+        possible = expected > 0
+        assert found[~possible].sum() == 0
+        if possible.sum() > 1:
+            assert chisquare(found[possible], expected[possible]).pvalue > UNLIKELY
+        assert (draw_source(jax.random.key(step), *arguments, FINAL) == LENGTH).all()

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from hgail_envs.point import Point
-from hgail_jax import METHODS, PPO, Config, Hyperparameters, Preset, phase_table
+from hgail_jax import METHODS, PPO, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.defaults import FEW_UPDATES
+from hgail_jax.defaults import FEW_UPDATES, OFF_POLICY
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
+from hgail_jax.trainer.options import TrainOptions, choose_learner, plan
 
 SEEDS = 2
 SMALL = Config(
@@ -115,3 +116,83 @@ def test_the_best_episodes_so_far_teach():
     assert success[-3:].mean() >= success[0].mean() + 0.1
     # No policy succeeds in more than 20 steps, nor, as it starts, in more than the 14 after the first strides.
     assert (np.asarray(states.expert.returns) >= -10).all()
+
+
+# Methods and learners
+
+
+@pytest.mark.parametrize(
+    ("method", "learner", "message"),
+    [
+        ("ppo", "td3", "this method has no learner td3; choose from ppo"),
+        ("gcsl", "td3", "this method has no learner td3; choose from ppo"),
+        ("her", "ppo", "this method has no learner ppo; choose from td3"),
+    ],
+)
+def test_a_learner_that_a_method_does_not_have_is_refused(method, learner, message):
+    preset = Preset(Config(learner={"ppo": PPO, "td3": TD3}[learner]()))
+    with pytest.raises(ValueError, match=message):
+        METHODS[method].apply(preset)
+    with pytest.raises(ValueError, match=f"learner of the method {method}"):
+        choose_learner("point", method, "parallel", learner)
+
+
+def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
+    preset = OFF_POLICY["slide"]["gpu"]
+    expected = {
+        "hgail": ({}, {}),
+        "hgail-no": ({}, {"p_ht": 0.0}),
+        "gail-demo": (
+            {"expert_source": "demonstrations", "training_goals": False},
+            {"p_ht": 0.0, "bc_weight": 0.0},
+        ),
+        "gasil": ({"expert_source": "best", "training_goals": False}, {"p_ht": 0.0}),
+        "her": ({"discriminator_minibatches": 0}, {"environment_reward": 1.0}),
+    }
+    assert set(expected) == {name for name, method in METHODS.items() if "td3" in method.learners}
+    for name, (sizes, scalars) in expected.items():
+        applied = METHODS[name].apply(preset)
+        assert applied.config == preset.config.replace(**sizes)
+        assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)
+        assert applied.task_options == preset.task_options
+
+
+@pytest.mark.parametrize(
+    ("task", "method", "preset", "given", "chosen"),
+    [
+        ("push", "hgail", "parallel", None, "td3"),
+        ("push", "hgail", "paper", None, "ppo"),
+        ("push", "ppo", "parallel", None, "ppo"),
+        ("push", "hgail", "parallel", "ppo", "ppo"),
+        ("pick-and-place", "gasil", "parallel", None, "td3"),
+        ("reach", "hgail", "parallel", None, "ppo"),
+        ("reach", "her", "parallel", None, "td3"),
+        ("reach", "hgail", "parallel", "td3", "td3"),
+        ("mine:Task", "gail-demo", "parallel", None, "ppo"),
+    ],
+)
+def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, method, preset, given, chosen):
+    assert choose_learner(task, method, preset, given) == chosen
+
+
+def test_an_unknown_learner_is_refused():
+    with pytest.raises(ValueError, match="learner"):
+        choose_learner("point", "hgail", "parallel", "sac")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "her", "environment_reward": 0.5}, "--environment-reward is decided by the method her"),
+        ({"method": "ppo", "environment_reward": 0.5}, "--environment-reward is decided by the method ppo"),
+        ({"learner": "td3", "reward": "r2"}, "--reward changes nothing for the learner td3"),
+        ({"method": "her", "pretrain": False}, "--no-pretrain changes nothing for the learner td3"),
+        ({"learner": "td3", "standardize_reward": False}, "--no-standardize-reward changes nothing for the learner"),
+        ({"learner": "td3", "method": "gasil", "p_ht": 0.5}, "--p-ht changes nothing for the method gasil"),
+        ({"learner": "td3", "preset": "paper"}, "the preset paper is of the learner ppo"),
+        ({"method": "her", "preset": "paper"}, "the preset paper is of the learner ppo"),
+    ],
+)
+def test_options_that_a_method_or_a_learner_leaves_no_room_for_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        plan(TrainOptions(task="point", **changes), "cpu")

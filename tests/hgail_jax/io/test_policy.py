@@ -11,6 +11,7 @@ from jaxlib.mlir.dialects import stablehlo
 
 import hgail_envs
 from hgail_jax import (
+    TD3,
     Config,
     Hyperparameters,
     MeanPolicy,
@@ -155,3 +156,79 @@ def test_a_file_that_is_none_is_refused(tmp_path):
     for name in ("pipe", "."):
         with pytest.raises(ValueError, match="does not hold a policy: it is no regular file"):
             load_policy(tmp_path / name)
+
+
+# Policies of TD3: layer normalisation between the layers, tanh after the last
+
+
+@pytest.fixture
+def off_policy(tmp_path):
+    """A policy that was saved and loaded, observations, and the actions that training would take."""
+    env, config = hgail_envs.make("point"), Config(learner=TD3(), policy_hidden=(16, 8), layer_norm=True)
+    state = init_state(env, config, Hyperparameters(), jax.random.key(0))
+    state = state.count(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1 + 0.05, jnp.ones(100))
+    noise = np.random.default_rng(0)
+    target = jax.tree.map(
+        lambda leaf: leaf + noise.normal(size=leaf.shape).astype(np.float32), state.learner.target
+    )  # unlike the online networks, and with scales and offsets
+    state = state.replace(learner=state.learner.replace(target=target))
+    observation = jax.random.normal(jax.random.key(2), (50, 6)) * 0.2
+    expected, _ = make_policy(env, config, state, noise=0.0)(observation, jax.random.key(3))
+    save_policy(tmp_path / "td3.npz", from_state("point", env, config, state))
+    return load_policy(tmp_path / "td3.npz"), np.asarray(observation), np.asarray(expected)
+
+
+def test_a_policy_of_td3_acts_from_its_file_as_in_training(off_policy, tmp_path):
+    policy, observation, expected = off_policy
+    assert 0.3 < np.abs(expected).mean() < 0.95
+    np.testing.assert_allclose(policy(observation), expected, atol=1e-5)
+    np.testing.assert_allclose(policy(jnp.asarray(observation), xp=jnp), expected, atol=1e-5)
+    assert policy.squash
+    header = json.loads(str(np.load(tmp_path / "td3.npz")["header"]))
+    assert (header["activation"], header["squash"], header["layers"]) == ("layer-norm-relu", True, 3)
+
+
+def test_the_exported_program_of_td3_is_the_policy(off_policy, tmp_path):
+    policy, observation, expected = off_policy
+    export_policy(tmp_path / "p.mlirbc", policy)
+    with ir.Context() as context:
+        stablehlo.register_dialect(context)
+        program = stablehlo.deserialize_portable_artifact(context, (tmp_path / "p.mlirbc").read_bytes())
+        for seen, wanted in zip(observation[:5], expected[:5], strict=True):
+            (action,) = stablehlo.eval_module(program, [ir.DenseElementsAttr.get(seen)])
+            np.testing.assert_allclose(np.array(action), wanted, atol=1e-5)
+
+
+def test_a_file_without_a_word_on_squashing_is_clipped(tmp_path, shipped_policy):
+    """As those of format 2 were before there was another learner."""
+    with np.load(shipped_policy) as file:
+        content = {name: file[name] for name in file.files}
+    header = json.loads(str(content["header"]))
+    for name in ("squash", "randomization", "task_options"):
+        header.pop(name, None)
+    content |= {"header": np.array(json.dumps(header)), "biases_2": content["biases_2"] + np.float32(2.0)}
+    np.savez(tmp_path / "old.npz", **content)
+    old = load_policy(tmp_path / "old.npz")
+    assert not old.squash
+    action = old(np.random.default_rng(0).normal(size=(20, 9)) * 0.1)
+    np.testing.assert_array_equal(action, np.ones((20, 4)))  # which no tanh of so small a number is
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"header": {"activation": "layer-norm-tanh"}}, "does not compute"),
+        ({"scale_0": np.ones(15, np.float32)}, "layers do not fit"),
+        ({"offset_1": np.full(8, np.nan, np.float32)}, "not all of its arrays are finite"),
+    ],
+)
+def test_files_of_td3_that_do_not_fit_together_are_refused(off_policy, tmp_path, changes, message):
+    rewrite(tmp_path / "td3.npz", tmp_path / "p.npz", **changes)
+    with pytest.raises(ValueError, match=message):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_a_file_of_layer_normalisation_without_its_arrays_is_refused(tmp_path, shipped_policy):
+    rewrite(shipped_policy, tmp_path / "p.npz", header={"activation": "layer-norm-relu"})
+    with pytest.raises(ValueError, match="scale_0"):
+        load_policy(tmp_path / "p.npz")
