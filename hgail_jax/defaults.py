@@ -221,9 +221,9 @@ OFF_POLICY: dict[str, dict[str, Preset]] = {
     "grasp-aperture": _GRASP_OFF_POLICY,
     # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU, with a quarter of
     # the gradient steps, a quarter of the goal test has after 355 k steps what it takes 450 k without (seed 1000).
-    "push": _off_policy({"cpu": 14, "gpu": 10}, _OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.25}),
+    "push": _off_policy({"cpu": 18, "gpu": 10}, _OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.25}),
     # a quarter of the goal test: without it picking takes several times the steps
-    "pick-and-place": _off_policy({"cpu": 18, "gpu": 12}, _OBJECT_SUBSTEPS, environment_reward=0.25),
+    "pick-and-place": _off_policy({"cpu": 24, "gpu": 12}, _OBJECT_SUBSTEPS, environment_reward=0.25),
     # Places that the puck only passes count as achieved: at rest alone half as many targets are hit. The discriminator
     # keeps Algorithm 1's horizon here, where it is ahead of the goal test alone.
     "slide": _off_policy(
