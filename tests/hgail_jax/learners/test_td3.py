@@ -1,0 +1,469 @@
+"""What the off-policy learner does with a roll-out, against plain formulas and a plain Adam."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import binomtest, kstest, norm
+
+from hgail_envs.base import EpisodeMetrics, GoalEnv
+from hgail_jax import METHODS, TD3, Config, Hyperparameters, Preset, Trajectory, init_state, phase_table, train_step
+from hgail_jax.buffer import add_episodes, draw
+from hgail_jax.config import BEST, DEMONSTRATIONS
+from hgail_jax.defaults import OFF_POLICY
+from hgail_jax.discriminator import fit_discriminator
+from hgail_jax.experts import expert_samples
+from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learners.td3 import TD3Learner, fill, update
+from hgail_jax.samples import Samples
+from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
+from hgail_jax.train import make_policy
+from tests.hgail_jax.trainer.test_resume import crash, fail_in_round, outcome, start
+from tests.support import compile_once, make_runs_tiny
+
+LENGTH, EPISODES, HELD = 5, 8, 12
+UNLIKELY = 1e-5  # a p-value; keys are fixed, so that a test does not fail by chance now and then
+
+
+class Plane(GoalEnv):
+    """A point in the plane that breaks down far right."""
+
+    episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.5
+
+    def reset_physics(self, rng):
+        return jax.random.uniform(rng, (2,))
+
+    def step_physics(self, physics, action):
+        following = physics + action
+        return jnp.where(following[0] > 3.0, jnp.nan, following)
+
+    def features(self, physics):
+        return physics
+
+    def achieved_goal(self, physics):
+        return physics
+
+    def sample_goal(self, rng, physics):
+        return jax.random.uniform(rng, (2,), minval=-2.0, maxval=2.0)
+
+
+ENV = Plane()
+CONFIG = Config(
+    num_envs=EPISODES,
+    rounds=2,
+    learner=TD3(rollouts=2, updates=2, batch=100, buffer_episodes=HELD, critics=3, final_learning_rate=0.2),
+    discriminator_minibatches=3,
+    discriminator_batch=7,
+    policy_hidden=(6, 5),
+    discriminator_hidden=(7,),
+    layer_norm=True,
+)
+HYPER = Hyperparameters(
+    p_ht=0.6,
+    action_std=jnp.array([0.3, 0.05]),
+    discount=0.4,
+    bc_weight=0.7,
+    environment_reward=0.4,
+    target_rate=0.3,
+    target_noise=0.4,
+    discriminator_steps=2,
+    policy_learning_rate=1e-2,
+    discriminator_learning_rate=1e-2,
+)
+DEMONSTRATION = Samples(
+    jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
+)
+init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
+learn = jax.jit(update, static_argnums=(0, 1))
+round_of = jax.jit(train_step, static_argnums=(0, 1))
+
+
+def trajectory(seed=0, valid=None):
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(LENGTH + 1, EPISODES, 2))
+    leaves = Trajectory(
+        features=features,
+        achieved=features,
+        desired=rng.normal(size=(LENGTH + 1, EPISODES, 2)),
+        action=rng.normal(size=(LENGTH, EPISODES, 2)),
+        log_prob=np.zeros((LENGTH, EPISODES)),
+        reward=-rng.integers(0, 2, (LENGTH, EPISODES)).astype(float),
+        valid=np.arange(EPISODES) % 3 != 1 if valid is None else valid,
+        overflow=np.zeros(EPISODES, bool),
+        outcome=EpisodeMetrics(distance_l1=rng.uniform(size=EPISODES)),
+    )
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, None if np.asarray(leaf).dtype == bool else jnp.float32), leaves)
+
+
+def spread(target):
+    """Returns target networks whose critics have values beyond both bounds."""
+    layers = {name: jax.tree.map(lambda leaf: 3.0 * leaf, layer) for name, layer in target.critics["params"].items()}
+    layers["Dense_2"]["bias"] += 3.0
+    return target._replace(critics={"params": layers})
+
+
+def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
+    """A state amid a run: online and target networks, optimisers and statistics all differ."""
+    state = init(config, HYPER.replace(**changes), jax.random.key(0), demonstrations=demonstrations)
+    rng = np.random.default_rng(0)
+    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.4 * rng.normal(size=leaf.shape).astype(np.float32))
+    learner = state.learner
+    moments = [
+        adam._replace(count=jnp.int32(4), mu=vary(adam.mu), nu=jax.tree.map(jnp.square, vary(adam.nu)))
+        for adam in learner.optimizer
+    ]
+    learner = learner.replace(
+        online=vary(learner.online),
+        target=spread(vary(learner.target)),
+        optimizer=type(learner.optimizer)(*moments),
+        steps=jnp.int32(steps),
+    )
+    statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
+    buffer = add_episodes(state.buffer, trajectory(1))
+    return state.replace(learner=learner, statistics=statistics, discriminator=vary(state.discriminator), buffer=buffer)
+
+
+def mlp(params, inputs, xp=np):
+    layers = params["params"]
+    for index in range(count := sum(name.startswith("Dense") for name in layers)):
+        layer = layers[f"Dense_{index}"]
+        inputs = inputs @ layer["kernel"] + layer["bias"]
+        if index < count - 1:
+            normal = layers[f"LayerNorm_{index}"]
+            inputs = (inputs - inputs.mean(-1, keepdims=True)) / xp.sqrt(inputs.var(-1, keepdims=True) + 1e-6)
+            inputs = xp.maximum(inputs * normal["scale"] + normal["bias"], 0)
+    return inputs
+
+
+def normalized(state, observation):
+    return np.clip((np.asarray(observation) - state.statistics.mean) / state.statistics.std, -5, 5)
+
+
+def assert_close(found, expected, rtol=2e-4, atol=2e-5):
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol, atol), found, expected)
+
+
+def equal(one, other):
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+# Filling the buffer
+
+
+def test_filling_adds_the_episodes_and_counts_the_observations_of_sound_ones():
+    given, state = trajectory(), init(CONFIG, HYPER, jax.random.key(0))
+    after, metrics = jax.jit(functools.partial(fill, ENV, CONFIG))(state, given, jax.random.key(1))
+    assert metrics == {}
+    equal(after.buffer, add_episodes(state.buffer, given))
+    seen = np.concatenate([given.features, given.desired], axis=-1)[:-1][:, np.asarray(given.valid)].reshape(-1, 4)
+    assert_close(after.statistics.mean, seen.mean(axis=0))
+    assert_close(after.statistics.std, seen.std(axis=0))
+    equal(after.replace(buffer=None, statistics=None, rng=None), state.replace(buffer=None, statistics=None, rng=None))
+
+
+# Learning
+
+
+def values(critics, observation, action, xp=np):
+    """Returns the values of each critic, `[critics, B]`."""
+    inputs, count = xp.concatenate([observation, action], axis=-1), CONFIG.learner.critics
+    each = [jax.tree.map(lambda leaf, i=index: leaf[i], critics) for index in range(count)]
+    return xp.stack([mlp(critic, inputs, xp)[:, 0] for critic in each])
+
+
+def adam(params, optimizer, gradient, rate):
+    """Returns the parameters and Adam's new moments."""
+    count = int(optimizer.count) + 1
+    mu = jax.tree.map(lambda old, new: 0.9 * old + 0.1 * new, optimizer.mu, gradient)
+    nu = jax.tree.map(lambda old, new: 0.999 * old + 0.001 * new**2, optimizer.nu, gradient)
+    moved = jax.tree.map(
+        lambda old, m, v: old - rate * (m / (1 - 0.9**count)) / (np.sqrt(v / (1 - 0.999**count)) + 1e-8), params, mu, nu
+    )
+    return moved, optimizer._replace(count=jnp.int32(count), mu=mu, nu=nu)
+
+
+def gradient_step(hyper, learner, seen, action, following, reward, weight, noise):
+    """Returns the learner after one step, its measurements, and what was cut off on the way."""
+    sizes = CONFIG.learner
+    progress = min(int(learner.steps) / (CONFIG.rounds * sizes.rollouts * sizes.updates), 1)
+    rate = float(hyper.policy_learning_rate) * (1 - (1 - sizes.final_learning_rate) * progress)
+    limit = 2.5 * float(hyper.target_noise)
+    disturbed = np.tanh(mlp(learner.target.actor, following)) + np.clip(hyper.target_noise * noise, -limit, limit)
+    bootstrap = values(learner.target.critics, following, np.clip(disturbed, -1, 1))
+    wanted = reward + float(hyper.discount) * bootstrap.min(axis=0)
+    least = -1 / (1 - float(hyper.discount))
+    target = np.clip(wanted, least, 0)
+
+    def critic_loss(critics):
+        return sum((weight * (value - target) ** 2).mean() for value in values(critics, seen, action, jnp))
+
+    before = values(learner.online.critics, seen, action)
+    value_loss, gradient = jax.value_and_grad(critic_loss)(learner.online.critics)
+    critics, critics_adam = adam(learner.online.critics, learner.optimizer.critics, gradient, rate)
+    unmoved = values(critics, seen, np.tanh(mlp(learner.online.actor, seen))).mean(axis=0)
+    better = before.mean(axis=0) > unmoved
+
+    def actor_loss(actor):
+        before_tanh = mlp(actor, seen, jnp)
+        chosen = jnp.tanh(before_tanh)
+        gained = values(critics, seen, chosen, jnp).mean(axis=0)
+        cloning = (weight * better * ((chosen - action) ** 2).sum(axis=-1)).mean()
+        return -(weight * gained).mean() / np.abs(unmoved).mean() + 0.7 * cloning + 0.01 * (before_tanh**2).mean()
+
+    policy_loss, gradient = jax.value_and_grad(actor_loss)(learner.online.actor)
+    actor, actor_adam = adam(learner.online.actor, learner.optimizer.actor, gradient, rate)
+    online = type(learner.online)(actor, critics)
+    after = learner.replace(
+        online=online,
+        target=jax.tree.map(lambda old, new: 0.7 * old + 0.3 * new, learner.target, online),
+        optimizer=type(learner.optimizer)(actor_adam, critics_adam),
+        steps=learner.steps + 1,
+    )
+    cut = [wanted < least, wanted > 0, np.abs(noise) > 2.5, np.abs(disturbed) > 1, better, bootstrap.argmin(axis=0)]
+    return after, {"value_loss": value_loss, "policy_loss": policy_loss, "value": before.mean()}, cut
+
+
+def learnt_by_hand(config, state, given, rng):
+    """Returns the state after an update, its metrics, and what was cut off on the way."""
+    discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
+    hyper, sizes = state.hyperparameters, config.learner
+    state, metrics = fill(ENV, config, state, given, None)
+    if config.discriminator_minibatches:
+        expert_rng, policy_rng, fit_rng = jax.random.split(discriminator_rng, 3)
+        count, pick = 3 * 7, functools.partial(draw, ENV, hyper, state.buffer)
+        if config.expert_source == "relabelled":
+            expert = pick(expert_rng, count, float(hyper.p_ht > 0), 2)
+        else:
+            kept, expert = expert_samples(ENV, config, hyper, state.expert, given, expert_rng)
+            state = state.replace(expert=kept)
+        own = pick(policy_rng, count, 0.0)
+        pairs = (Samples(one.observation, one.action, one.weight) for one in (expert, own))
+        state, metrics = fit_discriminator(config, state, *pairs, 3, fit_rng)
+    drawn = draw(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
+    seen, following = normalized(state, drawn.observation), normalized(state, drawn.next_observation)
+    logits = mlp(state.discriminator, np.concatenate([seen, drawn.action], axis=-1))[:, 0]
+    weight = float(hyper.environment_reward)
+    reward = (1 - weight) * (1 / (1 + np.exp(-logits)) - 1) + weight * np.where(drawn.reached, 0, -1)
+    noise = jax.random.normal(noise_rng, drawn.action.shape)
+    columns, learner, measured, cuts = (
+        (seen, drawn.action, following, reward, drawn.weight, noise),
+        state.learner,
+        [],
+        [],
+    )
+    for step in range(sizes.updates):
+        part = (np.asarray(column)[step * sizes.batch : (step + 1) * sizes.batch] for column in columns)
+        learner, numbers, cut = gradient_step(hyper, learner, *part)
+        measured.append(numbers)
+        cuts.append(cut)
+    metrics |= {name: np.mean([float(numbers[name]) for numbers in measured]) for name in measured[0]}
+    metrics |= {"reward": reward.mean(), "reached": np.mean(drawn.reached)}
+    return state.replace(learner=learner), metrics, [np.concatenate(each) for each in zip(*cuts, strict=True)]
+
+
+OTHER_SOURCES = {
+    "demonstrations": CONFIG.replace(expert_source=DEMONSTRATIONS),
+    "best": CONFIG.replace(expert_source=BEST, best_episodes=4),
+    "no discriminator": CONFIG.replace(discriminator_minibatches=0),
+}
+
+
+@pytest.mark.parametrize(
+    ("source", "changes"),
+    [
+        ("relabelled", {}),
+        ("relabelled", {"p_ht": 0.0, "environment_reward": 0.0}),
+        ("relabelled", {"environment_reward": 1.0}),
+        *((source, {}) for source in OTHER_SOURCES),
+    ],
+)
+def test_an_update_is_that_of_td3_with_hindsight(source, changes):
+    config = OTHER_SOURCES.get(source, CONFIG)
+    state = make_state(config, demonstrations=DEMONSTRATION if source == "demonstrations" else None, **changes)
+    given, rng = trajectory(), jax.random.key(5)
+    after, metrics = learn(ENV, config, state, given, rng)
+    expected, numbers, cuts = learnt_by_hand(config, state, given, rng)
+    assert set(metrics) == set(numbers) <= set(TD3Learner.metrics)
+    assert_close(metrics, numbers)
+    assert_close(after.replace(rng=None), expected.replace(rng=None))
+    if source == "no discriminator":
+        equal(after.discriminator, state.discriminator)
+        assert "discriminator_loss" not in metrics
+    if not changes:
+        *masks, least_critic = cuts
+        for mask in masks:  # every bound is met, and not by all
+            assert 0 < mask.mean() < 1
+        assert len(set(least_critic)) > 1
+
+
+def test_the_learning_rate_ends_at_its_last_fraction():
+    """After the last step it stays: as much is learnt at 8 steps as at 80, and less than at 0."""
+    moved = []
+    for steps in (0, 8, 80):
+        state = make_state(steps=steps)
+        after, _ = learn(ENV, CONFIG, state, trajectory(), jax.random.key(5))
+        moved.append(
+            after.learner.online.actor["params"]["Dense_0"]["kernel"]
+            - state.learner.online.actor["params"]["Dense_0"]["kernel"]
+        )
+    np.testing.assert_array_equal(moved[1], moved[2])
+    assert np.abs(moved[1]).sum() < 0.5 * np.abs(moved[0]).sum()
+
+
+# Rounds
+
+
+def test_the_first_roll_out_is_random_and_teaches_nothing():
+    state = init(CONFIG, HYPER, jax.random.key(0))
+    after, metrics = round_of(ENV, CONFIG, state, np.array([PRETRAIN, SKIP, EVALUATE]))
+    equal(after.learner, state.learner)
+    equal(after.discriminator, state.discriminator)
+    assert after.buffer.added == EPISODES
+    actions = np.asarray(after.buffer.action)[np.asarray(after.buffer.valid)]
+    assert kstest(actions.ravel(), "uniform", (-1, 2)).pvalue > UNLIKELY
+    assert all(np.isinf(value) for value in metrics.update.values())
+    assert np.isfinite(metrics.evaluation.success)
+
+
+def test_an_update_that_is_not_finite_is_undone_with_its_episodes():
+    phases = np.array([POLICY, SKIP, EVALUATE])
+    sound, broken = make_state(), make_state(policy_learning_rate=np.inf)
+    for state, diverged in ((sound, 0.0), (broken, 1.0)):
+        after, metrics = round_of(ENV, CONFIG, state, phases)
+        assert metrics.diverged == diverged
+        if diverged:
+            equal(after.replace(rng=None), state.replace(rng=None))
+        else:
+            assert after.learner.steps == state.learner.steps + CONFIG.learner.updates
+            assert after.buffer.added == state.buffer.added + EPISODES
+
+
+def test_a_run_fills_the_buffer_and_then_learns_in_every_roll_out():
+    config = CONFIG.replace(rounds=2, rollouts=3)
+    expected = [[PRETRAIN, SKIP, SKIP, EVALUATE], [POLICY] * 3 + [EVALUATE], [POLICY] * 3 + [EVALUATE]]
+    np.testing.assert_array_equal(phase_table(config), expected)
+    np.testing.assert_array_equal(phase_table(config.replace(rounds=0)), expected[:1])
+
+
+@pytest.mark.parametrize(
+    ("steps", "rounds", "done"), [(0, 2, 0.0), (2, 2, 0.25), (8, 2, 1.0), (20, 2, 1.0), (0, 0, 0.0)]
+)
+def test_progress_is_the_fraction_of_the_gradient_steps(steps, rounds, done):
+    state = init(CONFIG, HYPER, jax.random.key(0))
+    state = state.replace(learner=state.learner.replace(steps=jnp.int32(steps)))
+    assert TD3Learner().progress(CONFIG.replace(rounds=rounds), state) == done
+
+
+def test_networks_start_apart_with_targets_that_are_theirs():
+    learner = init(CONFIG, HYPER, jax.random.key(0)).learner
+    equal(learner.online, learner.target)
+    kernel = learner.online.critics["params"]["Dense_0"]["kernel"]
+    assert kernel.shape == (3, 6, 6)  # critics, observation and action, width
+    assert not (kernel[0] == kernel[1]).any()
+    assert not (kernel[1] == kernel[2]).any()
+    assert learner.steps == 0
+
+
+# The policy
+
+
+@jax.jit
+def act(state, observation, noise):
+    return make_policy(ENV, CONFIG, state, noise)(observation, jax.random.key(7))
+
+
+OBSERVATION = jnp.asarray(np.random.default_rng(3).normal(size=(4000, 4)), jnp.float32)
+
+
+def mean_of(state):
+    return np.tanh(mlp(state.learner.target.actor, normalized(state, OBSERVATION)))
+
+
+def test_without_noise_the_target_actor_acts():
+    for steps in (0, 3):
+        state = make_state(steps=steps)
+        action, log_prob = act(state, OBSERVATION, 0.0)
+        np.testing.assert_allclose(action, mean_of(state), rtol=1e-4, atol=1e-5)
+        np.testing.assert_array_equal(log_prob, np.zeros(len(OBSERVATION)))
+
+
+def test_before_the_first_update_all_actions_are_random():
+    action = np.asarray(act(make_state(steps=0, random_actions=0.0), OBSERVATION, 1.0)[0])
+    for column in action.T:
+        assert kstest(column, "uniform", (-1, 2)).pvalue > UNLIKELY
+    assert abs(np.corrcoef(action.T)[0, 1]) < 0.06
+    assert abs(np.corrcoef(action[:, 0], mean_of(make_state())[:, 0])[0, 1]) < 0.06
+
+
+@pytest.mark.parametrize(("steps", "decay"), [(2, 0.8), (4, 0.6), (8, 0.2), (50, 0.2)])
+def test_deviations_and_random_actions_shrink_over_the_run(steps, decay):
+    std = jnp.array([0.03, 0.005])
+    state = make_state(steps=steps, action_std=std, final_action_std=0.2, random_actions=0.3)
+    action, mean = np.asarray(act(state, OBSERVATION, 1.0)[0]), mean_of(state)
+    assert np.abs(action).max() <= 1.0
+    deviation = (action - mean) / std / decay
+    random = (np.abs(deviation) > 6.0).any(axis=1)  # both numbers of an action are, or neither
+    assert binomtest(int(random.sum()), len(random), 0.3 * decay).pvalue > UNLIKELY
+    inside = ~random & (np.abs(mean) < 0.8).all(axis=1)
+    assert inside.sum() > 500
+    for column in deviation[inside].T:
+        assert kstest(column, norm.cdf).pvalue > UNLIKELY
+
+
+def test_actions_are_clipped_to_the_range_of_the_environment():
+    action = np.asarray(act(make_state(action_std=5.0, random_actions=0.0), OBSERVATION, 1.0)[0])
+    assert np.abs(action).max() == 1.0
+    assert (np.abs(action) == 1.0).mean() > 0.5
+
+
+# Whole runs
+
+
+class Short(Plane):
+    """Reaches any goal in at most seven of its ten steps."""
+
+    episode_length, feature_size, goal_size, action_size, success_threshold = 10, 1, 1, 1, 0.05
+
+    def reset_physics(self, rng):
+        return jnp.zeros(1)
+
+    def step_physics(self, physics, action):
+        return physics + 0.1 * action
+
+    def sample_goal(self, rng, physics):
+        return jax.random.uniform(rng, (1,), minval=-0.5, maxval=0.5)
+
+
+def test_hindsight_solves_a_line_by_the_goal_test_and_by_the_discriminator_alone():
+    """HER and HGAIL in one program: beside the rewards' weights HER differs in a discriminator that it does not ask."""
+    sizes = TD3(rollouts=4, updates=32, batch=128, buffer_episodes=1024)
+    config = Config(num_envs=32, rounds=3, learner=sizes, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
+    usual = OFF_POLICY["point"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, target_rate=0.05)
+    preset = Preset(config.replace(discriminator_minibatches=16, discriminator_batch=128, layer_norm=True), usual)
+    settings = [METHODS[method].apply(preset).hyperparameters for method in ("her", "hgail")]
+    assert [setting.environment_reward for setting in settings] == [1.0, 0.0]
+    states = init_sweep(Short(), preset.config, settings, seed_keys(0, 1))
+    table = phase_table(preset.config)
+    step = compile_train_step(Short(), preset.config, states, table[0])
+    success = []
+    for row in table:
+        states, metrics = step(states, row)
+        success.append(np.asarray(metrics.evaluation.success))
+    assert np.max(success[0]) < 0.5
+    assert np.min(success[-1]) >= 0.95
+
+
+def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch):
+    make_runs_tiny(monkeypatch)
+    compile_once(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    tiny = CONFIG.replace(updates=4, batch=16, policy_hidden=(8,))
+    monkeypatch.setitem(OFF_POLICY, "point", {"cpu": Preset(tiny, HYPER.replace(action_std=0.2))})
+    start("--learner", "td3", "--out", "whole")
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
+        fail_in_round(patch, 3, crash)
+        start("--learner", "td3", "--out", "run")
+    start("--learner", "td3", "--resume", "run")
+    assert outcome(tmp_path / "run") == outcome(tmp_path / "whole")
