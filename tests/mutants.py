@@ -29,11 +29,13 @@ LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "learning", "experts"))
 ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "train", "discriminator"))
-PPO, PPO_LOSS = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss"))
+PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
+BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 GOALS, OBJECTS = "tests/hgail_envs/test_goals.py", "tests/hgail_envs/fetch/test_objects.py"
 
 TESTS = {
-    "hgail_jax/hindsight": [SAMPLES, "tests/hgail_jax/test_hindsight.py"],
+    "hgail_jax/hindsight": [BUFFER, SAMPLES, HINDSIGHT],
+    "hgail_jax/buffer": [BUFFER, TD3],
     "hgail_jax/samples": [SAMPLES, PPO],
     "hgail_jax/experts": [SAMPLES, EXPERTS],
     "hgail_jax/discriminator": [DISCRIMINATOR, PPO],
@@ -41,11 +43,12 @@ TESTS = {
     "hgail_jax/descent": [PPO, LEARNING],
     "hgail_jax/learners/ppo_loss": [PPO_LOSS, PPO],
     "hgail_jax/learners/ppo": [PPO, TRAIN, LEARNING],
+    "hgail_jax/learners/td3": [TD3],
     "hgail_jax/train": [PPO, TRAIN, LEARNING],
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, PPO],
     "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN],
     "hgail_jax/state": [PPO, TRAIN, LEARNING],
-    "hgail_jax/methods": [LEARNING, EXPERTS],
+    "hgail_jax/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
     "envs/hgail_envs/fetch/reach": [GOALS],
