@@ -3,11 +3,11 @@
 XLA finds the function by its name, through its foreign function interface, and hands over its own buffers. The
 structures below are those of jaxlib's `xla/ffi/api/c_api.h`; XLA refuses functions for another major version of them.
 
-`jax.pure_callback` and `jax.experimental.buffer_callback` need no such structures. But their programs hold the address
-of the function, so that JAX never keeps them in its compilation cache: with this call the training of reach (one round,
-eight seeds) compiles in 11 s once it is cached, and in 83 s with nothing cached. Per step `buffer_callback` takes 1.00
-times as long with 64 environments and 0.98 with 512, `pure_callback` 1.08 and 1.02 (reach, medians of 25 scans timed in
-turn). All on two busy CPU cores, with JAX 0.10.2.
+`jax.pure_callback` and `jax.experimental.buffer_callback` need no such structures. But their programs refer to a
+function of this process, so that JAX never keeps them in its compilation cache. With this call the training of reach
+(one round, eight seeds) compiles in 11 s once it is cached, and in 83 s with nothing cached. Per step `buffer_callback`
+takes 1.00 times as long with 64 environments and 0.98 with 512, `pure_callback` 1.08 and 1.02 (reach, medians of 25
+scans timed in turn). All on two busy CPU cores, with JAX 0.10.2.
 """
 
 import ctypes
