@@ -118,7 +118,8 @@ def draw(
     share = kind_share(env, buffer.desired[:, :-1], jnp.broadcast_to(buffer.valid[:, None], (held, length)))
     counts = count_kinds(env.goal_kind(buffer.achieved), env.goal_kinds)
     last = jnp.minimum(step + most_ahead, length)
-    source = draw_source(source_rng, counts, episode, step + 1, last, share, hyper.strategy)
+    first = step + jnp.where(hyper.include_current, 0, 1)
+    source = draw_source(source_rng, counts, episode, first, last, share, hyper.strategy)
     chosen = jax.random.bernoulli(chosen_rng, p_ht, (count,))
     goal = jnp.where(chosen[:, None], buffer.achieved[episode, source], pursued)
     features, following = buffer.features[episode, step], buffer.features[episode, step + 1]

@@ -185,6 +185,8 @@ class Config:
             check_count("minibatches", self.learner.minibatches, most=samples)
             # off-policy none are HER, which has no discriminator
             check_count("discriminator_minibatches", self.discriminator_minibatches)
+        else:
+            check_count("buffer_episodes", self.learner.buffer_episodes, least=self.num_envs)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
 
@@ -272,8 +274,12 @@ class Hyperparameters(struct.PyTreeNode):
             check_fraction(name, getattr(self, name))
         for name in _POSITIVE:
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "bc_weight", "solved_weight"):
+        for name in ("ppo_weight", "bc_weight", "solved_weight", "target_noise"):
             check_not_negative(name, getattr(self, name))
+        if not isinstance(self.discriminator_steps, jax.core.Tracer) and np.any(
+            np.asarray(self.discriminator_steps) < 1
+        ):
+            raise ValueError(f"discriminator_steps is {self.discriminator_steps}; it must be at least 1")
         std = self.action_std
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
         if action_size is not None and shape not in ((), (action_size,)):

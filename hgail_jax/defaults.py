@@ -211,7 +211,7 @@ def _off_policy(
     return presets
 
 
-_GRASP_OFF_POLICY = _off_policy({"cpu": 20, "gpu": 40}, _OBJECT_SUBSTEPS, num_envs=256, environment_reward=1.0)
+_GRASP_OFF_POLICY = _off_policy({"cpu": 20, "gpu": 40}, _OBJECT_SUBSTEPS, num_envs=256, environment_reward=0.25)
 
 OFF_POLICY: dict[str, dict[str, Preset]] = {
     "point": _off_policy({"cpu": 4, "gpu": 4}, {}),

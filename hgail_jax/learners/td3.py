@@ -148,7 +148,18 @@ def update(
     return state.replace(learner=learner), metrics
 
 
-TD3Learner.updates = {PRETRAIN: fill, POLICY: update}
+def begin(
+    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+) -> tuple[TrainState, Metrics]:
+    """Adds the first roll-out to the buffer, and to the expert samples where those are kept."""
+    state, _ = fill(env, config, state, trajectory, rng)
+    if config.expert_source != RELABELLED:
+        expert, _ = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
+        state = state.replace(expert=expert)
+    return state, {}
+
+
+TD3Learner.updates = {PRETRAIN: begin, POLICY: update}
 
 
 class _Batch(NamedTuple):
