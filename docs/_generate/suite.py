@@ -118,7 +118,7 @@ def _ours(task: str, least: float | None) -> Row:
     taken = pick(rows, env_steps=there, seed=0)["seconds"]
     return {
         "task": task,
-        "what": "HGAIL, here",
+        "what": "HGAIL with PPO, here",
         "success": fixed(success, 2),
         "env_steps": rate(there),
         "time": f"{seconds(taken)} for eight seeds on one H200",
