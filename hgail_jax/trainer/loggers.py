@@ -90,7 +90,9 @@ class TensorboardLogger(Logger):
         self._done = len(history) if goes_on else 0
         # Rounds after the checkpoint that a run goes on from are run, and logged, again.
         purge = (history[-1]["env_steps"] + 1 if history else 0) if goes_on else None
-        self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge)
+        # A file is named by its second and its host: one of the same second would be overwritten.
+        number = len(list((folder / "tensorboard").glob("events*")))
+        self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge, filename_suffix=f".{number:03d}")
         if not goes_on:
             self._writer.add_text("settings", f"```json\n{json.dumps(settings, indent=2, default=str)}\n```")
 
