@@ -6,13 +6,13 @@ and the round's metrics.
 
 from hgail_envs import EpisodeMetrics, GoalEnv, make
 from hgail_jax.config import EXPERT_SOURCES, PPO, REWARDS, STRATEGIES, TD3, Config, Hyperparameters
-from hgail_jax.defaults import PRESETS, Preset
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.hindsight import Hindsight, relabel
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.export import export_policy
 from hgail_jax.io.policy import MeanPolicy, load_policy, save_policy
 from hgail_jax.methods import METHODS, Method
+from hgail_jax.presets import PRESETS, Preset
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState

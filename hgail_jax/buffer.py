@@ -107,7 +107,7 @@ def draw(
       rng: a PRNG key.
       count: `B`.
       p_ht: probability that a goal is replaced.
-      most_ahead: steps by which a replaced goal is achieved after the sample's own state at most.
+      most_ahead: most steps from a sample's own state to the one that its replaced goal is taken from.
 
     """
     episode_rng, step_rng, chosen_rng, source_rng = jax.random.split(rng, 4)

@@ -86,7 +86,7 @@ class TD3:
     buffer_episodes: int = 8192
     """Episodes in the replay buffer."""
     critics: int = 2
-    """Critics in the ensemble; targets take the least of them."""
+    """Critics in the ensemble; targets bootstrap from the least of their values."""
     final_learning_rate: float = 1.0
     """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
 
@@ -252,8 +252,8 @@ class Hyperparameters(struct.PyTreeNode):
     target_noise: jax.Array | float = 0.2
     """Standard deviation of the noise on target actions, which is clipped at 2.5 of it (TD3)."""
     discriminator_steps: jax.Array | int = 2**30
-    """Steps after a sample in which its hindsight goal is achieved at most, for the discriminator's expert (TD3). Many
-    leave it to Algorithm 1; 1 makes it learn which actions reach a goal at once."""
+    """Most steps from an expert sample to the one that its hindsight goal is taken from (TD3). At 1 the discriminator
+    learns which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
 
     def as_dict(self, learner: PPO | TD3) -> dict[str, Any]:
         """Returns the fields as JSON has them, less those that another learner alone reads."""

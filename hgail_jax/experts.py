@@ -1,7 +1,7 @@
 """Where the expert samples come from: the one choice in which the methods of imitation differ.
 
-The expert samples, which the discriminator learns to tell from the policy's own and which maximum likelihood is
-fitted to, are
+The expert samples, which the discriminator learns to tell from the policy's own and to which behaviour cloning fits
+the policy, are
 
 - `"relabelled"`: the roll-out at hand, relabelled in hindsight (HGAIL);
 - `"frozen"`: the first roll-out of all, relabelled once (the paper's "no curriculum", Table 2);

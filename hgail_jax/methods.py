@@ -3,7 +3,7 @@
 import dataclasses
 
 from hgail_jax.config import BEST, DEMONSTRATIONS, LEARNERS
-from hgail_jax.defaults import Preset
+from hgail_jax.presets import Preset
 
 BC_BATCH = 512
 """Expert samples of the BC loss beside a minibatch of PPO, where a method or a user asks for it without a number."""

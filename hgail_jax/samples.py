@@ -78,7 +78,7 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     """Returns the samples of a trajectory under goals replaced in hindsight.
 
     Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`. Within
-    a kind, samples under whose goal nothing is left to do count `hyper.solved_weight` times.
+    a kind, samples whose goal is solved already count `hyper.solved_weight` times.
     """
     desired, weight = trajectory.desired[:-1], step_weight(trajectory)
     share = kind_share(env, desired, weight)
@@ -102,7 +102,7 @@ def kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
 
 
 def step_weight(trajectory: Trajectory) -> jax.Array:
-    """1 for the steps of sound episodes, else 0: `[T, N]`."""
+    """1 for the steps of valid episodes, else 0: `[T, N]`."""
     return jnp.broadcast_to(trajectory.valid, trajectory.reward.shape).astype(jnp.float32)
 
 

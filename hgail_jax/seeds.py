@@ -1,20 +1,19 @@
 """Trains several seeds, and several settings of the hyperparameters, side by side in one compiled program."""
 
 import functools
-import gc
-import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh
 
 from hgail_envs import EpisodeMetrics, GoalEnv
 from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.devices.sharding import ALONG_SEEDS, ENVS, REPLICATED, per_device
+from hgail_jax.devices.compilation import compile_lowered, compile_program, lower_program
+from hgail_jax.devices.sharding import ALONG_SEEDS, REPLICATED, jit_per_device
 from hgail_jax.evaluate import evaluate_rollouts, whole_rollouts
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, split_key
@@ -103,9 +102,6 @@ def compile_train_step(
     With a mesh of several devices each runs its part, see `hgail_jax.devices.sharding`. The step then takes states
     that `shard` placed, and every process can read its metrics.
 
-    It compiles at a low optimisation level, and on a GPU without autotuning: the program is thousands of small kernels.
-    That took a third off the compilation on an H200, two thirds on a CPU, and nothing off the speed.
-
     Args:
       env: the task.
       config: sizes and counts.
@@ -133,57 +129,11 @@ def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh |
         )
 
 
-def compile_program(jitted: Any, *arguments: Any) -> Any:
-    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes."""
-    return _compile(_lower(jitted, *arguments))
-
-
-def _lower(jitted: Any, *arguments: Any) -> Any:
-    """Returns a jitted function, traced for arguments of these shapes and lowered."""
-    collecting = gc.isenabled()
-    gc.disable()  # tracing makes millions of objects that stay: looking for garbage takes a fifth of its time
-    try:
-        return jitted.lower(*arguments)
-    finally:
-        if collecting:
-            gc.enable()
-
-
-def _compile(lowered: Any) -> Any:
-    """Compiles with XLA's options for thousands of small kernels; options that `XLA_FLAGS` names are left to it."""
-    quickly = {"xla_backend_optimization_level": 1}
-    # without autotuning XLA's own matrix products run with poor tiles: 4.1 ms for 1.3 ms an update of TD3 by cuBLAS
-    on_gpu = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
-    options = {"cpu": quickly, "gpu": quickly | on_gpu}.get(jax.default_backend(), {})
-    flags = os.environ.get("XLA_FLAGS", "")
-    return lowered.compile(compiler_options={name: value for name, value in options.items() if name not in flags})
-
-
 def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
     def step(axis: str | None, states: TrainState, phases: jax.Array) -> tuple[TrainState, RoundMetrics]:
         return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
 
-    return _jit_over_seeds(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
-
-
-def _jit_over_seeds(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
-    """Jits a function, each device of the mesh running its part.
-
-    Args:
-      mesh: None is one device.
-      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
-        over seeds.
-      given: how the arrays are laid out.
-      returned: how the results are laid out: along the seeds, or whole on each device.
-      options: of `jax.jit`.
-
-    """
-    if mesh is None or mesh.size == 1:
-        return jax.jit(functools.partial(function, None), **options)
-    axis = ENVS if mesh.shape[ENVS] > 1 else None
-    place = functools.partial(jax.tree.map, functools.partial(NamedSharding, mesh))
-    sharded = per_device(functools.partial(function, axis), mesh, given, ALONG_SEEDS)
-    return jax.jit(sharded, in_shardings=place(given), out_shardings=place(returned), **options)
+    return jit_per_device(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
 
 
 def evaluate_seeds(
@@ -225,10 +175,10 @@ def trace_evaluation(
 
         return jax.vmap(of_seed)(states)
 
-    lowered = _lower(_jit_over_seeds(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
+    lowered = lower_program(jit_per_device(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
 
     def compile_evaluation() -> SeedsEvaluation:
-        compiled = _compile(lowered)
+        compiled = compile_lowered(lowered)
 
         def evaluate(states: TrainState) -> EpisodeMetrics:
             outcome, overflow = jax.tree.map(np.asarray, compiled(states))

@@ -146,7 +146,7 @@ def networks() -> str:
 def grasp_on_two_cores() -> str:
     """Sizes that were tried for grasp on a CPU."""
     return markdown(
-        ["environments", "rounds", "likelihood weight", "seeds", "success", "worst seed", "env steps per seed"],
+        ["environments", "rounds", "BC weight", "seeds", "success", "worst seed", "env steps per seed"],
         [
             [
                 str(row["num_envs"]),
@@ -165,7 +165,7 @@ def grasp_on_two_cores() -> str:
 def push_on_two_cores() -> str:
     """Sizes that were tried for push on a CPU."""
     return markdown(
-        ["environments", "rounds", "likelihood weight", "seed", "success", "env steps", "start to end"],
+        ["environments", "rounds", "BC weight", "seed", "success", "env steps", "start to end"],
         [
             [
                 str(row["num_envs"]),

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from hgail_jax.seeds import compile_program
+from hgail_jax.devices.compilation import compile_program
 
 _ENOUGH_SECONDS = 4.0
 _FEWEST_CALLS = 5

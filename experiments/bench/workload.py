@@ -7,7 +7,8 @@ import jax
 
 import hgail_envs
 from hgail_envs.fetch.arm import FetchEnv
-from hgail_jax.defaults import FEW_UPDATES, Preset, platform_name, task_preset
+from hgail_jax.defaults import platform_name, task_preset
+from hgail_jax.presets import FEW_UPDATES, Preset
 
 _QUICK_EPISODE = 4  # steps
 

@@ -6,7 +6,7 @@ from typing import Any
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
-from hgail_jax.defaults import AS_WRITTEN
+from hgail_jax.presets import AS_WRITTEN
 
 MOST_DEMONSTRATIONS = 100
 LONGER = "table1-longer"
@@ -194,8 +194,8 @@ _PARTS = Study(
         _part("without the adversary (GCSL and the same exploration)", ppo_weight=0.0),
         _part("without likelihood (the paper's HGAIL)", bc_weight=0.0),
         _part("PPO on the sparse reward, same starts and goals", environment_reward=1.0, bc_weight=0.0),
-        _part("trivial samples × 0.3", solved_weight=0.3),  # one of the two is the task's own
-        _part("trivial samples × 1", solved_weight=1.0),
+        _part("solved samples × 0.3", solved_weight=0.3),  # one of the two is the task's own
+        _part("solved samples × 1", solved_weight=1.0),
         _part("the task's own goals to learn from", {"training_goals": False}),
         _part("without pre-training", {"pretrain": False}),
         _part("the reference's 25 numbers as observation", task_options={"observation": "official"}),

@@ -173,7 +173,22 @@ def any_process(flag: bool) -> bool:
     return bool(np.any(multihost_utils.process_allgather(np.array(flag))))
 
 
-def per_device(function: Any, mesh: Mesh, in_specs: Any, out_specs: Any) -> Any:
-    """Returns `function` run by each device of `mesh` on its own parts, to be jitted; see `jax.shard_map`."""
-    shard = functools.partial(jax.shard_map, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
-    return shard(function)
+def jit_per_device(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
+    """Jits a function, each device of the mesh running its part.
+
+    Args:
+      mesh: None is one device.
+      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
+        over seeds.
+      given: how the arrays are laid out.
+      returned: how the results are laid out: along the seeds, or whole on each device.
+      options: of `jax.jit`.
+
+    """
+    if mesh is None or mesh.size == 1:
+        return jax.jit(functools.partial(function, None), **options)
+    axis = ENVS if mesh.shape[ENVS] > 1 else None
+    place = functools.partial(jax.tree.map, functools.partial(NamedSharding, mesh))
+    part = functools.partial(function, axis)
+    sharded = jax.shard_map(part, mesh=mesh, in_specs=given, out_specs=ALONG_SEEDS, check_vma=False)
+    return jax.jit(sharded, in_shardings=place(given), out_shardings=place(returned), **options)

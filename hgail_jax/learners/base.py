@@ -40,7 +40,8 @@ Update = Callable[[GoalEnv, Config, TrainState, Trajectory, jax.Array], tuple[Tr
 class Learner(abc.ABC):
     """Changes networks by roll-outs. It keeps nothing itself: its part of the training state is `TrainState.learner`.
 
-    A learner is added by a subclass, a dataclass of its sizes in `hgail_jax.config` and a line in `LEARNERS`.
+    A learner is added by a subclass with its line in `hgail_jax.learners`, a dataclass of its sizes with its line in
+    `hgail_jax.config.LEARNERS`, and settings in `hgail_jax.defaults`.
     """
 
     metrics: ClassVar[Mapping[str, str]]

@@ -80,7 +80,8 @@ class TD3Learner(Learner):
     ) -> Policy:
         """See `Learner`; noise is Gaussian, and some actions are uniformly random, all of them before any update.
 
-        The target actor acts, an average over the last 1 / target_rate steps.
+        The target actor acts, in roll-outs, in evaluations and in the exported policy: it is an average over the last
+        1 / target_rate gradient steps, and steadier than the actor.
         """
         hyper = state.hyperparameters
         decay = 1.0 + (hyper.final_action_std - 1.0) * self.progress(config, state)

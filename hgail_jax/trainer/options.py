@@ -15,10 +15,11 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_jax.config import LEARNERS, PPO, REWARDS, STRATEGIES
-from hgail_jax.defaults import DEFAULT_LEARNERS, EVALUATION_EPISODES, PRESETS, Preset, task_preset
+from hgail_jax.defaults import EVALUATION_EPISODES, default_learner, task_preset
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.methods import BC_BATCH, METHODS
+from hgail_jax.presets import PRESETS, Preset
 from hgail_jax.seeds import check_seeds
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
@@ -103,7 +104,7 @@ def choose_learner(task: str, method: str, preset: str, learner: str | None = No
         check_name("learner", learner, LEARNERS)
         check_name(f"learner of the method {method}", learner, METHODS[method].learners)
         return learner
-    usual = DEFAULT_LEARNERS.get(task, PPO.name) if preset == "parallel" else PPO.name
+    usual = default_learner(task) if preset == "parallel" else PPO.name
     return usual if usual in METHODS[method].learners else METHODS[method].learners[0]
 
 

@@ -1,4 +1,5 @@
 import functools
+import itertools
 from typing import ClassVar
 
 import pytest
@@ -8,8 +9,10 @@ from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
 from hgail_jax import PRESETS, TrainOptions
-from hgail_jax.defaults import AS_WRITTEN, DEFAULTS, task_preset
+from hgail_jax.config import LEARNERS
+from hgail_jax.defaults import DEFAULTS, task_preset
 from hgail_jax.evaluate import whole_rollouts
+from hgail_jax.presets import AS_WRITTEN
 from hgail_jax.trainer.options import plan
 
 EIGHT = {"substeps": 8}
@@ -65,7 +68,7 @@ class Below(Own):
 
 def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwise():
     for platform in ("cpu", "gpu"):
-        assert task_preset(Longer, platform) == DEFAULTS["reach"][platform]
+        assert task_preset(Longer, platform) == DEFAULTS["reach"]["ppo"][platform]
     for task in (Own, Below):
         preset = task_preset(task, "cpu")
         assert preset.config == PRESETS["parallel"].config.replace(num_envs=7, minibatches=2)
@@ -87,9 +90,11 @@ made = functools.cache(hgail_envs.make)
 
 def test_every_task_of_the_package_has_defaults_on_either_platform_that_it_can_be_made_and_trained_with():
     assert set(DEFAULTS) == set(hgail_envs.TASKS)
-    for task, presets in DEFAULTS.items():
+    for task, learner in itertools.product(DEFAULTS, LEARNERS):
+        presets = DEFAULTS[task][learner]
         assert set(presets) == {"cpu", "gpu"}
         for preset in presets.values():
+            assert preset.config.learner.name == learner
             env = made(task, **preset.task_options)
             preset.config.validate(env)
             preset.hyperparameters.validate(env.action_size)

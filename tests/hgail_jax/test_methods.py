@@ -10,8 +10,9 @@ import pytest
 from hgail_envs.point import Point
 from hgail_jax import METHODS, PPO, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.defaults import FEW_UPDATES, OFF_POLICY
+from hgail_jax.defaults import DEFAULTS
 from hgail_jax.play.recording import record
+from hgail_jax.presets import FEW_UPDATES
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.trainer.options import TrainOptions, choose_learner, plan
 
@@ -138,7 +139,7 @@ def test_a_learner_that_a_method_does_not_have_is_refused(method, learner, messa
 
 
 def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
-    preset = OFF_POLICY["slide"]["gpu"]
+    preset = DEFAULTS["slide"]["td3"]["gpu"]
     expected = {
         "hgail": ({}, {}),
         "hgail-no": ({}, {"p_ht": 0.0}),

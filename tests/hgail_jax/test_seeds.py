@@ -11,6 +11,7 @@ import hgail_envs
 from hgail_envs.point import Point
 from hgail_jax import Hyperparameters, init_state, phase_table, rollout
 from hgail_jax import seeds as seeds_module
+from hgail_jax.devices.compilation import compile_program
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from tests.support import TINY
 
@@ -66,5 +67,5 @@ def test_programs_are_compiled_quickly_unless_xla_s_flags_say_how(monkeypatch, f
     monkeypatch.setenv("XLA_FLAGS", flags)
     options = []
     lowered = types.SimpleNamespace(compile=lambda compiler_options: options.append(compiler_options))
-    seeds_module.compile_program(types.SimpleNamespace(lower=lambda: lowered))
+    compile_program(types.SimpleNamespace(lower=lambda: lowered))
     assert options[0].get("xla_backend_optimization_level") == level

@@ -17,7 +17,7 @@ from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
 from experiments.paper.work import Unfinished
 from hgail_jax import PRESETS, env_steps, phase_table
-from hgail_jax.defaults import AS_WRITTEN
+from hgail_jax.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.loop import Program
 
@@ -361,7 +361,7 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert {trial.config.rounds for trial in parts} == {40}  # a third of its own
     assert {trial.evaluate_every for trial in parts} == {5}
     assert [trial.task_options.get("observation") for trial in parts] == [None] * 8 + ["official"]
-    assert len({trial.key() for trial in parts}) == 8  # one of the trivial weights is the task's own
+    assert len({trial.key() for trial in parts}) == 8  # one of the solved weights is the task's own
     assert studies_of("push") == (BY_NAME["parts"],)
 
 

@@ -12,7 +12,7 @@ from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import METHODS, TD3, Config, Hyperparameters, Preset, Trajectory, init_state, phase_table, train_step
 from hgail_jax.buffer import add_episodes, draw
 from hgail_jax.config import BEST, DEMONSTRATIONS
-from hgail_jax.defaults import OFF_POLICY
+from hgail_jax.defaults import DEFAULTS
 from hgail_jax.discriminator import fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP
@@ -440,7 +440,7 @@ def test_hindsight_solves_a_line_by_the_goal_test_and_by_the_discriminator_alone
     """HER and HGAIL in one program: beside the rewards' weights HER differs in a discriminator that it does not ask."""
     sizes = TD3(rollouts=4, updates=32, batch=128, buffer_episodes=1024)
     config = Config(num_envs=32, rounds=3, learner=sizes, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
-    usual = OFF_POLICY["point"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, target_rate=0.05)
+    usual = DEFAULTS["point"]["td3"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, target_rate=0.05)
     preset = Preset(config.replace(discriminator_minibatches=16, discriminator_batch=128, layer_norm=True), usual)
     settings = [METHODS[method].apply(preset).hyperparameters for method in ("her", "hgail")]
     assert [setting.environment_reward for setting in settings] == [1.0, 0.0]
@@ -460,7 +460,7 @@ def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypat
     compile_once(monkeypatch)
     monkeypatch.chdir(tmp_path)
     tiny = CONFIG.replace(updates=4, batch=16, policy_hidden=(8,))
-    monkeypatch.setitem(OFF_POLICY, "point", {"cpu": Preset(tiny, HYPER.replace(action_std=0.2))})
+    monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": Preset(tiny, HYPER.replace(action_std=0.2))})
     start("--learner", "td3", "--out", "whole")
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
