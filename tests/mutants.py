@@ -77,7 +77,7 @@ EQUIVALENT = {
     "hgail_jax/learners/td3": [
         # Filling the buffer draws nothing.
         "state, _ = fill(env, config, state, trajectory, env)",
-        "state, _ = fill(env, config, state, trajectory, config)",
+        "state, _ = fill(env, state, state, trajectory, rng)",
     ],
     "hgail_jax/learners/ppo_loss": [
         # The shapes are the same; a sum of weights is 0 or at least 1.
