@@ -31,7 +31,10 @@ SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("sa
 ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "train", "discriminator"))
 PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
-GOALS, OBJECTS = "tests/hgail_envs/test_goals.py", "tests/hgail_envs/fetch/test_objects.py"
+GOALS = "tests/hgail_envs/test_goals.py"
+MODEL, OBJECTS, OBJECT_PARITY = (
+    f"tests/hgail_envs/fetch/test_{name}.py" for name in ("model", "objects", "object_parity")
+)
 
 TESTS = {
     "hgail_jax/hindsight": [BUFFER, SAMPLES, HINDSIGHT],
@@ -52,8 +55,8 @@ TESTS = {
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
     "envs/hgail_envs/fetch/reach": [GOALS],
-    "envs/hgail_envs/fetch/grasp": [GOALS],
-    "envs/hgail_envs/fetch/objects": [OBJECTS],
+    "envs/hgail_envs/fetch/grasp": [GOALS, MODEL],
+    "envs/hgail_envs/fetch/objects": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/fetch/push": [OBJECTS],
     "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
 }
@@ -63,6 +66,8 @@ EQUIVALENT = {
     "hgail_jax/hindsight": [
         # Where nothing of a kind lies ahead, what is divided by 0 is left out.
         "states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 0.0)",
+        # The last of two axes.
+        "kind = jnp.minimum((cumulative <= kind_uniform[:, None] * cumulative[:, -1:]).sum(axis=(1)), latest)",
     ],
     "hgail_jax/samples": [
         # Blocks may be wider, and the search may begin beyond the end, which it never returns.
@@ -101,6 +106,10 @@ EQUIVALENT = {
         "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)",
     ],
     "hgail_jax/train": [
+        # A phase that is skipped counts in no mean.
+        "dropped: jax.Array | float = 1.0",
+        "overflow: jax.Array | float = 1.0",
+        "diverged: jax.Array | float = 1.0",
         # Integers are finite too.
         "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.floating, jnp.floating)]",
         "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, leaf.dtype)]",

@@ -133,3 +133,21 @@ def test_single_steps_are_drawn_by_the_law_of_whole_episodes(kinds):
         if possible.sum() > 1:
             assert chisquare(found[possible], expected[possible]).pvalue > UNLIKELY
         assert (draw_source(jax.random.key(step), *arguments, FINAL) == LENGTH).all()
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+def test_a_number_that_rounding_brings_to_the_end_draws_the_last_state_of_the_last_kind(monkeypatch, kinds):
+    share = SHARES[kinds]
+    kind = np.array(KINDS[kinds]) % len(share)
+    monkeypatch.setattr(jax.random, "uniform", lambda rng, shape: jnp.ones(shape))
+    for first in range(1, LENGTH + 1):
+        drawn = draw_source(
+            jax.random.key(0),
+            count_kinds(jnp.array([kind]), len(share)),
+            jnp.zeros(1, jnp.int32),
+            jnp.array([first]),
+            jnp.array([LENGTH]),
+            jnp.array(share),
+            FUTURE,
+        )
+        assert drawn[0] == first + np.flatnonzero(kind[first:] == kind[first:].max())[-1]

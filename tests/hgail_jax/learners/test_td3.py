@@ -327,6 +327,17 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
     assert np.isfinite(metrics.evaluation.success)
 
 
+@pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
+def test_actions_are_the_actor_s_from_the_first_gradient_step_on(steps, random):
+    state = make_state(steps=steps, random_actions=0.0, action_std=1e-6)
+    observation = jnp.ones((500, ENV.observation_size))
+    explored, mean = (
+        np.asarray(TD3Learner().policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))[0])
+        for noise in (1.0, 0.0)
+    )
+    assert (np.abs(explored - mean).max() > 0.1) == random
+
+
 def test_an_update_that_is_not_finite_is_undone_with_its_episodes():
     phases = np.array([POLICY, SKIP, EVALUATE])
     sound, broken = make_state(), make_state(policy_learning_rate=np.inf)
