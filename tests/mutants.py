@@ -32,8 +32,8 @@ ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in (
 PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 GOALS = "tests/hgail_envs/test_goals.py"
-MODEL, OBJECTS, OBJECT_PARITY = (
-    f"tests/hgail_envs/fetch/test_{name}.py" for name in ("model", "objects", "object_parity")
+MODEL, GRASP, OBJECTS, OBJECT_PARITY = (
+    f"tests/hgail_envs/fetch/test_{name}.py" for name in ("model", "grasp", "objects", "object_parity")
 )
 
 TESTS = {
@@ -55,7 +55,7 @@ TESTS = {
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
     "envs/hgail_envs/fetch/reach": [GOALS],
-    "envs/hgail_envs/fetch/grasp": [GOALS, MODEL],
+    "envs/hgail_envs/fetch/grasp": [GOALS, MODEL, GRASP],
     "envs/hgail_envs/fetch/objects": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/fetch/push": [OBJECTS],
     "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
@@ -66,7 +66,8 @@ EQUIVALENT = {
     "hgail_jax/hindsight": [
         # Where nothing of a kind lies ahead, what is divided by 0 is left out.
         "states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 0.0)",
-        # The last of two axes.
+        # Floats count as exactly; the last of two axes.
+        "before = jnp.cumsum(jax.nn.one_hot(kind, kinds), axis=-2)",
         "kind = jnp.minimum((cumulative <= kind_uniform[:, None] * cumulative[:, -1:]).sum(axis=(1)), latest)",
     ],
     "hgail_jax/samples": [
