@@ -1,1 +1,0 @@
-"""Speed, beside the engine's own and beside other projects: `python -m experiments.bench`."""

@@ -1,1 +1,0 @@
-"""Parity of this project's Fetch with Gymnasium-Robotics'."""
