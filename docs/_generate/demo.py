@@ -1,0 +1,95 @@
+"""Builds the page on which a visitor's browser simulates the tasks and runs the trained policies: `make demo`.
+
+The sources are in `docs/demo`. MuJoCo's WebAssembly build and three.js come from npm, in the versions and with the hashes
+of `package-lock.json`. The folder that results, `.cache/demo`, is a static site that fetches nothing from elsewhere.
+"""
+
+import filecmp
+import gzip
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+from docs._generate.results import ROOT
+
+SOURCES = ROOT / "docs" / "demo"
+SITE = ROOT / ".cache" / "demo"
+PACKAGES = ROOT / ".cache" / "demo-packages"
+
+_LOCK = ("package.json", "package-lock.json")
+_PATIENCE = 120.0  # seconds for the packages, 13 MB
+_VENDOR = {
+    "mujoco.js": "@mujoco/mujoco/mujoco.js",
+    "three.module.js": "three/build/three.module.js",
+    "three.core.js": "three/build/three.core.js",
+    "RoundedBoxGeometry.js": "three/examples/jsm/geometries/RoundedBoxGeometry.js",
+    "LICENSE-three": "three/LICENSE",
+}
+
+
+class UnavailableError(Exception):
+    """Node or its packages are not there; says which."""
+
+
+def build() -> Path:
+    """Builds the page and returns its folder.
+
+    Raises:
+      UnavailableError: npm is not installed, or cannot get the packages.
+
+    """
+    modules = _install()
+    shutil.rmtree(SITE, ignore_errors=True)
+    shutil.copytree(SOURCES, SITE, ignore=shutil.ignore_patterns(*_LOCK, "node_modules"))
+    vendor = SITE / "vendor"
+    vendor.mkdir()
+    for name, source in _VENDOR.items():
+        shutil.copyfile(modules / source, vendor / name)
+    shutil.copyfile(ROOT / "LICENSE", vendor / "LICENSE-mujoco")  # Apache-2.0 too, and its package has no copy
+    # Compressed here, since not every host compresses WebAssembly; without a time, so that it is the same each time.
+    wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()
+    (vendor / "mujoco.wasm.gz").write_bytes(gzip.compress(wasm, mtime=0))
+    scenes = shutil.copytree(ROOT / "assets" / "fetch", SITE / "scenes")
+    policies = shutil.copytree(ROOT / "assets" / "policies", SITE / "policies")
+    content = {
+        "scenes": sorted(path.name for path in scenes.iterdir()),
+        "policies": sorted(path.stem for path in policies.iterdir()),
+    }
+    (SITE / "content.json").write_text(json.dumps(content))
+    return SITE
+
+
+def _install() -> Path:
+    """Installs the locked packages, unless they are there, and returns their folder."""
+    modules, node = PACKAGES / "node_modules", shutil.which("node")
+    npm = shutil.which("npm")
+    if node is None or npm is None:
+        raise UnavailableError("Node.js and npm are not installed")
+    done = PACKAGES / "installed.json"
+    if done.exists() and filecmp.cmp(done, SOURCES / "package-lock.json", shallow=False):
+        return modules
+    PACKAGES.mkdir(parents=True, exist_ok=True)
+    for name in _LOCK:
+        shutil.copyfile(SOURCES / name, PACKAGES / name)
+    command = [npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--fetch-retries=1"]
+    try:
+        subprocess.run(command, cwd=PACKAGES, check=True, capture_output=True, text=True, timeout=_PATIENCE)
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        lines = str(getattr(error, "stderr", None) or error).strip().splitlines()
+        raise UnavailableError(f"npm could not install the page's packages: {lines[0]}") from error
+    shutil.copyfile(SOURCES / "package-lock.json", done)
+    return modules
+
+
+def main() -> None:
+    """Builds the page and prints its folder, or one line that says what is missing."""
+    try:
+        folder = build()
+    except UnavailableError as error:
+        raise SystemExit(f"no demo was built: {error}") from error
+    print(f"{folder.relative_to(ROOT)} is the page; python -m http.server -d {folder.relative_to(ROOT)} shows it")
+
+
+if __name__ == "__main__":
+    main()

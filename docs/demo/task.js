@@ -1,0 +1,236 @@
+// The Fetch tasks once more: start, control, features, goals and success, as in envs/hgail_envs/fetch.
+// A test holds them to Python's. Positions are metres in the world's frame, times seconds.
+
+export const PERIOD = 0.04; // between two actions
+export const SUBSTEPS = 20; // physics steps per action
+export const EPISODE = 50; // actions
+
+const LEAD = 0.05; // by which the mocap body leads the gripper for a unit action
+const THRESHOLD = 0.05; // largest distance that is a success
+const DOWNWARD = [1, 0, 1, 0]; // points the gripper at the table
+const BASE_Y = 0.48;
+const GRIPPER_OFFSET = [-0.498, 0.005, -0.431]; // from the gripper's outstretched position to the table
+const SETTLE_PERIODS = 10;
+const LEAST_DISTANCE = 0.1; // in the plane, between the starts of object and gripper
+const CUBE_WIDTH = 0.05, GAP_TOLERANCE = 0.008, LEAST_RISE = 0.05, HIGHEST = 0.45;
+const FINGERS = ["right_finger", "left_finger"];
+
+const COMMON = { baseX: 0.405, height: 0.2, objectRange: 0.15, range: 0.15, offset: 0, liftSteps: 0 };
+
+export const TASKS = {
+  reach: { ...COMMON, scene: "reach" },
+  grasp: { ...COMMON, scene: "grasp", object: "cube", hand: true, target: "object", liftSteps: 12 },
+  push: { ...COMMON, scene: "push", object: "cube", height: 0 },
+  "pick-and-place": { ...COMMON, scene: "grasp", object: "cube", hand: true, air: true },
+  slide: {
+    ...COMMON, scene: "slide", object: "puck", baseX: 0.05, height: -0.02, objectRange: 0.1, range: 0.3, offset: 0.4,
+  },
+};
+
+// Returns a generator of uniform numbers in [0, 1), mulberry32.
+export function randomNumbers(seed) {
+  let state = seed >>> 0;
+  return () => {
+    state = (state + 0x6d2b79f5) >>> 0;
+    let mixed = Math.imul(state ^ (state >>> 15), state | 1);
+    mixed ^= mixed + Math.imul(mixed ^ (mixed >>> 7), mixed | 61);
+    return ((mixed ^ (mixed >>> 14)) >>> 0) / 4294967296;
+  };
+}
+
+export const distance = (one, other) => Math.hypot(...one.map((value, axis) => value - other[axis]));
+const add = (one, other) => one.map((value, axis) => value + other[axis]);
+const clip = (value) => Math.min(1, Math.max(-1, value));
+
+export class Task {
+  // `mujoco` is the loaded module, in whose file system `/scenes` has the MJCF files.
+  constructor(mujoco, name) {
+    this.name = name;
+    this.kind = TASKS[name];
+    this.mujoco = mujoco;
+    this.model = mujoco.MjModel.from_xml_path(`/scenes/${this.kind.scene}.xml`);
+    this.data = new mujoco.MjData(this.model);
+    this.grip = this.model.site("grip").id;
+    this.body = this.model.body("gripper").id;
+    this.fingers = FINGERS.map((finger) => this.address("qposadr", finger));
+    if (this.kind.object) {
+      this.objectAt = this.address("qposadr", this.kind.object);
+      this.objectVelocityAt = this.address("dofadr", this.kind.object);
+      this.objectBody = this.model.body(this.kind.object).id;
+    }
+    this.velocity = new mujoco.DoubleBuffer(6);
+    this.#settle();
+  }
+
+  delete() {
+    this.velocity.delete();
+    this.data.delete();
+    this.model.delete();
+  }
+
+  address(kind, joint) {
+    return this.model[`jnt_${kind}`][this.model.jnt(joint).id];
+  }
+
+  // Brings the arm to its start, as the reference does: pulls the gripper there and lets it settle.
+  #settle() {
+    const { mujoco, model, data, kind } = this;
+    data.qpos[this.address("qposadr", "base_x")] = kind.baseX;
+    data.qpos[this.address("qposadr", "base_y")] = BASE_Y;
+    mujoco.mj_forward(model, data);
+    const outstretched = Array.from(data.site_xpos.subarray(3 * this.grip, 3 * this.grip + 3));
+    data.mocap_pos.set(add(add(outstretched, GRIPPER_OFFSET), [0, 0, kind.height]));
+    data.mocap_quat.set(DOWNWARD);
+    for (let step = 0; step < SETTLE_PERIODS * SUBSTEPS; step++) mujoco.mj_step(model, data);
+    this.startQpos = Float32Array.from(data.qpos);
+    this.startQvel = Float32Array.from(data.qvel);
+    mujoco.mj_forward(model, data);
+    this.start = Array.from(data.site_xpos.subarray(3 * this.grip, 3 * this.grip + 3));
+    this.objectHeight = kind.object ? this.startQpos[this.objectAt + 2] : 0;
+    if (kind.target === "object") this.objectHeight = 0.425;
+  }
+
+  // Starts an episode; `random` is a generator of `randomNumbers`.
+  reset(random) {
+    const { kind, start } = this;
+    const qpos = Float32Array.from(this.startQpos);
+    if (kind.object) qpos.set([...this.#randomPlace(random), this.objectHeight], this.objectAt);
+    this.place(qpos, this.startQvel);
+    const aside = () => kind.range * (2 * random() - 1);
+    if (kind.target === "object") this.goal = this.objectPosition();
+    else if (!kind.object) this.goal = add(start, [aside(), aside(), aside()]);
+    else this.goal = [start[0] + kind.offset + aside(), start[1] + aside(), this.objectHeight];
+    if (kind.air && random() < 0.5) this.goal[2] += HIGHEST * random();
+  }
+
+  #randomPlace(random) {
+    for (;;) {
+      const offset = [0, 1].map(() => this.kind.objectRange * (2 * random() - 1));
+      if (Math.hypot(...offset) >= LEAST_DISTANCE) return [this.start[0] + offset[0], this.start[1] + offset[1]];
+    }
+  }
+
+  // Lowest and highest position of the target.
+  get bounds() {
+    const { kind, start } = this;
+    const middle = [start[0] + kind.offset, start[1], kind.object ? this.objectHeight : start[2]];
+    const [below, above] = kind.object ? [0, kind.air ? HIGHEST : 0] : [kind.range, kind.range];
+    return [add(middle, [-kind.range, -kind.range, -below]), add(middle, [kind.range, kind.range, above])];
+  }
+
+  // Moves the target, as near to a position as its bounds allow; in grasp it is the cube, which is put down there.
+  moveTarget(position) {
+    const [low, high] = this.bounds;
+    this.goal = position.map((value, axis) => Math.min(high[axis], Math.max(low[axis], value)));
+    if (this.kind.target !== "object") return;
+    this.data.qpos.set([...this.goal, 1, 0, 0, 0], this.objectAt);
+    this.data.qvel.fill(0, this.objectVelocityAt, this.objectVelocityAt + 6);
+    this.place(this.data.qpos, this.data.qvel);
+  }
+
+  // Sets joint positions and velocities before any step.
+  place(qpos, qvel) {
+    this.data.qpos.set(qpos);
+    this.data.qvel.set(qvel);
+    this.data.xfrc_applied.fill(0);
+    this.touches = false;
+    this.#observe();
+  }
+
+  // Pushes the object for the next action with a force, newtons.
+  push(force) {
+    this.data.xfrc_applied.set(force, 6 * this.objectBody);
+  }
+
+  // An action is begin, SUBSTEPS times substep, then end; a viewer spreads the steps over its frames.
+  begin(action) {
+    const { data, kind } = this;
+    const displacement = action.slice(0, 3).map(clip);
+    data.mocap_pos.set(this.bodyPosition.map((value, axis) => value + LEAD * displacement[axis]));
+    data.mocap_quat.set(this.bodyQuaternion.map((value, index) => value + DOWNWARD[index]));
+    if (kind.hand) data.ctrl.set(this.fingers.map((finger) => data.qpos[finger] + clip(action[3])));
+    data.qacc_warmstart.fill(0); // as Python's engine, which keeps no state between actions
+  }
+
+  substep() {
+    this.mujoco.mj_step(this.model, this.data);
+  }
+
+  end() {
+    const { data } = this;
+    this.touches = this.kind.hand && data.sensordata.every((found) => found > 0);
+    if (!this.kind.hand) for (const finger of this.fingers) data.qpos[finger] = 0; // they are blocked
+    data.xfrc_applied.fill(0);
+    this.#observe();
+  }
+
+  step(action) {
+    this.begin(action);
+    for (let step = 0; step < SUBSTEPS; step++) this.substep();
+    this.end();
+  }
+
+  #observe() {
+    const { mujoco, model, data } = this;
+    data.qpos.set(Float32Array.from(data.qpos)); // Python's state is single precision
+    data.qvel.set(Float32Array.from(data.qvel));
+    mujoco.mj_kinematics(model, data);
+    mujoco.mj_comPos(model, data);
+    mujoco.mj_comVel(model, data);
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE.value, this.grip, this.velocity, 0);
+    this.gripper = Array.from(data.site_xpos.subarray(3 * this.grip, 3 * this.grip + 3));
+    this.gripperVelocity = Array.from(this.velocity.GetView().subarray(3)).map((value) => value * PERIOD);
+    this.bodyPosition = Array.from(data.xpos.subarray(3 * this.body, 3 * this.body + 3));
+    this.bodyQuaternion = Array.from(data.xquat.subarray(4 * this.body, 4 * this.body + 4));
+  }
+
+  objectPosition() {
+    return Array.from(this.data.qpos.subarray(this.objectAt, this.objectAt + 3));
+  }
+
+  get gap() {
+    return this.fingers.reduce((sum, finger) => sum + this.data.qpos[finger], 0);
+  }
+
+  get holding() {
+    return this.touches && Math.abs(this.gap - CUBE_WIDTH) <= GAP_TOLERANCE;
+  }
+
+  // The observation without the goal.
+  features() {
+    const { kind, gripper, data } = this;
+    const hand = kind.hand ? [this.gap, Number(this.holding)] : [];
+    if (!kind.object || kind.target === "object") return [...gripper, ...this.gripperVelocity, ...hand];
+    const object = this.objectPosition();
+    const velocity = data.qvel.subarray(this.objectVelocityAt, this.objectVelocityAt + 3);
+    const relative = object.map((value, axis) => value - gripper[axis]);
+    return [...gripper, ...this.gripperVelocity, ...relative, ...object, ...[...velocity].map((v) => v * PERIOD), ...hand];
+  }
+
+  // The goal as the policy sees it: a position, and in tasks with an object that the goal is the object's, or held.
+  desired() {
+    return this.kind.object ? [...this.goal, 1] : this.goal;
+  }
+
+  // Distance between the target and what is to be there.
+  distance() {
+    const { kind } = this;
+    if (kind.target === "object") return distance(this.gripper, this.objectPosition());
+    return distance(kind.object ? this.objectPosition() : this.gripper, this.goal);
+  }
+
+  // Whether the present state achieves the goal; in grasp the lift test follows.
+  achieved() {
+    return this.kind.target === "object" ? this.holding : this.distance() <= THRESHOLD;
+  }
+
+  // The action of a step of the lift test, given the one before.
+  liftAction(action) {
+    return [0, 0, 1, action[3]];
+  }
+
+  // Whether a lift test since `before`, the object's height then, has lifted the object.
+  lifted(before) {
+    return this.objectPosition()[2] - before > LEAST_RISE;
+  }
+}
