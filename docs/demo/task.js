@@ -12,7 +12,7 @@ const BASE_Y = 0.48;
 const GRIPPER_OFFSET = [-0.498, 0.005, -0.431]; // from the gripper's outstretched position to the table
 const SETTLE_PERIODS = 10;
 const LEAST_DISTANCE = 0.1; // in the plane, between the starts of object and gripper
-const CUBE_WIDTH = 0.05, GAP_TOLERANCE = 0.008, LEAST_RISE = 0.05, HIGHEST = 0.45;
+const CUBE_WIDTH = 0.05, CUBE_HEIGHT = 0.425, GAP_TOLERANCE = 0.008, LEAST_RISE = 0.05, HIGHEST = 0.45;
 const FINGERS = ["right_finger", "left_finger"];
 
 const COMMON = { baseX: 0.405, height: 0.2, objectRange: 0.15, range: 0.15, offset: 0, liftSteps: 0 };
@@ -87,7 +87,8 @@ export class Task {
     mujoco.mj_forward(model, data);
     this.start = Array.from(data.site_xpos.subarray(3 * this.grip, 3 * this.grip + 3));
     this.objectHeight = kind.object ? this.startQpos[this.objectAt + 2] : 0;
-    if (kind.target === "object") this.objectHeight = 0.425;
+    if (kind.target === "object") this.objectHeight = CUBE_HEIGHT;
+    this.place(this.startQpos, this.startQvel);
   }
 
   // Starts an episode; `random` is a generator of `randomNumbers`.

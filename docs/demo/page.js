@@ -1,0 +1,382 @@
+// The page: an episode's phases, the controls, and the loop that steps and draws.
+import loadMujoco from "./vendor/mujoco.js";
+import { Pilot, Policy } from "./policy.js";
+import { EPISODE, PERIOD, SUBSTEPS, Task, randomNumbers } from "./task.js";
+import { Viewer } from "./viewer.js";
+
+const TIMESTEP = PERIOD / SUBSTEPS;
+const REST = 1; // seconds that the scene stands still after an episode
+const MOST_BEHIND = 0.06; // seconds of simulation in a frame; a slow device falls behind the clock
+const SLOW_MOTION = 0.25;
+const STEP = 0.02; // metres that a key moves the target
+const NUDGE = { cube: 1.1, puck: 0.35 }; // metres per second, after which the object slides 6 cm
+const PULL = { stiffness: 500, damping: 60, most: 70 }; // of a pointer on an object: N/m, N s/m, N
+const LIMIT = 10; // metres, beyond which the simulation broke down
+const HINTS = {
+  reach: "Drag the red ball: the hand follows.",
+  grasp: "Drag the cube over the table: the hand fetches it.",
+  push: "Drag the red ring over the table: the hand pushes the cube there.",
+  "pick-and-place": "Drag the red ball up, or its ring over the table: the hand brings the cube.",
+  slide: "Drag the red ring: the hand shoots the puck there. It does not always succeed.",
+};
+
+const find = (id) => document.getElementById(id);
+
+// A policy at work, action by action, on a target that can be moved at any time.
+class Session {
+  constructor(task, policy, seed) {
+    this.task = task;
+    this.random = randomNumbers(seed);
+    this.episodes = this.successes = 0;
+    this.setPolicy(policy);
+  }
+
+  setPolicy(policy) {
+    this.pilot = new Pilot(policy, this.task);
+    this.restart();
+  }
+
+  // Lets go of the target and starts the next episode.
+  restart() {
+    this.held = null;
+    this.#begin();
+  }
+
+  #begin() {
+    this.task.reset(this.random);
+    if (this.held) this.task.moveTarget(this.held);
+    this.pilot.reset();
+    this.#act();
+    this.substeps = 0; // of the present action; 0 is between two actions
+  }
+
+  #act() {
+    this.phase = "acting";
+    this.clock = 0;
+    this.success = null;
+    this.follows = false; // the goal follows a cube that was nudged
+  }
+
+  moveTarget(position) {
+    const isObject = this.task.kind.target === "object";
+    this.#finishAction();
+    this.held = position;
+    if (isObject && (this.phase === "lifting" || this.phase === "resting")) {
+      this.#begin(); // a lift test leaves the arm where no episode takes it
+      return;
+    }
+    this.task.moveTarget(position);
+    this.held = this.task.goal;
+    this.#act();
+  }
+
+  // Gives the object a push, so that it slides a few centimetres.
+  nudge() {
+    const { task } = this, speed = NUDGE[task.kind.object], angle = 2 * Math.PI * this.random();
+    this.#finishAction();
+    task.data.qvel.set([speed * Math.cos(angle), speed * Math.sin(angle)], task.objectVelocityAt);
+    if (this.phase === "resting" || this.phase === "lifting") return;
+    this.#act();
+    this.follows = task.kind.target === "object";
+  }
+
+  #finishAction() {
+    while (this.substeps) this.substep();
+  }
+
+  substep() {
+    if (this.phase === "resting") {
+      this.clock += TIMESTEP;
+      if (this.clock >= REST) this.#begin();
+      return;
+    }
+    if (!this.substeps) this.#beginAction();
+    this.task.substep();
+    this.substeps++;
+    if (this.substeps < SUBSTEPS) return;
+    this.substeps = 0;
+    this.task.end();
+    this.clock++;
+    const { qpos } = this.task.data;
+    if (!qpos.every((value) => Math.abs(value) <= LIMIT)) this.#begin();
+    else this.#judge();
+  }
+
+  #beginAction() {
+    if (this.follows) this.task.goal = this.task.objectPosition();
+    const lifts = this.phase === "lifting";
+    this.action = lifts ? this.task.liftAction(this.action) : this.pilot.act();
+    this.task.begin(this.action);
+    if (this.pull) this.task.push(this.pull(this.task));
+  }
+
+  #judge() {
+    const { task } = this;
+    if (this.phase === "acting" && this.clock === EPISODE) {
+      if (task.kind.liftSteps && task.achieved()) {
+        this.phase = "lifting";
+        this.clock = 0;
+        [, , this.before] = task.objectPosition();
+      } else this.#conclude(!task.kind.liftSteps && task.achieved());
+    } else if (this.phase === "lifting" && this.clock === task.kind.liftSteps) this.#conclude(task.lifted(this.before));
+  }
+
+  // Counts the episode, and stays at a target that was moved by hand, or rests.
+  #conclude(success) {
+    this.episodes++;
+    this.successes += success;
+    this.success = success;
+    const stays = success && this.held && !this.task.kind.liftSteps;
+    this.phase = stays ? "staying" : "resting";
+    this.clock = 0;
+  }
+
+  get reached() {
+    return this.success ?? this.task.achieved();
+  }
+}
+
+class Page {
+  constructor(mujoco, content) {
+    this.mujoco = mujoco;
+    this.content = content;
+    this.canvas = find("scene");
+    this.viewer = new Viewer(this.canvas);
+    this.policies = {};
+    this.speed = 1;
+    this.due = 0;
+    this.seed = 1;
+    this.frames = this.simulated = this.drawn = 0;
+    this.paused = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.visible = true;
+    new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.canvas);
+  }
+
+  async setTask(name, robust = false) {
+    const policy = await this.#policy(robust ? `${name}-robust` : name);
+    this.session?.task.delete();
+    const task = new Task(this.mujoco, name);
+    this.session = new Session(task, policy, this.seed++);
+    this.viewer.show(task);
+    this.robust = robust;
+    this.due = 0;
+    this.#showControls();
+    this.viewer.draw(false);
+    this.#showStatus();
+  }
+
+  async #policy(name) {
+    this.policies[name] ??= new Policy(await download(`policies/${name}.npz`));
+    return this.policies[name];
+  }
+
+  #showControls() {
+    const { name, kind } = this.session.task, canBeRobust = this.content.policies.includes(`${name}-robust`);
+    find(name).checked = true;
+    find("robust").disabled = !canBeRobust;
+    find("robust").checked = this.robust;
+    find("nudge").disabled = !kind.object;
+    find("nudge").textContent = `Nudge the ${kind.object ?? "cube"}`;
+    find("hint").textContent = HINTS[name];
+    const keys = kind.air || !kind.object ? "arrow keys, Page Up and Page Down" : "arrow keys";
+    this.canvas.setAttribute("aria-label", `The Fetch arm at ${name}. ${HINTS[name]} The ${keys} move the target too.`);
+    this.#showPause();
+  }
+
+  #showPause() {
+    find("pause").textContent = this.paused ? "Play" : "Pause";
+  }
+
+  #showStatus() {
+    const { session } = this, status = find("status"), centimetres = (100 * session.task.distance()).toFixed(1);
+    const words = this.paused ? "Paused" : session.success === false ? "Missed; once more"
+      : session.success ? "Success" : session.phase === "lifting" ? "Lifting it, as a test"
+      : session.reached ? (session.task.kind.liftSteps ? "Holding it" : "At the target") : "On its way";
+    status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
+    find("standing").textContent = words;
+    find("distance").textContent = `${centimetres} cm`;
+    find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes` : "first episode";
+    const ended = session.success === null ? "" : session.success ? "Success." : "Missed.";
+    if (find("news").textContent !== ended) find("news").textContent = ended; // read aloud once per episode
+  }
+
+  restart() {
+    this.session.restart();
+  }
+
+  setPaused(paused) {
+    this.paused = paused;
+    this.#showPause();
+    this.#showStatus();
+  }
+
+  moveTarget(position) {
+    this.session.moveTarget(position);
+    this.due = 0;
+  }
+
+  // Steps the physics by the time that has passed, and draws.
+  frame(seconds) {
+    if (!this.session || !this.visible) return;
+    if (!this.paused) {
+      this.due = Math.min(this.due + this.speed * seconds, MOST_BEHIND);
+      const steps = Math.floor(this.due / TIMESTEP);
+      for (let step = 0; step < steps; step++) this.session.substep();
+      this.due -= steps * TIMESTEP;
+      this.simulated += steps * TIMESTEP;
+    }
+    this.viewer.draw(this.session.reached);
+    this.viewer.adapt(seconds);
+    this.frames++;
+    if (this.frames % 6 === 0) this.#showStatus();
+  }
+
+  connect() {
+    for (const input of document.querySelectorAll("input[name=task]"))
+      input.addEventListener("change", () => this.setTask(input.id));
+    const robust = find("robust");
+    robust.addEventListener("change", () => this.setTask(this.session.task.name, robust.checked));
+    find("restart").addEventListener("click", () => this.restart());
+    find("pause").addEventListener("click", () => this.setPaused(!this.paused));
+    find("nudge").addEventListener("click", () => this.session.nudge());
+    find("slow").addEventListener("change", (event) => (this.speed = event.target.checked ? SLOW_MOTION : 1));
+    this.#connectKeys();
+    this.#connectPointers();
+    let last = performance.now();
+    const frame = (now) => {
+      this.frame(Math.max(0, now - last) / 1000);
+      last = now;
+      requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
+  }
+
+  #connectKeys() {
+    // The camera looks along +y and -x, so that "away" and "right" on the screen are between these axes.
+    const moves = { ArrowUp: [-1, 0, 0], ArrowDown: [1, 0, 0], ArrowLeft: [0, -1, 0], ArrowRight: [0, 1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+    this.canvas.addEventListener("keydown", (event) => {
+      const { task } = this.session, from = task.kind.target === "object" ? task.objectPosition() : task.goal;
+      if (event.key === " ") this.setPaused(!this.paused);
+      else if (moves[event.key]) this.moveTarget(from.map((value, axis) => value + STEP * moves[event.key][axis]));
+      else return;
+      event.preventDefault();
+    });
+  }
+
+  #connectPointers() {
+    const { canvas, viewer } = this, pointers = new Map(), pixel = (event) => [event.offsetX, event.offsetY];
+    const embedded = window.self !== window.top;
+    let touched = null;
+    canvas.style.touchAction = embedded ? "pan-y" : "none"; // a page around this one scrolls under a finger
+    const start = (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      pointers.set(event.pointerId, pixel(event));
+      if (pointers.size > 1) return;
+      touched = viewer.touched(pixel(event));
+      if (touched === "object") this.#pull(pixel(event));
+    };
+    const move = (event) => {
+      const before = pointers.get(event.pointerId), now = pixel(event);
+      if (!before) {
+        canvas.style.cursor = viewer.touched(now) ? "grab" : "";
+        return;
+      }
+      if (touched) this.#drag(touched, now);
+      else if (pointers.size === 1) viewer.orbit(-(now[0] - before[0]) * 0.006, -(now[1] - before[1]) * 0.004);
+      else {
+        const [other] = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+        const width = (at) => Math.hypot(at[0] - other[0], at[1] - other[1]);
+        viewer.orbit(0, 0, width(before) / Math.max(1, width(now)));
+      }
+      pointers.set(event.pointerId, now);
+    };
+    const end = (event) => {
+      pointers.delete(event.pointerId);
+      if (pointers.size) return;
+      touched = null;
+      this.session.pull = null;
+    };
+    canvas.addEventListener("pointerdown", start);
+    canvas.addEventListener("pointermove", move);
+    canvas.addEventListener("pointerup", end);
+    canvas.addEventListener("pointercancel", end);
+    canvas.addEventListener("dblclick", () => viewer.lookHome());
+    // A finger on the target drags it, and does not scroll the page around this one.
+    canvas.addEventListener("touchstart", (event) => touched && event.preventDefault(), { passive: false });
+    canvas.addEventListener("wheel", (event) => {
+      if (embedded && !event.ctrlKey) return;
+      event.preventDefault();
+      viewer.orbit(0, 0, Math.exp(event.deltaY * 0.001));
+    }, { passive: false });
+  }
+
+  #drag(touched, pixel) {
+    const { task } = this.session;
+    if (touched === "object") return this.#pull(pixel);
+    const from = task.kind.target === "object" ? task.objectPosition() : task.goal;
+    const isLevel = touched === "foot" || (task.kind.object && !task.kind.air);
+    const plane = touched === "foot" ? [from[0], from[1], 0.4] : from;
+    const position = this.viewer.under(pixel, plane, isLevel);
+    if (position) this.moveTarget(touched === "foot" ? [position[0], position[1], from[2]] : position);
+  }
+
+  // Pulls the object towards a pixel, like a spring, over the table.
+  #pull(pixel) {
+    const towards = this.viewer.under(pixel, this.session.task.objectPosition(), true);
+    if (!towards) return;
+    this.session.pull = (task) => {
+      const [x, y] = task.objectPosition(), [u, v] = task.data.qvel.subarray(task.objectVelocityAt);
+      const force = [PULL.stiffness * (towards[0] - x) - PULL.damping * u, PULL.stiffness * (towards[1] - y) - PULL.damping * v];
+      const scale = Math.min(1, PULL.most / (Math.hypot(...force) || 1));
+      return [scale * force[0], scale * force[1], 0];
+    };
+  }
+}
+
+async function download(path) {
+  const answer = await fetch(new URL(path, import.meta.url));
+  if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
+  return answer.arrayBuffer();
+}
+
+// Returns the WebAssembly, which the build compressed, since not every host does; a host may have undone that.
+async function wasm() {
+  const bytes = await download("vendor/mujoco.wasm.gz");
+  if (new Uint8Array(bytes, 0, 1)[0] !== 0x1f) return bytes;
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+}
+
+async function open() {
+  const [wasmBinary, content] = await Promise.all([
+    wasm(),
+    download("content.json").then((bytes) => JSON.parse(new TextDecoder().decode(bytes))),
+  ]);
+  const [mujoco, ...scenes] = await Promise.all([
+    loadMujoco({ wasmBinary }),
+    ...content.scenes.map((name) => download(`scenes/${name}`)),
+  ]);
+  mujoco.FS.mkdir("/scenes");
+  content.scenes.forEach((name, index) => mujoco.FS.writeFile(`/scenes/${name}`, new Uint8Array(scenes[index])));
+  const page = new Page(mujoco, content);
+  const asked = new URLSearchParams(location.search).get("task");
+  await page.setTask(asked in HINTS ? asked : "reach");
+  page.connect();
+  // The page's own handle, for tests and the curious.
+  window.demo = {
+    setTask: (name, robust) => page.setTask(name, robust),
+    setTarget: (position) => page.moveTarget(position),
+    status: () => {
+      const { session, viewer } = page, { phase, success, episodes, successes } = session;
+      const { task } = session, distance = task.distance(), { goal, bounds } = task;
+      return { phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated, ratio: viewer.ratio };
+    },
+    pixel: (position) => page.viewer.project(position),
+  };
+  document.body.dataset.ready = "true";
+}
+
+open().catch((error) => {
+  find("standing").textContent = "This browser cannot show it";
+  find("hint").textContent = String(error.message ?? error);
+  throw error;
+});
