@@ -32,17 +32,17 @@ class UnavailableError(Exception):
     """Node or its packages are not there; says which."""
 
 
-def build() -> Path:
-    """Builds the page and returns its folder.
+def build(site: Path = SITE) -> Path:
+    """Builds the page in a folder, which is replaced, and returns it.
 
     Raises:
       UnavailableError: npm is not installed, or cannot get the packages.
 
     """
     modules = _install()
-    shutil.rmtree(SITE, ignore_errors=True)
-    shutil.copytree(SOURCES, SITE, ignore=shutil.ignore_patterns(*_LOCK, "node_modules"))
-    vendor = SITE / "vendor"
+    shutil.rmtree(site, ignore_errors=True)
+    shutil.copytree(SOURCES, site, ignore=shutil.ignore_patterns(*_LOCK, "node_modules"))
+    vendor = site / "vendor"
     vendor.mkdir()
     for name, source in _VENDOR.items():
         shutil.copyfile(modules / source, vendor / name)
@@ -50,21 +50,20 @@ def build() -> Path:
     # Compressed here, since not every host compresses WebAssembly; without a time, so that it is the same each time.
     wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()
     (vendor / "mujoco.wasm.gz").write_bytes(gzip.compress(wasm, mtime=0))
-    scenes = shutil.copytree(ROOT / "assets" / "fetch", SITE / "scenes")
-    policies = shutil.copytree(ROOT / "assets" / "policies", SITE / "policies")
+    scenes = shutil.copytree(ROOT / "assets" / "fetch", site / "scenes")
+    policies = shutil.copytree(ROOT / "assets" / "policies", site / "policies")
     content = {
         "scenes": sorted(path.name for path in scenes.iterdir()),
         "policies": sorted(path.stem for path in policies.iterdir()),
     }
-    (SITE / "content.json").write_text(json.dumps(content))
-    return SITE
+    (site / "content.json").write_text(json.dumps(content))
+    return site
 
 
 def _install() -> Path:
     """Installs the locked packages, unless they are there, and returns their folder."""
-    modules, node = PACKAGES / "node_modules", shutil.which("node")
-    npm = shutil.which("npm")
-    if node is None or npm is None:
+    modules, npm = PACKAGES / "node_modules", shutil.which("npm")
+    if npm is None or shutil.which("node") is None:
         raise UnavailableError("Node.js and npm are not installed")
     done = PACKAGES / "installed.json"
     if done.exists() and filecmp.cmp(done, SOURCES / "package-lock.json", shallow=False):

@@ -1,13 +1,12 @@
-// The page's tasks and policies without a page, in Node:
-//   node headless.js evaluate <task> <policy.npz> <episodes> [seed]   prints the success rate
-//   node headless.js replay                                           reads an episode from standard input, as JSON
-// A replay starts at qpos and qvel, takes the actions, and prints features, desired goal, outcome and the policy's actions.
+// The page's tasks and policies without a page, in Node; tests compare them with Python's. `node headless.js evaluate` runs
+// the policies from given starts and prints which episodes succeed; `node headless.js replay` takes given actions and
+// prints what is observed, and the policies' actions for given observations. Both read a list from standard input, as JSON.
 import { readFileSync, readdirSync } from "node:fs";
 import { gunzipSync } from "node:zlib";
 
 import loadMujoco from "./vendor/mujoco.js";
 import { Pilot, Policy } from "./policy.js";
-import { EPISODE, Task, randomNumbers } from "./task.js";
+import { EPISODE, Task } from "./task.js";
 
 const here = (path) => new URL(path, import.meta.url);
 
@@ -24,8 +23,13 @@ function policyOf(path) {
   return new Policy(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
 }
 
-function episode(task, pilot, random) {
-  task.reset(random);
+function begin(task, { qpos, qvel, goal }) {
+  task.place(Float32Array.from(qpos), Float32Array.from(qvel));
+  task.goal = goal.slice(0, 3);
+}
+
+function succeeds(task, pilot, start) {
+  begin(task, start);
   pilot.reset();
   let action = null;
   for (let step = 0; step < EPISODE; step++) task.step((action = pilot.act()));
@@ -35,33 +39,27 @@ function episode(task, pilot, random) {
   return task.lifted(before);
 }
 
-async function evaluate([name, path, episodes, seed = "0"]) {
-  const mujoco = await open(), task = new Task(mujoco, name), pilot = new Pilot(policyOf(path), task);
-  const random = randomNumbers(Number(seed));
-  let successes = 0;
-  for (let index = 0; index < Number(episodes); index++) successes += episode(task, pilot, random);
-  console.log(JSON.stringify({ task: name, mujoco: mujoco.mj_versionString(), episodes: Number(episodes), successes }));
+function evaluate(mujoco, { task: name, policy, starts }) {
+  const task = new Task(mujoco, name), pilot = new Pilot(policyOf(policy), task);
+  return starts.map((start) => succeeds(task, pilot, start));
 }
 
-async function replay() {
-  const mujoco = await open();
-  const results = JSON.parse(readFileSync(0, "utf8")).map(({ name, policy, qpos, qvel, goal, actions }) => {
-    const task = new Task(mujoco, name);
-    task.place(Float32Array.from(qpos), Float32Array.from(qvel));
-    task.goal = goal.slice(0, 3);
-    const pilot = new Pilot(policyOf(policy), task), features = [task.features()], answers = [];
-    for (const action of actions) {
-      answers.push(pilot.policy.act(pilot.observation()));
-      pilot.remember(action);
-      task.step(action);
-      features.push(task.features());
-    }
-    const { start, startQpos } = task, last = { achieved: task.achieved(), distance: task.distance() };
-    task.delete();
-    return { start, startQpos: Array.from(startQpos), features, desired: task.desired(), answers, ...last };
-  });
-  console.log(JSON.stringify(results));
+function replay(mujoco, { task: name, policy, start, actions, asked }) {
+  const task = new Task(mujoco, name);
+  begin(task, start);
+  const pilot = new Pilot(policyOf(policy), task), observations = [pilot.observation()];
+  for (const action of actions) {
+    pilot.remember(action);
+    task.step(action);
+    observations.push(pilot.observation());
+  }
+  const { start: gripper, startQpos } = task, answers = asked.map((observation) => pilot.policy.act(observation));
+  return {
+    gripper, qpos: Array.from(startQpos), bounds: task.bounds, observations, answers,
+    achieved: task.achieved(), distance: task.distance(),
+  };
 }
 
-const [command, ...words] = process.argv.slice(2);
-await { evaluate, replay }[command](words);
+const mujoco = await open(), command = { evaluate, replay }[process.argv[2]];
+const results = JSON.parse(readFileSync(0, "utf8")).map((each) => command(mujoco, each));
+console.log(JSON.stringify(results));

@@ -13,7 +13,7 @@ const NUDGE = { cube: 1.1, puck: 0.35 }; // metres per second, after which the o
 const PULL = { stiffness: 500, damping: 60, most: 70 }; // of a pointer on an object: N/m, N s/m, N
 const LIMIT = 10; // metres, beyond which the simulation broke down
 const HINTS = {
-  reach: "Drag the red ball: the hand follows.",
+  reach: "Drag the red ball, or its ring on the table: the hand follows.",
   grasp: "Drag the cube over the table: the hand fetches it.",
   push: "Drag the red ring over the table: the hand pushes the cube there.",
   "pick-and-place": "Drag the red ball up, or its ring over the table: the hand brings the cube.",
@@ -194,8 +194,8 @@ class Page {
       : session.reached ? (session.task.kind.liftSteps ? "Holding it" : "At the target") : "On its way";
     status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
     find("standing").textContent = words;
-    find("distance").textContent = `${centimetres} cm`;
-    find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes` : "first episode";
+    find("distance").textContent = `${centimetres} cm from the target`;
+    find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes succeeded` : "First episode";
     const ended = session.success === null ? "" : session.success ? "Success." : "Missed.";
     if (find("news").textContent !== ended) find("news").textContent = ended; // read aloud once per episode
   }
@@ -252,13 +252,18 @@ class Page {
   }
 
   #connectKeys() {
-    // The camera looks along +y and -x, so that "away" and "right" on the screen are between these axes.
-    const moves = { ArrowUp: [-1, 0, 0], ArrowDown: [1, 0, 0], ArrowLeft: [0, -1, 0], ArrowRight: [0, 1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+    // To the right, away from the viewer, and up.
+    const moves = {
+      ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1],
+    };
     this.canvas.addEventListener("keydown", (event) => {
       const { task } = this.session, from = task.kind.target === "object" ? task.objectPosition() : task.goal;
       if (event.key === " ") this.setPaused(!this.paused);
-      else if (moves[event.key]) this.moveTarget(from.map((value, axis) => value + STEP * moves[event.key][axis]));
-      else return;
+      else if (moves[event.key]) {
+        const [right, away, up] = moves[event.key], { azimuth } = this.viewer.view, along = [Math.cos(azimuth), Math.sin(azimuth)];
+        const by = [along[0] * away + along[1] * right, along[1] * away - along[0] * right, up];
+        this.moveTarget(from.map((value, axis) => value + STEP * by[axis]));
+      } else return;
       event.preventDefault();
     });
   }

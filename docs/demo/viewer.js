@@ -10,12 +10,22 @@ const TOUCH_RADIUS = 34; // pixels around the target that count as touching it, 
 const RATIOS = { least: 0.4, most: 2 }; // drawn pixels per pixel of the page
 const SMOOTH = 1 / 40, SLOW = 1 / 33; // seconds per frame, between which the resolution stays as it is
 
+// Whether a processor draws in place of a graphics card: then smoothing costs more than a finer picture.
+function drawsInSoftware() {
+  const context = document.createElement("canvas").getContext("webgl");
+  const name = context?.getExtension("WEBGL_debug_renderer_info")?.UNMASKED_RENDERER_WEBGL;
+  const found = name ? context.getParameter(name) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(found);
+}
+
 export class Viewer {
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.isSoftware = drawsInSoftware();
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.isSoftware, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.shadowMap.type = this.isSoftware ? THREE.BasicShadowMap : THREE.PCFShadowMap;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(COLOURS.sky);
     this.scene.fog = new THREE.Fog(COLOURS.sky, 4, 8);
@@ -34,7 +44,7 @@ export class Viewer {
     sun.position.set(2.4, -0.6, 3.4);
     sun.target.position.set(1.1, 0.75, 0.4);
     sun.castShadow = true;
-    sun.shadow.mapSize.set(1024, 1024);
+    sun.shadow.mapSize.setScalar(this.isSoftware ? 512 : 1024);
     sun.shadow.radius = 3;
     sun.shadow.bias = -0.0006;
     sun.shadow.normalBias = 0.004;
@@ -47,8 +57,8 @@ export class Viewer {
 
   // The target: a ball with the zone of success around it, its foot on the table, and a stem between them.
   #addMark() {
-    const material = (opacity) => new THREE.MeshBasicMaterial({ transparent: opacity < 1, opacity, depthWrite: opacity === 1 });
-    const ball = new THREE.Mesh(new THREE.SphereGeometry(0.02, 24, 16), new THREE.MeshLambertMaterial());
+    const material = (opacity) => new THREE.MeshBasicMaterial({ transparent: true, opacity, depthTest: false }); // seen through the hand
+    const ball = new THREE.Mesh(new THREE.SphereGeometry(0.022, 24, 16), new THREE.MeshLambertMaterial());
     const zone = new THREE.Mesh(new THREE.SphereGeometry(0.05, 32, 20), material(0.16));
     const ring = new THREE.Mesh(new THREE.RingGeometry(0.046, 0.054, 48), material(0.9));
     const disc = new THREE.Mesh(new THREE.CircleGeometry(0.046, 48), material(0.18));
@@ -77,7 +87,7 @@ export class Viewer {
     this.scene.add(this.bodies);
     this.task = task;
     const far = task.name === "slide";
-    this.home = { azimuth: 2.37, elevation: -0.32, distance: far ? 2.9 : 2.2, centre: far ? [1.15, 0.72, 0.45] : [1.08, 0.68, 0.56] };
+    this.home = { azimuth: 2.3, elevation: -0.4, distance: far ? 2.6 : 2.15, centre: far ? [1.2, 0.72, 0.5] : [1.1, 0.69, 0.62] };
     this.lookHome();
   }
 
@@ -95,10 +105,15 @@ export class Viewer {
     const [red, green, blue] = material < 0 ? model.geom_rgba.subarray(4 * geom) : model.mat_rgba.subarray(4 * material);
     const colour = new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace);
     if (isFloor) colour.set(COLOURS.floor);
-    const mesh = new THREE.Mesh(shapes[type](), new THREE.MeshPhongMaterial({ color: colour, shininess: 40, specular: isFloor ? 0 : 0x222222 }));
+    const mesh = new THREE.Mesh(shapes[type](), this.#material(colour, isFloor));
     mesh.castShadow = !isFloor;
-    mesh.receiveShadow = true;
+    mesh.receiveShadow = !(isFloor && this.isSoftware); // most of the picture's pixels are the floor's
     return mesh;
+  }
+
+  #material(color, isFloor) {
+    if (isFloor || this.isSoftware) return new THREE.MeshLambertMaterial({ color });
+    return new THREE.MeshPhongMaterial({ color, shininess: 40, specular: 0x222222 });
   }
 
   lookHome() {
@@ -149,7 +164,7 @@ export class Viewer {
   #placeMark(reached) {
     const { ball, zone, ring, disc, stem } = this.mark, { kind } = this.task, table = 0.4015;
     const [x, y, z] = kind.target === "object" ? this.task.objectPosition() : this.task.goal;
-    const isHigh = !kind.object || kind.air;
+    const isHigh = !kind.object || Boolean(kind.air);
     for (const part of Object.values(this.mark)) {
       part.material.color.set(reached ? COLOURS.success : COLOURS.target);
       part.position.set(x, y, table);
