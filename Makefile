@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?= --seeds 8
 
-.PHONY: train test docs slow mutants lock clean
+.PHONY: train test docs demo slow mutants lock clean
 
 train: $(VENV)/.installed
 	$(BIN)/python experiments/run.py $(ARGS)
@@ -18,7 +18,12 @@ test: $(VENV)/.installed
 # Fills today's figures into the pages and builds them into .cache/site; any warning is an error.
 docs: $(VENV)/.installed
 	$(BIN)/python -m docs._generate.pages
+	-$(BIN)/python -m docs._generate.demo  # without Node.js the pages come without it
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # with --quiet it would count no warnings
+
+# Builds the page on which a browser simulates the tasks, in .cache/demo; needs Node.js and npm.
+demo: $(VENV)/.installed
+	$(BIN)/python -m docs._generate.demo
 
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow

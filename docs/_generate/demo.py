@@ -1,7 +1,8 @@
 """Builds the page on which a visitor's browser simulates the tasks and runs the trained policies: `make demo`.
 
-The sources are in `docs/demo`. MuJoCo's WebAssembly build and three.js come from npm, in the versions and with the hashes
-of `package-lock.json`. The folder that results, `.cache/demo`, is a static site that fetches nothing from elsewhere.
+The sources are in `docs/demo`. MuJoCo's WebAssembly build and three.js come from npm, in the versions and with the
+hashes of `package-lock.json`. The folder that results, `.cache/demo`, is a static site that fetches nothing from
+elsewhere.
 """
 
 import filecmp

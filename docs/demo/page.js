@@ -373,7 +373,7 @@ async function open() {
     status: () => {
       const { session, viewer } = page, { phase, success, episodes, successes } = session;
       const { task } = session, distance = task.distance(), { goal, bounds } = task;
-      return { phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated, ratio: viewer.ratio };
+      return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated, ratio: viewer.ratio };
     },
     pixel: (position) => page.viewer.project(position),
   };

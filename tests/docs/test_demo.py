@@ -102,8 +102,7 @@ def episodes(site):
         for policy, (start, observations, actions, _) in pythons.items()
     ]
     return {
-        policy: (pythons[policy], found)
-        for policy, found in zip(POLICIES, in_node(site, "replay", given), strict=True)
+        policy: (pythons[policy], found) for policy, found in zip(POLICIES, in_node(site, "replay", given), strict=True)
     }
 
 
@@ -159,3 +158,128 @@ def test_as_many_episodes_succeed_as_in_python(site, policy):
     (here,) = in_node(site, "evaluate", [{"task": task_of(policy), "policy": path_of(policy), "starts": starts}])
     print(f"{policy}: {np.mean(here):.3f} in Node, {there.mean():.3f} in Python")
     assert abs(np.mean(here) - there.mean()) <= 0.02
+
+
+def test_the_page_is_small(site):
+    files = [path for path in site.rglob("*") if path.is_file()]
+    assert sum(len(gzip.compress(path.read_bytes())) for path in files) < 5e6
+
+
+def test_what_is_missing_is_said_in_a_line(monkeypatch, tmp_path):
+    monkeypatch.setattr(demo.shutil, "which", lambda name: None)
+    with pytest.raises(SystemExit, match=r"^no demo was built: Node.js and npm are not installed$"):
+        demo.main()
+    monkeypatch.undo()
+    monkeypatch.setattr(demo, "PACKAGES", tmp_path)
+    failing = tmp_path / "npm"
+    failing.write_text("#!/bin/sh\necho 'npm error network' >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setattr(demo.shutil, "which", lambda name: str(failing))
+    with pytest.raises(SystemExit, match=r"^no demo was built: npm could not install .*: npm error network$"):
+        demo.main()
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture(scope="module")
+def browser(site):
+    """A browser and the address of the page."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if _BROWSER is None:
+        pytest.skip("chromium is not installed")
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(site)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with (
+        playwright.sync_playwright() as driver,
+        driver.chromium.launch(executable_path=_BROWSER, args=_FLAGS) as opened_browser,
+    ):
+        yield opened_browser, f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def visit(browser):
+    """Opens the page; at the end nothing must have gone wrong in it, or been asked for elsewhere."""
+    opened_browser, address = browser
+    pages, wrong = [], []
+
+    def visit(query="", **settings):
+        page = opened_browser.new_page(**settings)
+        pages.append(page)
+        page.set_default_timeout(_PATIENCE)
+        page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on(
+            "request", lambda request: None if request.url.startswith((address, "data:")) else wrong.append(request.url)
+        )
+        page.goto(f"{address}/{query}")
+        page.wait_for_selector("body[data-ready]")
+        return page
+
+    yield visit
+    for page in pages:
+        page.close()
+    assert wrong == []
+
+
+def goal_of(page):
+    return np.array(page.evaluate("demo.status().goal"))
+
+
+@pytest.mark.parametrize("task", TARGETS)
+def test_a_task_ends_in_success_at_the_target_of_a_visitor(visit, task):
+    page = visit(f"?task={task}", viewport={"width": 640, "height": 480})
+    page.evaluate(f"demo.setTarget({TARGETS[task]})")
+    np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)
+    page.wait_for_function("demo.status().success === true")
+    assert page.locator("#news").text_content() in ("", "Success.")  # a moment before the status
+    page.wait_for_function("document.getElementById('news').textContent === 'Success.'")
+    if task != "grasp":
+        assert page.evaluate("demo.status().distance") <= 0.05
+        np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)  # it stays where it was put
+
+
+def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
+    page = visit("?task=push", viewport={"width": 640, "height": 480}, reduced_motion="reduce")
+    assert page.get_by_role("button", name="Play").is_visible()  # nothing moves unasked
+    assert page.evaluate("demo.status().simulated") == 0
+    start, wanted = [1.25, 0.65, 0.425], [1.4, 0.8, 0.425]
+    page.evaluate(f"demo.setTarget({start})")
+    page.wait_for_timeout(300)
+    page.mouse.move(*page.evaluate(f"demo.pixel({start})"))
+    page.mouse.down()
+    page.mouse.move(*page.evaluate(f"demo.pixel({wanted})"), steps=8)
+    page.mouse.up()
+    np.testing.assert_allclose(goal_of(page), wanted, atol=0.003)
+    page.locator("canvas").focus()
+    before = goal_of(page)
+    page.keyboard.press("ArrowUp")
+    assert np.linalg.norm(goal_of(page) - before) == pytest.approx(0.02, abs=1e-3)
+    page.keyboard.press("PageUp")  # push has no goals in the air
+    assert goal_of(page)[2] == pytest.approx(0.425, abs=1e-3)
+    page.keyboard.press("Space")
+    page.wait_for_function("demo.status().simulated > 0.1")
+    page.get_by_role("button", name="Nudge the cube").click()
+    page.get_by_text("Slow motion").click()
+    page.get_by_role("radio", name="Reach").check(force=True)
+    page.wait_for_function("demo.status().task === 'reach'")
+    page.get_by_text("Robust policy").click()
+    page.wait_for_function("demo.status().simulated > 0.2")
+
+
+def test_a_finger_drags_the_ball_on_a_phone(visit):
+    page = visit("?task=reach", viewport={"width": 390, "height": 844}, has_touch=True, reduced_motion="reduce")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    start = goal_of(page)
+    x, y = page.evaluate(f"demo.pixel({start.tolist()})")
+    fingers = page.context.new_cdp_session(page)
+    for kind, height in [("touchStart", 0), *[("touchMove", 4 * step) for step in range(1, 9)], ("touchEnd", None)]:
+        points = [] if height is None else [{"x": x, "y": y - height}]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    page.wait_for_function(
+        f"demo.status().goal[2] > {start[2] + 0.02} || demo.status().goal[2] === demo.status().bounds[1][2]"
+    )
