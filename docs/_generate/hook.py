@@ -23,6 +23,8 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, name, abs_src_path=str(path)))
     for path in sorted(path for path in demo.SITE.rglob("*") if path.is_file()):
         name = f"demo/{path.relative_to(demo.SITE).as_posix()}"
+        if source := files.get_file_from_path(name):
+            files.remove(source)
         files.append(File.generated(config, name, abs_src_path=str(path), inclusion=InclusionLevel.INCLUDED))
     return files
 

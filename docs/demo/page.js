@@ -13,11 +13,11 @@ const NUDGE = { cube: 1.1, puck: 0.35 }; // metres per second, after which the o
 const PULL = { stiffness: 500, damping: 60, most: 70 }; // of a pointer on an object: N/m, N s/m, N
 const LIMIT = 10; // metres, beyond which the simulation broke down
 const HINTS = {
-  reach: "Drag the red ball, or its ring on the table: the hand follows.",
+  reach: "Drag the ball, or its ring on the table: the hand follows.",
   grasp: "Drag the cube over the table: the hand fetches it.",
-  push: "Drag the red ring over the table: the hand pushes the cube there.",
-  "pick-and-place": "Drag the red ball up, or its ring over the table: the hand brings the cube.",
-  slide: "Drag the red ring: the hand shoots the puck there. It does not always succeed.",
+  push: "Drag the ring over the table: the hand pushes the cube there.",
+  "pick-and-place": "Drag the ball up, or its ring over the table: the hand brings the cube.",
+  slide: "Drag the ring: the hand shoots the puck there. It does not always succeed.",
 };
 
 const find = (id) => document.getElementById(id);
@@ -153,7 +153,9 @@ class Page {
   }
 
   async setTask(name, robust = false) {
+    this.asked = `${name} ${robust}`;
     const policy = await this.#policy(robust ? `${name}-robust` : name);
+    if (this.asked !== `${name} ${robust}`) return; // meanwhile another was chosen
     this.session?.task.delete();
     const task = new Task(this.mujoco, name);
     this.session = new Session(task, policy, this.seed++);
