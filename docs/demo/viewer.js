@@ -28,7 +28,7 @@ export class Viewer {
     this.renderer.shadowMap.type = this.isSoftware ? THREE.BasicShadowMap : THREE.PCFShadowMap;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(COLOURS.sky);
-    this.scene.fog = new THREE.Fog(COLOURS.sky, 4, 8);
+    this.scene.fog = new THREE.Fog(COLOURS.sky);
     this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 30);
     this.camera.up.set(0, 0, 1);
     this.view = { azimuth: 0, elevation: 0, distance: 0, centre: new THREE.Vector3() };
@@ -87,7 +87,7 @@ export class Viewer {
     this.scene.add(this.bodies);
     this.task = task;
     const far = task.name === "slide";
-    this.home = { azimuth: 2.3, elevation: -0.4, distance: far ? 2.6 : 2.15, centre: far ? [1.2, 0.72, 0.5] : [1.1, 0.69, 0.62] };
+    this.home = { azimuth: 2.3, elevation: -0.4, distance: far ? 2.6 : 2.15, centre: far ? [1.22, 0.74, 0.44] : [1.1, 0.69, 0.62] };
     this.lookHome();
   }
 
@@ -139,6 +139,7 @@ export class Viewer {
     }
     this.camera.aspect = width / height;
     const away = distance * Math.max(1, 1.15 / this.camera.aspect); // a narrow window shows as much
+    Object.assign(this.scene.fog, { near: away + 1.8, far: away + 6 }); // behind the robot, however far the camera is
     const flat = Math.cos(elevation) * away;
     this.camera.position.set(
       centre.x - flat * Math.cos(azimuth), centre.y - flat * Math.sin(azimuth), centre.z - away * Math.sin(elevation),
