@@ -21,6 +21,8 @@ OptionsT = TypeVar("OptionsT")
 RENAMED = {"--likelihood": "--bc-weight"}
 """New names of the options that still have their old name, for one release."""
 
+_STDERR = 2  # the last of the standard streams' descriptors
+
 
 class _RefusedError(Exception):
     """The command line cannot be read; the message says why."""
@@ -107,9 +109,22 @@ def _choices(event: Any) -> list[str]:
     return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
 
 
+def open_standard_streams() -> None:
+    """Opens the null device for standard streams that are closed, as by `2>&-`.
+
+    Otherwise the next file that is opened, e.g. a checkpoint, is the stream to which libraries write their messages.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STDERR:  # the lowest that is free
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (as long as the process)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+
+
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
     """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal.signals`."""
+    open_standard_streams()
     with stop_in_one_line(program):
         try:
             yield
