@@ -149,6 +149,26 @@ with open("file", "w"):
     assert (tmp_path / "file").read_text() == ""
 
 
+A_USER_WITHOUT_AN_ENTRY = """
+import pwd
+def unknown(number):
+    raise KeyError(number)
+pwd.getpwuid = unknown
+"""
+
+
+def test_a_user_without_a_home_folder_has_help(tmp_path):
+    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    environment = kept | {"PYTHONPATH": SOURCES, "TMPDIR": str(tmp_path)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR")
+    words = [sys.executable, "-c", A_USER_WITHOUT_AN_ENTRY + A_COMMAND, "train", "--help"]
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("usage: hgail train")
+    assert done.stderr.count("\n") == 1 and "no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())  # a temporary cache is gone
+
+
 @pytest.mark.parametrize(
     ("arguments", "numbers"),
     [
