@@ -17,7 +17,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -49,10 +49,6 @@ class CEngine(Engine):
         super().__init__(model, period, substeps, worlds)
         self._host = HostRollout(self.model, substeps, usable_cores())
         self._name = f"rollout.{_digest(self.model)}.{substeps}"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Returns how it was made: threads, and their lock, can be neither pickled nor copied."""
-        return type(self), (self.model, self.period, self.substeps, 0)
 
     def step(self, state: StateT, control: Control) -> StateT:
         """Steps on the host, without use of the warm start; see `Engine`."""

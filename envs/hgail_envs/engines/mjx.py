@@ -75,7 +75,8 @@ class MjxEngine(Engine):
 
     def with_substeps(self, substeps: int) -> Self:
         """Returns an engine that shares the model's arrays and the buffers; see `Engine`."""
-        engine = copy.copy(self)
+        engine = object.__new__(type(self))
+        vars(engine).update(vars(self))
         engine.substeps = substeps
         engine.model = copy.copy(self.model)
         engine.model.opt.timestep = self.period / substeps
