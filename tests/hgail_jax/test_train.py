@@ -17,6 +17,7 @@ from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, S
 from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
+from hgail_jax.trainer.options import TrainOptions, plan
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")
@@ -286,3 +287,25 @@ def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source)
         jax.tree.map(np.testing.assert_array_equal, results[0], other)
     with_all = learnt(with_broken(fillings[1]).replace(valid=jnp.ones(8, bool)))
     assert not all(map(np.array_equal, jax.tree.leaves(results[1]), jax.tree.leaves(with_all)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"task": "point", "learner": "ppo"},
+        {"task": "point", "learner": "ppo", "method": "gasil"},
+        {"task": "point", "learner": "td3", "environment_reward": 0.5},
+        {"task": "slide", "impl": "c"},
+        {"task": "grasp", "impl": "c", "randomize": "full-history"},
+    ],
+    ids=lambda options: " ".join(map(str, options.values())),
+)
+def test_programs_are_traced_where_ranks_and_types_must_not_be_promoted(options):
+    """As under JAX_NUMPY_RANK_PROMOTION=raise and JAX_NUMPY_DTYPE_PROMOTION=strict."""
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        run = plan(TrainOptions(seeds=2, num_envs=4, iterations=1, **options), "cpu")
+        program = run.program()
+        states = jax.eval_shape(program.init)
+        one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], program.init()))
+        jax.eval_shape(functools.partial(train_step, run.env, run.config), one, program.phases()[0])
+        trace_evaluation(run.env, run.config, states, 4)

@@ -4,6 +4,7 @@ import shlex
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -201,6 +202,15 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
     monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main(["--task", "point", "--seeds", str(seeds), "--num-envs", str(envs), "--out", "run"])
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
+
+
+@pytest.mark.slow
+def test_a_run_promotes_no_ranks_or_types(in_folder):
+    """Under settings that forbid it, up to its policies and its curves."""
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        run.main(["--task", "point", "--seeds", "1", "--num-envs", "3", "--iterations", "1", "--out", "run"])
+    assert json.loads(Path("run/summary.json").read_text())["diverged_seeds"] == []
+    assert load_policy("run/policies/seed-0.npz")(np.zeros((2, 6))).shape == (2, 3)
 
 
 @pytest.mark.parametrize(("weight", "batch"), [(None, 512), (0.5, 512), (0.0, 0)])
