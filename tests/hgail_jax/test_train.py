@@ -75,10 +75,11 @@ def test_a_key_that_is_used_twice_is_noticed():
 
 
 class Telling(Point):
-    """A point that nothing moves. An episode's outcome says where it began, its goal, what for and how late."""
+    """A point that nothing moves. An outcome says where the episode began, its goal, what for, how late, how tested."""
 
     MEASURED, LEARNT_FROM = 0.25, 0.5
     progress = 1.0
+    lift_test_steps = 2
 
     def curriculum(self, progress):
         env = copy.copy(self)
@@ -99,7 +100,8 @@ class Telling(Point):
 
     def outcome(self, end, lifted):
         drawn, purpose, progress = end.info["desired_goal"]
-        return EpisodeMetrics(purpose, progress, 0.0, end.info["achieved_goal"][0], drawn)
+        tested = (lifted.info["step"] - end.info["step"]).astype(jnp.float32)
+        return EpisodeMetrics(purpose, progress, tested, end.info["achieved_goal"][0], drawn)
 
 
 # With one episode in a roll-out, the means over its episodes are that episode's own.
@@ -130,9 +132,11 @@ def test_learning_has_the_goals_and_the_progress_that_it_should_and_evaluations_
     metrics = scanned(config)[1]
     np.testing.assert_array_equal(metrics.evaluation.success, np.full(5, Telling.MEASURED))
     np.testing.assert_array_equal(metrics.evaluation.achieved, np.ones(5))
+    np.testing.assert_array_equal(metrics.evaluation.success_l1, np.full(5, Telling.lift_test_steps))
     pretrained = 1.0 if config.learner.pretrain else np.inf
     purpose = Telling.LEARNT_FROM if config.training_goals else Telling.MEASURED
     np.testing.assert_array_equal(metrics.training.success, purpose * np.array([pretrained, 1, 1, 1, 1]))
+    np.testing.assert_array_equal(metrics.training.success_l1[1:], np.zeros(4))
     # In each round one phase before the policy's update, and `discriminator_phases` after it.
     later = config.learner.discriminator_phases
     expected = np.arange(4) / 4 + later / (1 + later) / 4
@@ -234,6 +238,7 @@ def test_seeds_are_evaluated_in_whole_roll_outs_one_after_another_in_the_accurat
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
     measured = evaluate_seeds(env, config, states, 15)
     np.testing.assert_array_equal(measured.distance_l2, 1.0)
+    assert (measured.success_l1 > 0.0).all()  # by the lift test
     roll_out = jax.jit(lambda state, rng: rollout(env, make_policy(env, config, state, noise=0.0), rng, 2))
     for seed, key in enumerate(states.rng):
         state = jax.tree.map(lambda leaf, i=seed: leaf[i], states)
