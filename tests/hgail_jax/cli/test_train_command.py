@@ -134,6 +134,8 @@ def test_folders_are_numbered(in_folder, monkeypatch):
             "--no-standardize-reward changes nothing for the method gcsl",
         ),
         (["--method", "ppo", "--no-pretrain"], "--no-pretrain changes nothing for the method ppo"),
+        (["--method", "hgail-no", "--strategy", "final"], "--strategy changes nothing where p_ht is 0"),
+        (["--p-ht", "0", "--strategy", "final"], "--strategy changes nothing where p_ht is 0"),
         (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
         (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
         (["--substeps", "0"], "substeps is 0; it must be an integer from 4 to 20"),
