@@ -340,9 +340,13 @@ def test_a_stopped_run_says_how_far_it_is(saved, said):
 
 @pytest.mark.parametrize(
     ("per_seed", "said"),
-    [([0.9], "success 0.900, L1 distance"), ([0.8, 1.0], "success 0.900 ± 1.271 (worst seed 0.800), L1 distance")],
+    [
+        ([0.9], "success 0.900, L1 distance"),
+        ([0.8, 1.0], "success 0.900 (worst seed 0.800), L1 distance"),
+        ([0.8, 0.9, 1.0], "success 0.900 ± 0.248 (worst seed 0.800), L1 distance"),
+    ],
 )
-def test_one_seed_has_neither_an_interval_nor_a_worst(per_seed, said, tmp_path, capsys):
+def test_few_seeds_have_no_interval_and_one_has_no_worst(per_seed, said, tmp_path, capsys):
     measured = {"mean": 0.9, "std": 0.1, "per_seed": per_seed}
     summary = {
         "seeds": len(per_seed),
