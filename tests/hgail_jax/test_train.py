@@ -11,7 +11,7 @@ from hgail_envs import EpisodeMetrics
 from hgail_envs.point import Point
 from hgail_jax import Hyperparameters, env_steps, init_state, make_policy, phase_table, rollout, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.evaluate import whole_rollouts
+from hgail_jax.evaluate import mean_outcome, whole_rollouts
 from hgail_jax.learners import find_learner
 from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
@@ -157,6 +157,24 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
             drawn += [float(np.squeeze(episode.distance_l1)), float(np.squeeze(episode.distance_l2))]
     assert len(set(drawn)) == len(drawn) == 24
     assert 0.0 < min(drawn) < max(drawn) < 1.0
+
+
+def test_evaluations_are_of_the_mean_action_and_training_has_noise():
+    """Either is the roll-out that its key and its noise give alone."""
+    state = start(0, action_std=1.0)
+    keys = split_key(state.rng)
+
+    @jax.jit
+    def alone(rng, noise):
+        rollout_rng, _ = jax.random.split(rng)
+        episodes = rollout(ENV, make_policy(ENV, TINY, state, noise), rollout_rng, TINY.num_envs, noise > 0)
+        return mean_outcome(episodes).distance_l2
+
+    evaluation = unchecked_step(state, row(EVALUATE))[1].evaluation
+    training = unchecked_step(state, row(POLICY))[1].training
+    for measured, key, noise in ((evaluation, keys.evaluation, 0.0), (training, keys.phase, 1.0)):
+        np.testing.assert_allclose(measured.distance_l2, alone(key, noise), rtol=1e-5)
+    assert abs(alone(keys.evaluation, 1.0) - alone(keys.evaluation, 0.0)) > 0.01
 
 
 def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
