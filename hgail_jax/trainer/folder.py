@@ -204,6 +204,6 @@ def _announce(path: Path, restored: Checkpoint | None, rounds: int) -> None:
     elif restored.rounds <= rounds:
         print(f"{path} goes on after round {restored.rounds - 1} of {rounds}")
     elif (path / "summary.json").exists():
-        print(f"{path} is complete")
+        print(f"{path} is complete; without --resume another run begins")
     else:
         print(f"{path} has all its rounds; its results are written")

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import shlex
 import sys
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 
 from hgail_envs.engines.c import usable_cores
+from hgail_envs.randomization import LEVELS
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
+from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.options import plan
@@ -204,6 +207,42 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
     monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main(["--task", "point", "--seeds", str(seeds), "--num-envs", str(envs), "--out", "run"])
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
+
+
+HANDED_ON = {
+    "seeds": (3, lambda run: run.program().seeds),
+    "first_seed": (7, lambda run: run.program().first_seed),
+    "num_envs": (6, lambda run: run.program().config.num_envs),
+    "iterations": (5, lambda run: run.program().config.rounds),
+    "pretrain": (False, lambda run: run.config.learner.pretrain),
+    "impl": ("jax", lambda run: run.env.impl),
+    "substeps": (7, lambda run: run.env.substeps),
+    "randomize": ("mild", lambda run: next(name for name in LEVELS if LEVELS[name] == run.env.randomization)),
+    "task_options": (("observation=official",), lambda run: tuple("=".join(one) for one in run.task_options.items())),
+    "p_ht": (0.25, lambda run: run.hyperparameters.p_ht),
+    "strategy": ("final", lambda run: list(STRATEGIES)[run.hyperparameters.strategy]),
+    "reward": ("r3", lambda run: list(REWARDS)[run.hyperparameters.reward]),
+    "standardize_reward": (False, lambda run: run.hyperparameters.standardize_reward),
+    "environment_reward": (0.75, lambda run: run.hyperparameters.environment_reward),
+    "bc_weight": (0.125, lambda run: run.hyperparameters.bc_weight),
+    "action_std": ((0.5,), lambda run: (run.hyperparameters.action_std,)),
+    "checkpoint_every": (4, lambda run: run.checkpoint_every),
+    "evaluate_every": (3, lambda run: run.program().evaluate_every),
+    "evaluation_episodes": (9, lambda run: run.evaluation_episodes),
+    "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
+}
+"""An option's value, which is no default, and where a run has it."""
+ELSEWHERE = {"task", "method", "learner", "preset", "demos", "devices", "out", "resume"}
+"""Options with tests of their own."""
+
+
+def test_every_option_is_handed_on():
+    assert {field.name for field in dataclasses.fields(TrainOptions)} == HANDED_ON.keys() | ELSEWHERE
+    others = {"task": "push", "learner": "ppo"}
+    plain = plan(TrainOptions(**others), "cpu")
+    for name, (value, found) in HANDED_ON.items():
+        assert found(plan(TrainOptions(**others, **{name: value}), "cpu")) == value, name
+        assert name == "randomize" or found(plain) != value, name
 
 
 @pytest.mark.slow
