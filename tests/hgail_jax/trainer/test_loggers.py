@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import glob
 import json
+import os
 import struct
 import sys
 import time
@@ -87,7 +88,8 @@ def wandb_history(folder):
     from wandb.proto.wandb_internal_pb2 import Record
 
     runs = {}
-    for path in sorted(glob.glob(f"{folder}/wandb/offline-run-*/run-*.wandb")):
+    # A run that goes on within a second has the first folder's name, and "-1".
+    for path in sorted(glob.glob(f"{folder}/wandb/offline-run-*/run-*.wandb"), key=os.path.dirname):
         rows = runs.setdefault(Path(path).stem.removeprefix("run-"), [])
         for data in blocks(path):
             record = Record.FromString(data)

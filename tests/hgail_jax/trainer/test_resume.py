@@ -1,5 +1,6 @@
 """Runs that are stopped, killed or broken, and go on as if nothing had happened."""
 
+import contextlib
 import csv
 import json
 import os
@@ -143,13 +144,22 @@ def test_a_round_that_was_measured_but_not_saved_is_in_the_table_once(tmp_path, 
 
 
 def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, capsys, whole):
+    stops, stop_on_signal = [], run.stop_on_signal
+
+    @contextlib.contextmanager
+    def stop_is_known(*arguments):
+        with stop_on_signal(*arguments) as stop:
+            stops.append(stop)
+            yield stop
+
     def terminate(result):
         os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.0)  # for the thread that watches
+        assert stops[0].wait(60)  # for the thread that watches
         return result
 
     handlers = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
     with monkeypatch.context() as patch:
+        patch.setattr(run, "stop_on_signal", stop_is_known)
         fail_in_round(patch, 1, terminate)
         start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
     shown = capsys.readouterr()
