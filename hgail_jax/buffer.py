@@ -115,7 +115,8 @@ def draw(
     episode = jax.random.randint(episode_rng, (count,), 0, jnp.minimum(buffer.added, held))
     step = jax.random.randint(step_rng, (count,), 0, length)
     pursued = buffer.desired[episode, step]
-    share = kind_share(env, buffer.desired[:, :-1], jnp.broadcast_to(buffer.valid[:, None], (held, length)))
+    valid = buffer.valid.astype(jnp.float32)
+    share = kind_share(env, buffer.desired[:, :-1], jnp.broadcast_to(valid[:, None], (held, length)))
     counts = count_kinds(env.goal_kind(buffer.achieved), env.goal_kinds)
     last = jnp.minimum(step + most_ahead, length)
     first = step + jnp.where(hyper.include_current, 0, 1)
@@ -129,5 +130,5 @@ def draw(
         action=buffer.action[episode, step],
         next_observation=env.goal_observation(following, goal),
         reached=env.goal_test(following, buffer.achieved[episode, step + 1], goal),
-        weight=buffer.valid[episode] * jnp.where(chosen & solved, hyper.solved_weight, 1.0),
+        weight=valid[episode] * jnp.where(chosen & solved, hyper.solved_weight, 1.0),
     )

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from hgail_envs._platform import promotion
+
 
 def descend(
     optimizer: optax.GradientTransformation,
@@ -34,7 +36,8 @@ def descend(
     def step(carry: tuple[Any, optax.OptState], minibatch: Any) -> tuple[tuple[Any, optax.OptState], Any]:
         params, optimizer_state = carry
         gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
-        update, optimizer_state = optimizer.update(gradient, optimizer_state)
+        with promotion():  # of optax, whose bias correction has a whole number as exponent
+            update, optimizer_state = optimizer.update(gradient, optimizer_state)
         params = optax.apply_updates(params, jax.tree.map(lambda leaf: -learning_rate * leaf, update))
         return (params, optimizer_state), metrics
 

@@ -25,8 +25,8 @@ def measured_mean(values: jax.Array, measured: jax.Array) -> jax.Array:
     It is not NaN there, so that `jax_debug_nans` finds only what is wrong.
     """
     measured = measured & jnp.isfinite(values)
-    count = measured.sum()
-    return jnp.where(count > 0, jnp.where(measured, values, 0.0).sum() / jnp.maximum(count, 1), jnp.inf)
+    count = measured.sum().astype(values.dtype)
+    return jnp.where(count > 0, jnp.where(measured, values, 0.0).sum() / jnp.maximum(count, 1.0), jnp.inf)
 
 
 def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) -> EpisodeMetrics:

@@ -79,9 +79,9 @@ def _draw_future(rng: jax.Array, first: jax.Array, kind: jax.Array, kind_share: 
       kind_share: `[K]`.
 
     """
-    ahead = jnp.arange(len(kind)) >= first[:, None]
-    states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 1.0)
-    weight = jnp.where(ahead, kind_share[kind] / states_of_kind[:, kind], 0.0)
+    ahead = jnp.arange(len(kind))[None] >= first[:, None]
+    states_of_kind = jnp.maximum(ahead.astype(jnp.float32) @ jax.nn.one_hot(kind, len(kind_share)), 1.0)
+    weight = jnp.where(ahead, kind_share[kind][None] / states_of_kind[:, kind], 0.0)
     rngs = jax.random.split(rng, len(first))
     return jax.vmap(lambda rng, weight: jax.random.choice(rng, len(kind), p=weight))(rngs, weight)
 
@@ -128,7 +128,7 @@ def draw_source(
         return jnp.take_along_axis(array, kind[:, None], axis=-1)[:, 0]
 
     number = of_kind(ahead)
-    rank = of_kind(before) + jnp.minimum((state_uniform * number).astype(jnp.int32), number - 1)
+    rank = of_kind(before) + jnp.minimum((state_uniform * number.astype(jnp.float32)).astype(jnp.int32), number - 1)
 
     def halve(_: jax.Array, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = bounds  # the state is at least `low` and at most `high`

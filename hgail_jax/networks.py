@@ -48,4 +48,5 @@ def dense_layers(params: Any) -> list[tuple[jax.Array, ...]]:
 
 def gaussian_log_prob(action: jax.Array, mean: jax.Array, std: jax.Array | float) -> jax.Array:
     """Log-density of actions, `[..., action_size]`, under N(mean, std² I): `[...]`."""
-    return jnp.sum(-0.5 * jnp.square((action - mean) / std) - jnp.log(std) - _LOG_SQRT_2PI, axis=-1)
+    std, log_std = (jnp.broadcast_to(of_all, action.shape) for of_all in (std, jnp.log(std)))
+    return jnp.sum(-0.5 * jnp.square((action - mean) / std) - log_std - _LOG_SQRT_2PI, axis=-1)

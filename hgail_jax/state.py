@@ -9,6 +9,7 @@ import optax
 from brax.training.acme import running_statistics
 from flax import struct
 
+from hgail_envs._platform import promotion
 from hgail_jax.config import Hyperparameters
 
 MAX_NORMALIZED = 5.0
@@ -34,14 +35,16 @@ class TrainState(struct.PyTreeNode):
 
     def normalize(self, observation: jax.Array) -> jax.Array:
         """Standardises observations, `[..., observation_size]`, and clips them to ±5."""
-        return running_statistics.normalize(observation, self.statistics, max_abs_value=MAX_NORMALIZED)
+        with promotion():
+            return running_statistics.normalize(observation, self.statistics, max_abs_value=MAX_NORMALIZED)
 
     def count(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
         """Counts observations, `[S, observation_size]`, into the statistics by `weight`, `[S]`.
 
         Where observations are not to be standardised the statistics stay at mean 0 and standard deviation 1.
         """
-        counted = running_statistics.update(self.statistics, observation, weights=weight)
+        with promotion():
+            counted = running_statistics.update(self.statistics, observation, weights=weight)
         kept = functools.partial(jnp.where, self.hyperparameters.standardize_observation)
         return self.replace(statistics=jax.tree.map(kept, counted, self.statistics))
 

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import os
 import resource
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,12 @@ def four_devices():
     """Returns the environment of a process in which XLA makes four devices of one processor."""
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"
     return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": SOURCES}
+
+
+def free_port():
+    """Returns a port that no other process is given for a while, as tests of another process look for one too."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]
 
 
 @contextlib.contextmanager

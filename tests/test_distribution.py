@@ -34,6 +34,9 @@ step = jax.jit(functools.partial(train_step, env, config))
 for phases in phase_table(config):
     state, metrics = step(state, phases)
 print(metrics.evaluation.success, metrics.diverged)
+
+from hgail_jax.io.provenance import provenance
+print(provenance()["commit"])
 """
 
 
@@ -54,12 +57,16 @@ def test_a_wheel_holds_two_packages_and_nothing_else(wheel):
 
 
 def test_a_project_with_folders_of_the_same_names_trains_with_it(wheel, tmp_path):
-    site, project = tmp_path / "site", tmp_path / "project"
+    project = tmp_path / "project"
+    site = project / ".venv" / "site"
     wheel.extractall(site)
     for name in FOLDERS:
         (project / name).mkdir(parents=True)
         (project / name / "__init__.py").write_text('OF = "this project"\n')
     (project / "train.py").write_text(TRAINS)
+    of_the_user = ["git", "-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init"], ["add", "train.py"], ["commit", "-m", "first"]):
+        subprocess.run([*of_the_user, *words], cwd=project, check=True, capture_output=True)
     done = subprocess.run(
         [sys.executable, "train.py"],
         cwd=project,
@@ -68,12 +75,13 @@ def test_a_project_with_folders_of_the_same_names_trains_with_it(wheel, tmp_path
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    *found, velocities, measured = done.stdout.splitlines()
+    *found, velocities, measured, commit = done.stdout.splitlines()
     assert found == [f"{site}/hgail_jax/__init__.py", f"{site}/hgail_envs/__init__.py", f"{site}/hgail_envs/assets"]
     assert velocities == "13"
     success, diverged = map(float, measured.split())
     assert 0.0 <= success <= 1.0
     assert diverged == 0.0
+    assert commit == "None"  # HEAD is another project's
 
 
 def test_the_citation_has_the_version_and_the_changelog_its_date():

@@ -3,6 +3,7 @@
 import csv
 import functools
 import json
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -222,7 +223,8 @@ def run_means(run: str) -> list[float]:
 
 def of_seeds(rate: Row) -> str:
     """Mean of a summary's rate and its 95 % interval, as `success` of a table's row."""
-    return plus_minus(rate["mean"], float(confidence_interval(rate["per_seed"])))
+    half = float(confidence_interval(rate["per_seed"]))
+    return plus_minus(rate["mean"], half if math.isfinite(half) else None)
 
 
 def ended(run: str) -> str:

@@ -6,7 +6,7 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import jax
 import jaxlib.version
@@ -97,6 +97,13 @@ def import_mujoco() -> None:
         mujoco.GLContext = importlib.reload(mujoco.rendering.classic.gl_context).GLContext  # type: ignore[attr-defined]
     except Exception as error:  # those of PyOpenGL and ctypes are of many kinds
         rendering_fault = f"MUJOCO_GL={chosen} does not work: {error}"
+
+
+@contextlib.contextmanager
+def promotion() -> Iterator[None]:
+    """Lets lines of a library promote ranks and types where the user's settings of JAX forbid it in all programs."""
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        yield
 
 
 def prepare() -> None:

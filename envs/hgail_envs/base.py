@@ -49,9 +49,9 @@ class TrainingDefaults:
 class GoalEnv(Env):
     """A task in which a state must be brought to a goal within `episode_length` steps.
 
-    It has brax's `reset` and `step`, so any brax trainer can drive it, and a goal interface from which hindsight can
-    rebuild an observation for another goal without stepping. Everything here is for a single environment; batches
-    come from `jax.vmap`. `P` below is the task's own physics state, any pytree.
+    It has brax's `reset` and `step`, so that brax's ES and ARS can train on it (PPO, SAC and APG of brax 0.14.2 need an
+    older JAX), and a goal interface from which hindsight can rebuild an observation for another goal without stepping.
+    All is for a single environment; batches come from `jax.vmap`. `P` below is the task's physics state, any pytree.
 
     A task sets the five class attributes without a value and implements the five abstract methods; the others have
     defaults. Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.

@@ -1,6 +1,7 @@
 """Wraps a task so that each of its episodes is randomised: robot, object, sensors and start differ."""
 
 import copy
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -59,10 +60,9 @@ class RandomizedEnv(GoalEnv):
                 setattr(self, name, getattr(task, name))
         self._history_size = randomization.history * (task.action_size + task.feature_size)
         self.feature_size = self._history_size + task.feature_size
-        self.controllers = {name: self._without_history(act) for name, act in task.controllers.items()}  # type: ignore[misc]
-
-    def _without_history(self, controller: Controller) -> Controller:
-        return lambda observation: controller(observation[..., self._history_size :])
+        self.controllers = {  # type: ignore[misc]
+            name: functools.partial(_act_now, act, self._history_size) for name, act in task.controllers.items()
+        }
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
         sizes, task = self.randomization, self.task
@@ -257,6 +257,11 @@ def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
             raise ValueError(f"unknown randomize {randomization!r}; choose from {', '.join(LEVELS)}")
         randomization = LEVELS[randomization]
     return task if randomization == Randomization() else RandomizedEnv(task, randomization)
+
+
+def _act_now(controller: Controller, history_size: int, observation: jax.Array) -> jax.Array:
+    """Returns a controller's action on an observation without its history."""
+    return controller(observation[..., history_size:])
 
 
 def _between(bounds: Range, uniform: jax.Array) -> jax.Array:

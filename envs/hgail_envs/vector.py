@@ -61,12 +61,24 @@ class GoalVectorEnv(VectorEnv):
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._step = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
-        self._split = jax.jit(lambda keys: jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0))
-        self._success = jax.jit(env.success)
         self._keys: jax.Array | None = None
         self._state: State | None = None
         self._steps = 0
+        self._define_programs()
+
+    def _define_programs(self) -> None:
+        self._reset, self._step = jax.jit(jax.vmap(self.env.reset)), jax.jit(jax.vmap(self.env.step))
+        self._split = jax.jit(lambda keys: jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0))
+        self._success = jax.jit(self.env.success)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what a pickle or a copy is made of: all but the programs, which are compiled again."""
+        programs = ("_reset", "_step", "_split", "_success")
+        return {name: value for name, value in vars(self).items() if name not in programs}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._define_programs()
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hgail_jax.cli.command_line import user_cache
 from hgail_jax.io.provenance import own_command
 
 SUCCESS = {"reach": 0.98}
@@ -98,8 +99,7 @@ def train(
     The run's cache of programs is `programs`, that of MuJoCo Warp's kernels `kernels` or the user's.
     """
     environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
-    own_cache = Path(environment.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH", own_cache / "warp"))
+    environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH") or user_cache() / "warp")
     environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
     command = [*_TRAIN, *arguments, "--out", str(folder)]
     subprocess.run(command, check=True, env=environment, preexec_fn=_end_with_parent)

@@ -15,7 +15,7 @@ from hgail_envs.validation import MOST_SEED, check_count
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import write_csv, write_json
 from hgail_jax.io.provenance import provenance
-from hgail_jax.trainer.folder import create_folder, next_folder
+from hgail_jax.trainer.folder import create_folder, create_numbered_folder
 from hgail_jax.trainer.options import unless_given
 
 _PROGRAM = "localisation"
@@ -54,7 +54,6 @@ def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     both = Train | Evaluate  # tyro makes subcommands of a union
     options: Train | Evaluate = parse(both, _PROGRAM, __doc__, arguments)  # type: ignore[arg-type]
-    folder = options.out or next_folder(Path("runs"), "localisation")
     try:
         check_count("seed", options.seed, least=0, most=MOST_SEED)
         if isinstance(options, Train):
@@ -64,7 +63,9 @@ def main(arguments: list[str] | None = None) -> None:
             check_count("scenes", options.scenes)
             load_detector(options.weights or WEIGHTS)
         Studio().close()  # raises before anything is written if MuJoCo cannot render
-        create_folder(folder)
+        folder = options.out or create_numbered_folder(Path("runs"), "localisation")
+        if options.out:
+            create_folder(folder)
     except (ValueError, OSError, RuntimeError) as error:
         fail(_PROGRAM, error, 2)
     print(folder, flush=True)

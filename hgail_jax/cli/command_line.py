@@ -1,9 +1,12 @@
 """Command lines: options by tyro, mistakes in one line, compiled programs in a cache."""
 
+import atexit
 import contextlib
 import gc
 import os
+import shutil
 import sys
+import tempfile
 import typing
 import warnings
 from collections.abc import Iterable, Iterator
@@ -20,6 +23,8 @@ OptionsT = TypeVar("OptionsT")
 
 RENAMED = {"--likelihood": "--bc-weight"}
 """New names of the options that still have their old name, for one release."""
+
+_STDERR = 2  # the last of the standard streams' descriptors
 
 
 class _RefusedError(Exception):
@@ -107,9 +112,22 @@ def _choices(event: Any) -> list[str]:
     return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
 
 
+def open_standard_streams() -> None:
+    """Opens the null device for standard streams that are closed, as by `2>&-`.
+
+    Otherwise the next file that is opened, e.g. a checkpoint, is the stream to which libraries write their messages.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STDERR:  # the lowest that is free
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (as long as the process)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+
+
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
     """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal.signals`."""
+    open_standard_streams()
     with stop_in_one_line(program):
         try:
             yield
@@ -141,15 +159,36 @@ def fail(program: str, message: object, code: int) -> NoReturn:
     raise SystemExit(code)
 
 
+def user_cache() -> Path:
+    """Returns the folder of the user's caches; one for this process alone, and a line, if there is none to write to.
+
+    Libraries then have their caches in that one, too.
+    """
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
+        why = f"{folder} cannot be written to"
+    except RuntimeError:
+        why = "this user has no home folder"
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}"
+    folder = Path(tempfile.mkdtemp(prefix="hgail-cache-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["XDG_CACHE_HOME"] = str(folder)
+    print(f"compiled programs are not kept: {why}; XDG_CACHE_HOME may name a folder for them", file=sys.stderr)
+    return folder
+
+
 def prepare_process() -> None:
     """Lets a user's process find the tasks in its working folder, and the programs that it compiled before.
 
     JAX keeps programs that took a second to compile; most programs of a run take less.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hgail_jax"
-    wanted = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.1}
-    for name, value in wanted.items():
-        if name not in os.environ:  # which JAX has read
-            jax.config.update(name.lower(), value)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # which JAX has read
+        jax.config.update("jax_compilation_cache_dir", str(user_cache() / "hgail_jax"))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     gc.freeze()  # the collector need not search the 200,000 objects of the imports again and again
     sys.path.insert(0, os.getcwd())  # as `python -m` does; a console command has its own folder there instead

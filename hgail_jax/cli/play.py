@@ -59,6 +59,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         _check(options)
         task = _default_task(options.policy) if options.task is None else options.task
+        _check_scene(task, options.policy)
         if options.web:
             _serve(options, task)
             return
@@ -118,6 +119,16 @@ def _default_task(path: Path | None) -> str:
     return task
 
 
+def _check_scene(task: str, path: Path | None) -> None:
+    """Refuses a task without a scene, before anything else; the policy's file, if one is named, goes with no other."""
+    if hgail_envs.find_class(task).scene is None:
+        played = ", ".join(name for name in hgail_envs.TASKS if _shipped(name))
+        instead = (
+            f"choose from {played}" if path is None else f"{path} plays no other; without --policy choose from {played}"
+        )
+        raise ValueError(f"task {task!r} has no scene to show; {instead}")
+
+
 def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
     """Returns the task and the policy, and prints the policy's file and the level of the randomisation.
 
@@ -128,13 +139,10 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
       **physics: options of the task, where it takes them.
 
     Raises:
-      ValueError: the task has no scene, or the policy is not for it.
+      ValueError: the policy is not for the task, or none comes with the package.
       OSError: the policy's file cannot be read.
 
     """
-    if hgail_envs.find_class(task).scene is None:
-        shown = [name for name in hgail_envs.TASKS if hgail_envs.find_class(name).scene]
-        raise ValueError(f"task {task!r} has no scene to show; choose from {', '.join(shown)}")
     path = path or _shipped(task, level)
     if path is None:
         raise ValueError(f"no policy of {task} comes with the package; name one by --policy")

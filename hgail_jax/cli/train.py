@@ -174,13 +174,13 @@ def _report(summary: dict[str, Any], folder: Path) -> None:
 
 
 def _mean(rate: dict[str, Any]) -> str:
-    """Returns a mean over seeds and, of several, the 95 % interval around it.
+    """Returns a mean over seeds and, from three on, the 95 % interval around it.
 
-    >>> _mean({"mean": 0.5, "per_seed": [0.4, 0.6]}), _mean({"mean": 0.5, "per_seed": [0.5]})
-    ('0.500 ± 1.271', '0.500')
+    >>> _mean({"mean": 0.5, "per_seed": [0.4, 0.5, 0.6]}), _mean({"mean": 0.5, "per_seed": [0.4, 0.6]})
+    ('0.500 ± 0.248', '0.500')
     """
-    interval = f" ± {confidence_interval(np.array(rate['per_seed'])):.3f}" if len(rate["per_seed"]) > 1 else ""
-    return f"{rate['mean']:.3f}{interval}"
+    half = float(confidence_interval(np.array(rate["per_seed"])))
+    return f"{rate['mean']:.3f}" + (f" ± {half:.3f}" if np.isfinite(half) else "")
 
 
 if __name__ == "__main__":

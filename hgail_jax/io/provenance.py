@@ -26,6 +26,7 @@ _PACKAGES = (
     "numpy",
     "warp-lang",
 )
+_ROOT = Path(__file__).parents[2]  # of a checkout
 
 
 def own_command() -> str:
@@ -52,12 +53,23 @@ def command_of(words: list[str]) -> str:
 
 @functools.cache
 def _commit() -> str | None:
-    """Returns the commit of this checkout, with "-dirty" if files differ; None without git."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"]
+    """Returns the commit of this project's own checkout, with "-dirty" if files differ; None elsewhere, or without git.
+
+    A repository around an installed package, or one that has a copy of it, is another project's.
+    """
+    module = "hgail_jax/io/provenance.py"
     try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        if _git("ls-files", "--full-name", "--", module) != module:
+            return None
+        if 'name = "hgail-jax"' not in (_ROOT / "pyproject.toml").read_text():
+            return None
+        return _git("describe", "--always", "--dirty", "--abbrev=7", "--exclude=*")
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", "-C", str(_ROOT), *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def provenance(*packages: str) -> dict:

@@ -70,7 +70,8 @@ class PPOLearner(Learner):
         def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
             mean = apply(network, state.learner.actor_critic["policy"], state.normalize(observation))
             of_all = mean.shape if axis is None else (len(mean) * jax.lax.axis_size(axis), env.action_size)
-            action = mean + noise * std * local_shard(jax.random.normal(rng, of_all), axis)
+            spread = noise * jnp.broadcast_to(std, mean.shape)
+            action = mean + spread * local_shard(jax.random.normal(rng, of_all), axis)
             return action, gaussian_log_prob(action, mean, std)
 
         return policy

@@ -57,7 +57,7 @@ def policy_loss(
     clipped = jnp.clip(ratio, 1.0 - clip_ratio, 1.0 + clip_ratio)
     return PolicyLoss(
         loss=-weighted_mean(jnp.minimum(ratio * advantage, clipped * advantage), weight),
-        clip_fraction=weighted_mean(jnp.abs(ratio - 1.0) > clip_ratio, weight),
+        clip_fraction=weighted_mean((jnp.abs(ratio - 1.0) > clip_ratio).astype(ratio.dtype), weight),
         kl=weighted_mean(ratio - 1.0 - log_ratio, weight),
     )
 

@@ -13,6 +13,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
+from hgail_envs._platform import promotion
 from hgail_jax.buffer import Transitions, add_episodes, draw
 from hgail_jax.config import RELABELLED, TD3, Config, Hyperparameters
 from hgail_jax.devices.sharding import local_shard
@@ -212,7 +213,7 @@ def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
     """
     logits = discriminate(config, state.discriminator, state.normalize(drawn.observation), drawn.action)
     weight = state.hyperparameters.environment_reward
-    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * (drawn.reached - 1.0)
+    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * (drawn.reached.astype(logits.dtype) - 1.0)
 
 
 def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
@@ -226,14 +227,14 @@ def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
 
     def critic_loss(critics: Any, batch: _Batch, target: jax.Array) -> tuple[jax.Array, jax.Array]:
         value = values(critics, batch.observation, batch.action)
-        return jnp.mean(batch.weight * jnp.square(value - target), axis=-1).sum(), value
+        return jnp.mean(batch.weight[None] * jnp.square(value - target[None]), axis=-1).sum(), value
 
     def actor_loss(params: Any, critics: Any, batch: _Batch, value: jax.Array) -> jax.Array:
         preactivation = apply(actor, params, batch.observation)
         action = jnp.tanh(preactivation)
         gained = values(critics, batch.observation, action).mean(axis=0)
         loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
-        better = (value.mean(axis=0) > jax.lax.stop_gradient(gained)) * batch.weight
+        better = jnp.where(value.mean(axis=0) > jax.lax.stop_gradient(gained), batch.weight, 0.0)
         cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
         return loss + hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
 
@@ -265,7 +266,8 @@ def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
 
 
 def _descend(rate: jax.Array, params: Any, optimizer: Any, gradient: Any) -> tuple[Any, Any]:
-    update, optimizer = optax.scale_by_adam().update(gradient, optimizer)
+    with promotion():
+        update, optimizer = optax.scale_by_adam().update(gradient, optimizer)
     scaled = jax.tree.map(lambda leaf: -rate * leaf, update)
     return optax.apply_updates(params, scaled), optimizer
 

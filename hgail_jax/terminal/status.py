@@ -1,6 +1,7 @@
 """The status of a run: on a terminal one line that is rewritten each second, in a log file plain lines."""
 
 import contextlib
+import io
 import os
 import sys
 import threading
@@ -29,7 +30,7 @@ class StatusLine:
 
     def __init__(self, text: str, stream: TextIO | None = None) -> None:
         self._text = text
-        self._stream = stream or sys.stderr
+        self._stream = stream or sys.stderr or io.StringIO()  # a process without a terminal may have no stderr
         self._silent = not is_first_process()
         self._bar: tqdm | None = None
         self._over = threading.Event()
@@ -95,7 +96,7 @@ def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) ->
       **options: tqdm's.
 
     """
-    stream = file or sys.stderr
+    stream = file or sys.stderr or io.StringIO()
     columns = rows = 0
     with contextlib.suppress(OSError, AttributeError):  # it is no terminal, or none of the system's
         columns, rows = os.get_terminal_size(stream.fileno())

@@ -22,9 +22,21 @@ _RUNS = Path("runs")
 _NAME_ANOTHER = "name another folder, or none to have one numbered"
 
 
-def next_folder(parent: Path, stem: str) -> Path:
-    """Returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
-    return parent / f"{stem}-{1 + max(_numbers(parent, stem), default=0)}"
+def create_numbered_folder(parent: Path, stem: str) -> Path:
+    """Makes and returns `parent/stem-N` for the smallest N from 1 that is larger than any there already.
+
+    Raises:
+      ValueError: it cannot be made.
+
+    """
+    while True:
+        path = parent / f"{stem}-{1 + max(_numbers(parent, stem), default=0)}"
+        try:
+            create_folder(path)
+            return path
+        except ValueError:
+            if not path.exists():  # else a run that began at the same moment has this number
+                raise
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
@@ -143,7 +155,7 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
         unwanted = held.enter_context(silent_but_first())
         refusal: Exception | None = None
         try:
-            path, goes_on = (unwanted, False) if unwanted is not None else _choose(run, out, resume)
+            path, goes_on = _choose(run, unwanted or out, resume if unwanted is None else None)
             folder = _open(run, path, goes_on, held)
         except (ValueError, OSError) as error:
             refusal = error
@@ -153,12 +165,15 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
 
 
 def _choose(run: Run, out: Path | str | None, resume: Path | str | None) -> tuple[Path, bool]:
-    """Returns the run's folder, and whether it is there already, to be gone on with."""
+    """Returns the run's folder, and whether it is that of a run that goes on; if not, it is made."""
     stem = f"{run.task.split(':')[-1]}-{run.method}"
     resumed = newest_folder(_RUNS, stem) if resume == "auto" else resume
     if resumed is not None:
         return Path(resumed), True
-    return Path(out) if out else next_folder(_RUNS, stem), False
+    if not out:
+        return create_numbered_folder(_RUNS, stem), False
+    create_folder(Path(out))
+    return Path(out), False
 
 
 def _open(run: Run, path: Path, goes_on: bool, held: contextlib.ExitStack) -> RunFolder:
@@ -166,8 +181,6 @@ def _open(run: Run, path: Path, goes_on: bool, held: contextlib.ExitStack) -> Ru
     restored = None
     if goes_on:
         reopen_folder(path, run.identity())
-    else:
-        create_folder(path)
     held.enter_context(sole_user(path))
     if goes_on:
         restored = checkpoints.restore(jax.eval_shape(run.program().init))
@@ -191,6 +204,6 @@ def _announce(path: Path, restored: Checkpoint | None, rounds: int) -> None:
     elif restored.rounds <= rounds:
         print(f"{path} goes on after round {restored.rounds - 1} of {rounds}")
     elif (path / "summary.json").exists():
-        print(f"{path} is complete")
+        print(f"{path} is complete; without --resume another run begins")
     else:
         print(f"{path} has all its rounds; its results are written")

@@ -222,8 +222,8 @@ def check_loggers(names: str) -> tuple[str, ...]:
 def scalars(record: Record, first_seed: int) -> dict[str, float]:
     """Returns the measurements of a round by name, as dashboards group them.
 
-    A value of each seed becomes `name/seed-0` and so on, with `name/mean` and, of several seeds, `name/interval_low`
-    and `name/interval_high`: the 95 % interval of the mean by Student's t.
+    A value of each seed becomes `name/seed-0` and so on, with `name/mean` and, from three seeds on,
+    `name/interval_low` and `name/interval_high`: the 95 % interval of the mean by Student's t.
     """
     found: dict[str, float] = {}
     for name, values in record.items():
@@ -234,8 +234,8 @@ def scalars(record: Record, first_seed: int) -> dict[str, float]:
         found |= {f"{name}/seed-{first_seed + seed}": value for seed, value in enumerate(values) if value is not None}
         if known.size:
             found[f"{name}/mean"] = float(known.mean())
-        if known.size > 1:
-            half = float(confidence_interval(known))
+        half = float(confidence_interval(known)) if known.size else np.nan
+        if np.isfinite(half):
             found |= {f"{name}/interval_low": found[f"{name}/mean"] - half}
             found |= {f"{name}/interval_high": found[f"{name}/mean"] + half}
     return found

@@ -147,6 +147,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     _refuse_without_effect(options, learner)
     preset = METHODS[options.method].apply(task_preset(_find(options.task), platform, options.preset, learner))
     preset = _with_options(options, preset)
+    if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
+        raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     task_options = dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size

@@ -8,10 +8,11 @@ from scipy import special  # scipy.stats takes a quarter of a second to import, 
 
 _RESAMPLES = 5000
 _TRIMMED = 0.25  # off either end
+_FEWEST = 3  # values that have an interval
 
 
 class Estimate(NamedTuple):
-    """A number and the 95 % interval around it; the bounds are NaN with one seed."""
+    """A number and the 95 % interval around it; the bounds are NaN with fewer than three seeds."""
 
     value: float
     low: float
@@ -19,14 +20,16 @@ class Estimate(NamedTuple):
 
 
 def confidence_interval(values: np.ndarray, axis: int = -1) -> np.ndarray:
-    """Returns half the width of the 95 % interval of the mean by Student's t; NaN where n is 1.
+    """Returns half the width of the 95 % interval of the mean by Student's t; NaN of fewer than three values.
+
+    Of two it would be nine times as wide as they are apart.
 
     >>> round(float(confidence_interval(np.array([1.0, 2.0, 3.0]))), 3)
     2.484
     """
     values = np.asarray(values, float)
     count = values.shape[axis]
-    if count < 2:
+    if count < _FEWEST:
         return np.full(values.mean(axis=axis).shape, np.nan)
     return special.stdtrit(count - 1, 0.975) * values.std(axis=axis, ddof=1) / np.sqrt(count)
 
@@ -80,7 +83,7 @@ def _bootstrap(statistic: Callable[..., Any], samples: tuple[np.ndarray, ...]) -
 
     samples = tuple(np.asarray(sample, float) for sample in samples)
     value = float(statistic(*samples, axis=-1))
-    if min(len(sample) for sample in samples) < 2:
+    if min(len(sample) for sample in samples) < _FEWEST:
         return Estimate(value, np.nan, np.nan)
     found = stats.bootstrap(
         samples, statistic, n_resamples=_RESAMPLES, vectorized=True, method="percentile", rng=np.random.default_rng(0)

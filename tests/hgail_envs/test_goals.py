@@ -1,5 +1,7 @@
 """Starts, steps, goals and outcomes of the tasks, against plain NumPy."""
 
+import contextlib
+import importlib
 import inspect
 
 import jax
@@ -424,3 +426,29 @@ def test_an_action_of_another_shape_is_refused_where_it_would_broadcast(action):
     env = hgail_envs.make("point")
     with pytest.raises(ValueError, match=r"an action has the shape .*; it must be \(3,\)"):
         env.step(env.reset(jax.random.key(0)), action)
+
+
+BRAX_S_TRAINERS = {
+    "es": {"num_timesteps": 800, "population_size": 4},
+    "ars": {"num_timesteps": 800, "number_of_directions": 4, "top_directions": 2},
+    "apg": {"policy_updates": 2, "horizon_length": 5, "num_envs": 4},
+    "sac": {"num_timesteps": 400, "num_envs": 4, "batch_size": 16, "min_replay_size": 50, "max_replay_size": 1000},
+    "ppo": {"num_timesteps": 2000, "num_envs": 4, "batch_size": 4, "num_minibatches": 1, "num_updates_per_batch": 1},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BRAX_S_TRAINERS)
+def test_brax_s_trainers_train_on_it_as_far_as_they_run_on_this_jax(name):
+    """As `GoalEnv` says."""
+    train = importlib.import_module(f"brax.training.agents.{name}.train").train
+    sizes, measured = {"episode_length": 50, "num_evals": 2, "num_eval_envs": 4}, []
+
+    def progress(steps, metrics):
+        measured.append(float(metrics["eval/episode_reward"]))
+
+    needs_older = name in ("apg", "sac", "ppo") and not hasattr(jax, "device_put_replicated")
+    with pytest.raises(AttributeError) if needs_older else contextlib.nullcontext():
+        train(environment=hgail_envs.make("point"), progress_fn=progress, **sizes, **BRAX_S_TRAINERS[name])
+    assert bool(measured) != needs_older
+    assert all(-50.0 <= reward <= 0.0 for reward in measured)

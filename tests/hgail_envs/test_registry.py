@@ -1,8 +1,15 @@
+import copy
+import pickle
+
+import jax
+import mujoco
 import numpy as np
 import pytest
 
 import hgail_envs
 from hgail_envs.engines import ENGINES
+from hgail_envs.randomization import Randomization
+from hgail_envs.randomized import randomize
 from hgail_envs.scenes import load_scene
 
 
@@ -61,3 +68,52 @@ def test_pictures_change_no_dynamics(scene):
     np.testing.assert_array_equal(physics.body_mass, pictures.body_mass)
     np.testing.assert_array_equal(physics.body_inertia, pictures.body_inertia)
     assert physics.npair == pictures.npair
+
+
+def tasks_on_all_engines():
+    """Yields each task on each engine that there is here, and randomised."""
+    for task in hgail_envs.TASKS:
+        for impl in ENGINES if hgail_envs.accepted_options(task) else (None,):
+            try:
+                env = hgail_envs.make(task, **({} if impl is None else {"impl": impl, "substeps": 5, "worlds": 7}))
+            except ValueError:  # no Warp here, or no such collisions on MJX-JAX
+                continue
+            yield env
+            yield env.reference_physics()
+            yield randomize(env, Randomization(delay=(0, 2), robot_noise=0.001, history=2))
+
+
+def pickled(value):
+    return pickle.loads(pickle.dumps(value))
+
+
+def content(model):
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+@pytest.mark.parametrize("duplicate", [pickled, copy.deepcopy])
+def test_every_task_can_be_pickled_and_copied_on_every_engine(duplicate):
+    names = []
+    for env in tasks_on_all_engines():
+        env.success_threshold = 0.123
+        same = duplicate(env)
+        assert same is not env and type(same) is type(env)
+        for name in ("impl", "substeps", "max_worlds", "success_threshold", "observation_size", "randomization"):
+            assert getattr(same, name, None) == getattr(env, name, None)
+        assert list(same.controllers) == list(env.controllers)
+        one, other = (getattr(getattr(env, "task", env), "engine", None) for env in (env, same))
+        if one is not None:
+            assert one is not other and one.model is not other.model
+            assert content(one.model) == content(other.model)
+        names.append(f"{type(env).__name__} {getattr(env, 'impl', None)}")
+    assert {"Point None", "Reach c", "Reach jax", "Slide c", "RandomizedEnv c", "RandomizedEnv None"} <= set(names)
+
+
+def test_a_copy_of_a_task_goes_the_same_way():
+    env = hgail_envs.make("reach", impl="c", substeps=5)
+    state = env.reset(jax.random.key(0))
+    expected = jax.jit(env.step)(state, np.ones(4))
+    again = jax.jit(pickled(env).step)(pickled(state), np.ones(4))
+    jax.tree.map(np.testing.assert_array_equal, expected, again)

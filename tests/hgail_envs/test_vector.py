@@ -1,5 +1,8 @@
 """The vector environment against Gymnasium's checker, its own vectorisation of single environments, and the task."""
 
+import copy
+import pickle
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -199,3 +202,18 @@ def test_actions_are_finite_numbers(action):
     vector.reset(seed=0)
     with pytest.raises(ValueError, match="not all actions are finite numbers"):
         vector.step(np.full((NUM_ENVS, 3), action))
+
+
+@pytest.mark.parametrize("duplicate", [lambda value: pickle.loads(pickle.dumps(value)), copy.deepcopy])
+def test_a_pickled_or_copied_one_goes_on_within_the_episode_by_itself(duplicate):
+    ours, action = GoalVectorEnv(Point(), NUM_ENVS), np.ones((NUM_ENVS, 3))
+    assert duplicate(ours).num_envs == NUM_ENVS  # before it is reset
+    ours.reset(seed=7)
+    ours.step(action)
+    theirs = duplicate(ours)
+    for _ in range(Point.episode_length + 1):  # with the reset
+        (observation, *_), (other, *_) = ours.step(action), theirs.step(action)
+        same(observation, other)
+    theirs.step(action)
+    ours.env.success_threshold = 0.5
+    assert theirs.env.success_threshold == Point.success_threshold

@@ -11,12 +11,13 @@ from hgail_envs import EpisodeMetrics
 from hgail_envs.point import Point
 from hgail_jax import Hyperparameters, env_steps, init_state, make_policy, phase_table, rollout, train_step
 from hgail_jax.config import BEST, RELABELLED
-from hgail_jax.evaluate import whole_rollouts
+from hgail_jax.evaluate import mean_outcome, whole_rollouts
 from hgail_jax.learners import find_learner
 from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
+from hgail_jax.trainer.options import TrainOptions, plan
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")
@@ -74,10 +75,11 @@ def test_a_key_that_is_used_twice_is_noticed():
 
 
 class Telling(Point):
-    """A point that nothing moves. An episode's outcome says where it began, its goal, what for and how late."""
+    """A point that nothing moves. An outcome says where the episode began, its goal, what for, how late, how tested."""
 
     MEASURED, LEARNT_FROM = 0.25, 0.5
     progress = 1.0
+    lift_test_steps = 2
 
     def curriculum(self, progress):
         env = copy.copy(self)
@@ -98,7 +100,8 @@ class Telling(Point):
 
     def outcome(self, end, lifted):
         drawn, purpose, progress = end.info["desired_goal"]
-        return EpisodeMetrics(purpose, progress, 0.0, end.info["achieved_goal"][0], drawn)
+        tested = (lifted.info["step"] - end.info["step"]).astype(jnp.float32)
+        return EpisodeMetrics(purpose, progress, tested, end.info["achieved_goal"][0], drawn)
 
 
 # With one episode in a roll-out, the means over its episodes are that episode's own.
@@ -129,9 +132,11 @@ def test_learning_has_the_goals_and_the_progress_that_it_should_and_evaluations_
     metrics = scanned(config)[1]
     np.testing.assert_array_equal(metrics.evaluation.success, np.full(5, Telling.MEASURED))
     np.testing.assert_array_equal(metrics.evaluation.achieved, np.ones(5))
+    np.testing.assert_array_equal(metrics.evaluation.success_l1, np.full(5, Telling.lift_test_steps))
     pretrained = 1.0 if config.learner.pretrain else np.inf
     purpose = Telling.LEARNT_FROM if config.training_goals else Telling.MEASURED
     np.testing.assert_array_equal(metrics.training.success, purpose * np.array([pretrained, 1, 1, 1, 1]))
+    np.testing.assert_array_equal(metrics.training.success_l1[1:], np.zeros(4))
     # In each round one phase before the policy's update, and `discriminator_phases` after it.
     later = config.learner.discriminator_phases
     expected = np.arange(4) / 4 + later / (1 + later) / 4
@@ -152,6 +157,24 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
             drawn += [float(np.squeeze(episode.distance_l1)), float(np.squeeze(episode.distance_l2))]
     assert len(set(drawn)) == len(drawn) == 24
     assert 0.0 < min(drawn) < max(drawn) < 1.0
+
+
+def test_evaluations_are_of_the_mean_action_and_training_has_noise():
+    """Either is the roll-out that its key and its noise give alone."""
+    state = start(0, action_std=1.0)
+    keys = split_key(state.rng)
+
+    @jax.jit
+    def alone(rng, noise):
+        rollout_rng, _ = jax.random.split(rng)
+        episodes = rollout(ENV, make_policy(ENV, TINY, state, noise), rollout_rng, TINY.num_envs, noise > 0)
+        return mean_outcome(episodes).distance_l2
+
+    evaluation = unchecked_step(state, row(EVALUATE))[1].evaluation
+    training = unchecked_step(state, row(POLICY))[1].training
+    for measured, key, noise in ((evaluation, keys.evaluation, 0.0), (training, keys.phase, 1.0)):
+        np.testing.assert_allclose(measured.distance_l2, alone(key, noise), rtol=1e-5)
+    assert abs(alone(keys.evaluation, 1.0) - alone(keys.evaluation, 0.0)) > 0.01
 
 
 def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
@@ -233,6 +256,7 @@ def test_seeds_are_evaluated_in_whole_roll_outs_one_after_another_in_the_accurat
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
     measured = evaluate_seeds(env, config, states, 15)
     np.testing.assert_array_equal(measured.distance_l2, 1.0)
+    assert (measured.success_l1 > 0.0).all()  # by the lift test
     roll_out = jax.jit(lambda state, rng: rollout(env, make_policy(env, config, state, noise=0.0), rng, 2))
     for seed, key in enumerate(states.rng):
         state = jax.tree.map(lambda leaf, i=seed: leaf[i], states)
@@ -286,3 +310,25 @@ def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source)
         jax.tree.map(np.testing.assert_array_equal, results[0], other)
     with_all = learnt(with_broken(fillings[1]).replace(valid=jnp.ones(8, bool)))
     assert not all(map(np.array_equal, jax.tree.leaves(results[1]), jax.tree.leaves(with_all)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"task": "point", "learner": "ppo"},
+        {"task": "point", "learner": "ppo", "method": "gasil"},
+        {"task": "point", "learner": "td3", "environment_reward": 0.5},
+        {"task": "slide", "impl": "c"},
+        {"task": "grasp", "impl": "c", "randomize": "full-history"},
+    ],
+    ids=lambda options: " ".join(map(str, options.values())),
+)
+def test_programs_are_traced_where_ranks_and_types_must_not_be_promoted(options):
+    """As under JAX_NUMPY_RANK_PROMOTION=raise and JAX_NUMPY_DTYPE_PROMOTION=strict."""
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        run = plan(TrainOptions(seeds=2, num_envs=4, iterations=1, **options), "cpu")
+        program = run.program()
+        states = jax.eval_shape(program.init)
+        one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], program.init()))
+        jax.eval_shape(functools.partial(train_step, run.env, run.config), one, program.phases()[0])
+        trace_evaluation(run.env, run.config, states, 4)

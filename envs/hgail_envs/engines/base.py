@@ -64,6 +64,10 @@ class Engine(abc.ABC):
         self.model = copy.copy(model)  # the task's keeps its time step
         self.model.opt.timestep = period / substeps
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies an engine by how it was made: threads, locks and libraries' own models are made anew."""
+        return type(self), (self.model, self.period, self.substeps, self.max_worlds or 0)
+
     @abc.abstractmethod
     def step(self, state: StateT, control: Control) -> StateT:
         """Returns the state after an action, `substeps` physics steps under one control.

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
+from hgail_envs._platform import promotion
 from hgail_envs.engines.base import Control, Engine, StateT
 from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
 
@@ -18,7 +19,7 @@ from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
 @jax.jit  # traced once, whatever loops and batches it is then run in
 def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Takes a physics step in full single precision: by default GPUs round factors of matrix products to ten bits."""
-    with jax.default_matmul_precision("highest"):
+    with jax.default_matmul_precision("highest"), promotion():
         return mjx.step(model, data)
 
 
@@ -75,7 +76,8 @@ class MjxEngine(Engine):
 
     def with_substeps(self, substeps: int) -> Self:
         """Returns an engine that shares the model's arrays and the buffers; see `Engine`."""
-        engine = copy.copy(self)
+        engine = object.__new__(type(self))
+        vars(engine).update(vars(self))
         engine.substeps = substeps
         engine.model = copy.copy(self.model)
         engine.model.opt.timestep = self.period / substeps

@@ -186,9 +186,9 @@ class FetchEnv(GoalEnv):
         scores, opened = drawn[1:], drawn[0]
         postures, model = self._postures(shift), self._scene_model
         if model.has_object:
-            away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]]
+            away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]][None]
             # Scores are below 1, so that each posture that is far enough is ahead of each that is not.
-            scores = scores + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE)
+            scores = scores + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE).astype(scores.dtype)
         chosen = jnp.argmax(scores)
         qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
         qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)

@@ -87,7 +87,10 @@ class Slide(Push):
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns 0 for the gripper's goals, 1 to 15 for the puck's by field of the table, and 16 elsewhere."""
-        of_any_object, offset = super().goal_kind(goal), goal[..., :2] - self.initial_gripper_position[:2]
-        band, column = (jnp.searchsorted(jnp.array(at), offset[..., axis]) for axis, at in enumerate((_AHEAD, _ASIDE)))
+        of_any_object, start = super().goal_kind(goal), self.initial_gripper_position
+        offsets = (goal[..., axis] - start[axis] for axis in (0, 1))
+        band, column = (
+            jnp.searchsorted(jnp.array(at), offset) for at, offset in zip((_AHEAD, _ASIDE), offsets, strict=True)
+        )
         field = 1 + band * (len(_ASIDE) + 1) + column
         return jnp.select([of_any_object == 0, of_any_object == 1], [0, field], self.goal_kinds - 1)

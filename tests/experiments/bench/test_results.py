@@ -65,8 +65,8 @@ def test_a_run_finds_only_the_programs_that_it_is_given(tmp_path, monkeypatch):
 
     monkeypatch.setattr("subprocess.run", run)
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "the user's")
-    monkeypatch.setenv("XDG_CACHE_HOME", "/home/user/.cache")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
     environment, _ = train(tmp_path, [], tmp_path / "programs")
     assert environment["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "programs")
-    assert environment["WARP_CACHE_PATH"] == "/home/user/.cache/warp"
+    assert environment["WARP_CACHE_PATH"] == str(tmp_path / "cache" / "warp")

@@ -19,6 +19,13 @@ def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision():
     assert program.count("precision=(Precision.HIGH") == program.count("dot_general[") > 100
 
 
+def test_mjx_s_promotions_are_allowed_where_others_are_not():
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        env = hgail_envs.make("grasp", impl="jax")
+        state = jax.eval_shape(env.reset, jax.random.key(0))
+        jax.eval_shape(env.step, state, jax.ShapeDtypeStruct((4,), np.float32))
+
+
 def test_buffers_hold_what_mjx_jax_allots():
     """MJX-JAX has a row for whatever could be in contact, with four points for a pair of boxes instead of eight."""
     for task in ("reach", "grasp", "push"):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import jax
 import pytest
 
-from hgail_jax.cli.command_line import parse, prepare_process
+from hgail_jax.cli.command_line import parse, prepare_process, user_cache
 from hgail_jax.trainer.options import unless_given
 
 
@@ -60,12 +60,13 @@ def test_a_value_that_cannot_be_read_is_said_with_its_option(capsys, words, said
 @pytest.mark.parametrize(
     ("of_user", "set_here"),
     [
-        ({}, {"jax_compilation_cache_dir": "/cache/hgail_jax", "jax_persistent_cache_min_compile_time_secs": 0.1}),
+        ({}, {"jax_compilation_cache_dir": "cache/hgail_jax", "jax_persistent_cache_min_compile_time_secs": 0.1}),
         ({"JAX_COMPILATION_CACHE_DIR": "/mine", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "2"}, {}),
     ],
 )
-def test_what_the_user_says_of_jax_s_cache_holds(monkeypatch, of_user, set_here):
-    monkeypatch.setenv("XDG_CACHE_HOME", "/cache")
+def test_what_the_user_says_of_jax_s_cache_holds(monkeypatch, tmp_path, of_user, set_here):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
     for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
         monkeypatch.delenv(name, raising=False)
     for name, value in of_user.items():
@@ -76,3 +77,53 @@ def test_what_the_user_says_of_jax_s_cache_holds(monkeypatch, of_user, set_here)
     prepare_process()
     assert changed == set_here
     assert sys.path == [os.getcwd(), "elsewhere"]
+
+
+@pytest.fixture
+def no_home(monkeypatch, tmp_path):
+    """A user without a home folder, and the folder of temporary files, which is empty."""
+
+    def unknown(number):
+        raise KeyError(f"getpwuid(): uid not found: {number}")
+
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    return tmp_path / "temporary"
+
+
+def test_without_a_home_folder_the_cache_is_temporary_and_a_line_says_so(no_home, capsys, monkeypatch):
+    at_the_end = []
+    monkeypatch.setattr("atexit.register", lambda call, *words, **options: at_the_end.append((call, words, options)))
+    folder = user_cache()
+    assert folder.parent == no_home and folder.is_dir()
+    assert capsys.readouterr().err == (
+        "compiled programs are not kept: this user has no home folder; XDG_CACHE_HOME may name a folder for them\n"
+    )
+    assert user_cache() == folder  # and Warp's, which reads the same variable
+    assert capsys.readouterr().err == ""
+    ((call, words, options),) = at_the_end
+    call(*words, **options)
+    assert not list(no_home.iterdir())
+
+
+def test_without_a_home_folder_the_cache_is_in_the_folder_that_a_variable_names(no_home, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(no_home / "mine"))
+    assert user_cache() == no_home / "mine"
+    assert capsys.readouterr().err == ""
+
+
+def test_a_home_folder_that_cannot_be_made_is_as_none(no_home, capsys, monkeypatch):
+    (no_home / "file").touch()
+    monkeypatch.setenv("HOME", str(no_home / "file"))
+    assert user_cache().name.startswith("hgail-cache-")
+    assert capsys.readouterr().err.startswith(f"compiled programs are not kept: {no_home}/file/.cache: Not a directory")
+
+
+def test_a_cache_that_cannot_be_written_to_is_as_none(no_home, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(no_home))
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere, so no mode of a folder would do
+    assert user_cache().name.startswith("hgail-cache-")
+    assert f"not kept: {no_home} cannot be written to" in capsys.readouterr().err

@@ -1,7 +1,9 @@
 """The console command, and what all its commands share."""
 
 import importlib.metadata
+import json
 import os
+import shlex
 import subprocess
 import sys
 
@@ -104,6 +106,67 @@ def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the
     assert done.stdout.startswith("3 episodes of test:Near: return 0.0")  # wherever it is, it is near enough
     assert (tmp_path / "near.npz").exists()
     assert list((tmp_path / "cache" / "hgail_jax").iterdir())
+
+
+A_COMMAND = """
+import sys
+from hgail_jax.cli import main
+from tests.support import make_runs_tiny
+make_runs_tiny()
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize(
+    ("closed", "out", "err"),
+    [("2>&-", "success ", ""), (">&-", "", "compiling "), ("<&- >&- 2>&-", "", "")],
+)
+def test_a_training_needs_no_standard_streams(tmp_path, closed, out, err):
+    words = [sys.executable, "-c", A_COMMAND, "train", "--task", "point", "--seeds", "1", "--iterations", "1"]
+    environment = os.environ | {"PYTHONPATH": SOURCES}
+    line = f"{shlex.join(words)} {closed}"
+    done = subprocess.run(line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert out in done.stdout and (out or not done.stdout)
+    assert err in done.stderr and (err or not done.stderr)
+    folder = tmp_path / "runs" / "point-hgail-1"
+    names = {"config.json", "metrics.csv", "summary.json", "curves.png", "policies", "checkpoints"}
+    assert {path.name for path in folder.iterdir()} == names
+    assert json.loads((folder / "summary.json").read_text())["seeds"] == 1
+
+
+def test_a_file_does_not_take_the_place_of_a_closed_stream(tmp_path):
+    """Else the messages that libraries write to descriptor 2 would go into it."""
+    script = """
+import os
+from hgail_jax.cli.command_line import open_standard_streams
+open_standard_streams()
+with open("file", "w"):
+    os.write(2, b"a message")
+"""
+    line = f"{shlex.join([sys.executable, '-c', script])} <&- >&- 2>&-"
+    subprocess.run(line, shell=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": SOURCES}, check=True)
+    assert (tmp_path / "file").read_text() == ""
+
+
+A_USER_WITHOUT_AN_ENTRY = """
+import pwd
+def unknown(number):
+    raise KeyError(number)
+pwd.getpwuid = unknown
+"""
+
+
+def test_a_user_without_a_home_folder_has_help(tmp_path):
+    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    environment = kept | {"PYTHONPATH": SOURCES, "TMPDIR": str(tmp_path)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR")
+    words = [sys.executable, "-c", A_USER_WITHOUT_AN_ENTRY + A_COMMAND, "train", "--help"]
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("usage: hgail train")
+    assert done.stderr.count("\n") == 1 and "no home folder" in done.stderr
+    assert not list(tmp_path.iterdir())  # a temporary cache is gone
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,9 @@ from hgail_jax.play.playback import Playback, film
 from tests.hgail_jax.terminal.test_status import Terminal
 from tests.support import ROOT, SOURCES
 
+PLAYED = "reach, grasp, push, pick-and-place, slide"
+"""Tasks whose policies come with the package."""
+
 
 def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
     env = hgail_envs.make("grasp")
@@ -90,7 +93,13 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
     [
         (["--episodes", "0"], "episodes is 0; it must be at least 1"),
         (["--seed", "-1"], "seed is -1; it must be at least 0"),
-        (["--task", "point"], "task 'point' has no scene to show; choose from reach, grasp"),
+        (["--task", "point"], f"task 'point' has no scene to show; choose from {PLAYED}\n"),
+        (["--task", "point", "--web"], f"task 'point' has no scene to show; choose from {PLAYED}\n"),
+        (["--task", "point", "--out", "none/film.mp4"], "task 'point' has no scene to show; choose from"),
+        (
+            ["--task", "point", "--policy", "mine.npz"],
+            f"mine.npz plays no other; without --policy choose from {PLAYED}",
+        ),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "hgail play: there is no file none.npz"),
         (["--episodes", "many"], "'many' is not a whole number"),

@@ -1,15 +1,19 @@
 import csv
+import dataclasses
 import json
 import shlex
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from hgail_envs.engines.c import usable_cores
+from hgail_envs.randomization import LEVELS
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
+from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.options import plan
@@ -133,6 +137,8 @@ def test_folders_are_numbered(in_folder, monkeypatch):
             "--no-standardize-reward changes nothing for the method gcsl",
         ),
         (["--method", "ppo", "--no-pretrain"], "--no-pretrain changes nothing for the method ppo"),
+        (["--method", "hgail-no", "--strategy", "final"], "--strategy changes nothing where p_ht is 0"),
+        (["--p-ht", "0", "--strategy", "final"], "--strategy changes nothing where p_ht is 0"),
         (["--p-ht", "nan"], "p_ht is nan; it must be from 0 to 1"),
         (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
         (["--substeps", "0"], "substeps is 0; it must be an integer from 4 to 20"),
@@ -201,6 +207,51 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
     monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main(["--task", "point", "--seeds", str(seeds), "--num-envs", str(envs), "--out", "run"])
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
+
+
+HANDED_ON = {
+    "seeds": (3, lambda run: run.program().seeds),
+    "first_seed": (7, lambda run: run.program().first_seed),
+    "num_envs": (6, lambda run: run.program().config.num_envs),
+    "iterations": (5, lambda run: run.program().config.rounds),
+    "pretrain": (False, lambda run: run.config.learner.pretrain),
+    "impl": ("jax", lambda run: run.env.impl),
+    "substeps": (7, lambda run: run.env.substeps),
+    "randomize": ("mild", lambda run: next(name for name in LEVELS if LEVELS[name] == run.env.randomization)),
+    "task_options": (("observation=official",), lambda run: tuple("=".join(one) for one in run.task_options.items())),
+    "p_ht": (0.25, lambda run: run.hyperparameters.p_ht),
+    "strategy": ("final", lambda run: list(STRATEGIES)[run.hyperparameters.strategy]),
+    "reward": ("r3", lambda run: list(REWARDS)[run.hyperparameters.reward]),
+    "standardize_reward": (False, lambda run: run.hyperparameters.standardize_reward),
+    "environment_reward": (0.75, lambda run: run.hyperparameters.environment_reward),
+    "bc_weight": (0.125, lambda run: run.hyperparameters.bc_weight),
+    "action_std": ((0.5,), lambda run: (run.hyperparameters.action_std,)),
+    "checkpoint_every": (4, lambda run: run.checkpoint_every),
+    "evaluate_every": (3, lambda run: run.program().evaluate_every),
+    "evaluation_episodes": (9, lambda run: run.evaluation_episodes),
+    "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
+}
+"""An option's value, which is no default, and where a run has it."""
+ELSEWHERE = {"task", "method", "learner", "preset", "demos", "devices", "out", "resume"}
+"""Options with tests of their own."""
+
+
+def test_every_option_is_handed_on():
+    assert {field.name for field in dataclasses.fields(TrainOptions)} == HANDED_ON.keys() | ELSEWHERE
+    others = {"task": "push", "learner": "ppo"}
+    plain = plan(TrainOptions(**others), "cpu")
+    for name, (value, found) in HANDED_ON.items():
+        assert found(plan(TrainOptions(**others, **{name: value}), "cpu")) == value, name
+        assert name == "randomize" or found(plain) != value, name
+
+
+@pytest.mark.slow
+def test_a_run_promotes_no_ranks_or_types(in_folder):
+    """Under settings that forbid it, up to its policies and its curves."""
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        run.main(["--task", "point", "--seeds", "1", "--num-envs", "3", "--iterations", "1", "--out", "run"])
+    assert json.loads(Path("run/summary.json").read_text())["diverged_seeds"] == []
+    assert load_policy("run/policies/seed-0.npz")(np.zeros((2, 6))).shape == (2, 3)
 
 
 @pytest.mark.parametrize(("weight", "batch"), [(None, 512), (0.5, 512), (0.0, 0)])
@@ -328,9 +379,13 @@ def test_a_stopped_run_says_how_far_it_is(saved, said):
 
 @pytest.mark.parametrize(
     ("per_seed", "said"),
-    [([0.9], "success 0.900, L1 distance"), ([0.8, 1.0], "success 0.900 ± 1.271 (worst seed 0.800), L1 distance")],
+    [
+        ([0.9], "success 0.900, L1 distance"),
+        ([0.8, 1.0], "success 0.900 (worst seed 0.800), L1 distance"),
+        ([0.8, 0.9, 1.0], "success 0.900 ± 0.248 (worst seed 0.800), L1 distance"),
+    ],
 )
-def test_one_seed_has_neither_an_interval_nor_a_worst(per_seed, said, tmp_path, capsys):
+def test_few_seeds_have_no_interval_and_one_has_no_worst(per_seed, said, tmp_path, capsys):
     measured = {"mean": 0.9, "std": 0.1, "per_seed": per_seed}
     summary = {
         "seeds": len(per_seed),

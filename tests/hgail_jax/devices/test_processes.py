@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -13,18 +12,12 @@ import pytest
 
 from hgail_jax.cli import train
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
-from tests.support import SOURCES, TINY_RUN, make_runs_tiny
+from tests.support import SOURCES, TINY_RUN, free_port, make_runs_tiny
 
 SIZES = ["--seeds", "1", "--num-envs", "4"]
 
 JOB = 4096 * 7 + os.getpid() % 4096
 """A Slurm job's number, from which JAX derives the port; another one in another process."""
-
-
-def free_port():
-    with socket.socket() as listener:
-        listener.bind(("localhost", 0))
-        return listener.getsockname()[1]
 
 
 def start(folder, *arguments, task="point", rounds=1, variables=None):

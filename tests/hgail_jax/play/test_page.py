@@ -18,7 +18,7 @@ import pytest
 import hgail_envs
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.session import Phase, Session
-from tests.support import ROOT, SOURCES
+from tests.support import ROOT, SOURCES, free_port
 
 pytest.importorskip("mjviser", reason="the extra web is not installed")
 
@@ -37,7 +37,7 @@ def page(shipped_policy, grasp_policy):
     def open_session(task, seed):
         return Session(hgail_envs.make(task, impl="c"), load_policy(policies[task]), seed)
 
-    page = web.Page(open_session, ["reach", "grasp"], 0, "127.0.0.1", web.free_port("127.0.0.1", None, 18080))
+    page = web.Page(open_session, ["reach", "grasp"], 0, "127.0.0.1", free_port())
     yield page
     page.server.stop()
 
@@ -96,7 +96,7 @@ def test_a_port_that_is_taken_is_refused_and_another_is_found():
 
 
 def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
-    port = web.free_port("127.0.0.1", None, 18280)
+    port = free_port()
     command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
     process = subprocess.Popen(
         [sys.executable, "-c", command, "play", "--web", "--task", "reach", "--port", str(port)],

@@ -143,3 +143,12 @@ def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(
     assert [line.split(",")[0] for line in lines] == ["round 2/3 ...", "round 2/3", "round 3/3"]
     train(program, told(), progress)
     assert capsys.readouterr().err == ""
+
+
+def test_a_process_without_stderr_shows_nothing(monkeypatch, capsys):
+    """As one without a terminal may be, which trains by the library."""
+    monkeypatch.setattr("sys.stderr", None)
+    with StatusLine("training") as line, progress_bar(total=2) as bar:
+        line.show("training more")
+        bar.update()
+    assert capsys.readouterr().out == ""

@@ -1,16 +1,41 @@
+import itertools
 import os
 import re
+from pathlib import Path
 
 import pytest
 
-from hgail_jax.trainer.folder import create_folder, newest_folder, next_folder, reopen_folder, sole_user
+from hgail_jax.trainer.folder import create_folder, create_numbered_folder, newest_folder, reopen_folder, sole_user
 
 
-def test_next_folder_counts_on(tmp_path):
-    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-1"
+def test_numbered_folders_count_on(tmp_path):
+    assert create_numbered_folder(tmp_path / "runs", "reach-hgail") == tmp_path / "runs" / "reach-hgail-1"
     for name in ("reach-hgail-2", "reach-hgail-10", "reach-hgail-no-30", "reach-hgail-x"):
-        (tmp_path / name).mkdir()
-    assert next_folder(tmp_path, "reach-hgail").name == "reach-hgail-11"
+        (tmp_path / "runs" / name).mkdir()
+    assert create_numbered_folder(tmp_path / "runs", "reach-hgail").name == "reach-hgail-11"
+    assert (tmp_path / "runs" / "reach-hgail-11").is_dir()
+
+
+def test_a_run_begun_at_the_same_moment_takes_the_next_number(tmp_path, monkeypatch):
+    mkdir, others = Path.mkdir, iter(range(2))
+
+    def made_by_another_first(path, **options):
+        for _ in itertools.islice(others, 1):
+            mkdir(path, **options)
+        mkdir(path, **options)
+
+    monkeypatch.setattr(Path, "mkdir", made_by_another_first)
+    assert create_numbered_folder(tmp_path, "reach-hgail").name == "reach-hgail-3"
+    assert {path.name for path in tmp_path.iterdir()} == {f"reach-hgail-{number}" for number in (1, 2, 3)}
+
+
+def test_a_numbered_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "away").symlink_to(tmp_path / "missing")
+    for parent in ("file", "away"):
+        with pytest.raises(ValueError, match=f"{parent}/reach-hgail-1"):
+            create_numbered_folder(tmp_path / parent, "reach-hgail")
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "away"}
 
 
 def saved_at(path, seconds):

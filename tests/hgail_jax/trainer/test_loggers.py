@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import glob
 import json
+import os
 import struct
 import sys
 import time
@@ -87,7 +88,8 @@ def wandb_history(folder):
     from wandb.proto.wandb_internal_pb2 import Record
 
     runs = {}
-    for path in sorted(glob.glob(f"{folder}/wandb/offline-run-*/run-*.wandb")):
+    # A run that goes on within a second has the first folder's name, and "-1".
+    for path in sorted(glob.glob(f"{folder}/wandb/offline-run-*/run-*.wandb"), key=os.path.dirname):
         rows = runs.setdefault(Path(path).stem.removeprefix("run-"), [])
         for data in blocks(path):
             record = Record.FromString(data)
@@ -114,7 +116,7 @@ def expected(folder):
             found |= {(f"{name}/seed-{row['seed']}", step): float(row[name]) for row in of_round if row[name]}
             if values:
                 found[f"{name}/mean", step] = np.mean(values)
-            if len(values) > 1:
+            if len(values) > 2:
                 low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), max(stats.sem(values), 1e-12))
                 found |= {(f"{name}/interval_low", step): low, (f"{name}/interval_high", step): high}
     return found
@@ -201,13 +203,13 @@ def test_a_log_that_comes_later_has_the_rounds_before_it_too():
 
 
 def test_numbers_that_were_not_measured_are_absent():
-    record = {"round": 0, "reward": [None, None], "distance_l1": [0.5, None], "kl": [1.0, 3.0]}
+    record = {"round": 0, "reward": [None] * 3, "distance_l1": [0.5, None, 1.5], "kl": [1.0, 3.0, 5.0]}
     found = scalars(record, first_seed=5)
-    half = stats.t.ppf(0.975, 1) * np.std([1.0, 3.0], ddof=1) / np.sqrt(2)
-    assert found.pop("kl/interval_low") == pytest.approx(2.0 - half)
-    assert found.pop("kl/interval_high") == pytest.approx(2.0 + half)
-    known = {"distance_l1/seed-5": 0.5, "distance_l1/mean": 0.5, "kl/seed-5": 1.0, "kl/seed-6": 3.0, "kl/mean": 2.0}
-    assert found == {"round": 0} | known
+    half = stats.t.ppf(0.975, 2) * np.std([1.0, 3.0, 5.0], ddof=1) / np.sqrt(3)
+    assert found.pop("kl/interval_low") == pytest.approx(3.0 - half)
+    assert found.pop("kl/interval_high") == pytest.approx(3.0 + half)
+    two = {"distance_l1/seed-5": 0.5, "distance_l1/seed-7": 1.5, "distance_l1/mean": 1.0}  # without an interval
+    assert found == {"round": 0, "kl/seed-5": 1.0, "kl/seed-6": 3.0, "kl/seed-7": 5.0, "kl/mean": 3.0} | two
 
 
 @pytest.mark.parametrize("names", ["", "csv,", "tensorbord", "csv tensorboard"])

@@ -1,5 +1,6 @@
 """Runs that are stopped, killed or broken, and go on as if nothing had happened."""
 
+import contextlib
 import csv
 import json
 import os
@@ -143,13 +144,22 @@ def test_a_round_that_was_measured_but_not_saved_is_in_the_table_once(tmp_path, 
 
 
 def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, capsys, whole):
+    stops, stop_on_signal = [], run.stop_on_signal
+
+    @contextlib.contextmanager
+    def stop_is_known(*arguments):
+        with stop_on_signal(*arguments) as stop:
+            stops.append(stop)
+            yield stop
+
     def terminate(result):
         os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.0)  # for the thread that watches
+        assert stops[0].wait(60)  # for the thread that watches
         return result
 
     handlers = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)]
     with monkeypatch.context() as patch:
+        patch.setattr(run, "stop_on_signal", stop_is_known)
         fail_in_round(patch, 1, terminate)
         start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
     shown = capsys.readouterr()
@@ -193,17 +203,25 @@ def test_a_complete_run_writes_its_results_again_with_the_times_of_the_whole_run
     assert summary["env_steps_per_second"] == summary["env_steps_per_seed"] * summary["seeds"] / 5000.0
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete):
+@pytest.mark.parametrize("named", [True, False])
+def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete, named):
+    """A command with --resume auto may be repeated until it does nothing, as in a script of a cluster."""
+    folder = "run" if named else "runs/point-hgail-1"
+    if not named:
+        complete = shutil.copytree(complete, tmp_path / folder)
+
     def files():
         return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in complete.rglob("*") if path.is_file()}
 
     before = files()
-    start("--resume", "run")
+    start("--resume", "run" if named else "auto")
     shown = capsys.readouterr().out
-    assert "run is complete\n" in shown
-    assert " -> run\n" not in shown.partition("success")[0], "nothing is trained"
-    assert f"total {json.loads((complete / 'summary.json').read_text())['wall_seconds']['total']:.1f} s -> run" in shown
+    assert shown.startswith(f"{folder} is complete; without --resume another run begins\n")
+    assert f" -> {folder}\n" not in shown.partition("success")[0], "nothing is trained"
+    total = json.loads((complete / "summary.json").read_text())["wall_seconds"]["total"]
+    assert f"total {total:.1f} s -> {folder}" in shown
     assert files() == before
+    assert named or [path.name for path in (tmp_path / "runs").iterdir()] == ["point-hgail-1"]
 
 
 def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole):

@@ -22,7 +22,16 @@ def test_intervals_are_student_s():
     values = np.array([0.9, 0.95, 1.0, 1.0, 0.85, 0.97, 0.99, 1.0])
     expected = 2.3646 * np.sqrt(np.sum((values - values.mean()) ** 2) / 7) / np.sqrt(8)
     assert confidence_interval(values) == pytest.approx(expected, rel=1e-4)
-    assert np.isnan(confidence_interval(np.array([1.0])))
+
+
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_fewer_than_three_seeds_have_no_interval(seeds):
+    values = np.linspace(0.9, 1.0, seeds)
+    assert np.isnan(confidence_interval(values))
+    assert np.isnan(confidence_interval(np.stack([values] * 4))).tolist() == [True] * 4
+    for estimate in (interquartile_mean(np.ones(seeds)), probability_of_improvement(np.ones(seeds), np.zeros(3))):
+        assert estimate.value == 1.0
+        assert np.isnan(estimate[1:]).all()
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half():
@@ -65,12 +74,6 @@ def test_the_interval_of_a_probability_of_improvement_is_that_of_all_resamples()
         for other in itertools.product(second, repeat=3)
     ]
     assert probability_of_improvement(first, second)[1:] == pytest.approx(percentiles(shares, np.ones(729)), abs=0.06)
-
-
-def test_one_seed_has_no_interval():
-    for estimate in (interquartile_mean(np.ones(1)), probability_of_improvement(np.ones(1), np.zeros(3))):
-        assert estimate.value == 1.0
-        assert np.isnan(estimate.low) and np.isnan(estimate.high)
 
 
 def test_the_same_values_have_the_same_interval():
