@@ -1,5 +1,6 @@
 """Makes a task from its name."""
 
+import contextlib
 import importlib
 import inspect
 from typing import Any
@@ -17,6 +18,31 @@ TASKS = {
     "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
 }
 """Names of the tasks that come with the package, and their classes, imported when they are made."""
+
+GYMNASIUM_IDS = {
+    task: f"hgail_envs/{'' if task == 'point' else 'Fetch'}{task.title().replace('-And-', 'And').replace('-', '')}-v0"
+    for task in TASKS
+}
+"""Gymnasium's identifiers of the tasks, e.g. `hgail_envs/FetchPush-v0`."""
+
+EPISODE_STEPS = 50
+"""Steps in an episode of each task in `TASKS`: the time limit that `gymnasium.make` sets."""
+
+
+def register_gymnasium() -> None:
+    """Registers `GYMNASIUM_IDS` for `gymnasium.make` and `gymnasium.make_vec`, if Gymnasium is installed."""
+    with contextlib.suppress(ImportError):
+        import gymnasium
+
+        for task, name in GYMNASIUM_IDS.items():
+            if name not in gymnasium.registry:
+                gymnasium.register(
+                    name,
+                    "hgail_envs.single:GoalSingleEnv",
+                    vector_entry_point="hgail_envs.vector:make_vector",
+                    max_episode_steps=EPISODE_STEPS,
+                    kwargs={"task": task},
+                )
 
 
 def make(task: str, **options: Any) -> GoalEnv:

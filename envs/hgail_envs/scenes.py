@@ -3,7 +3,13 @@
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
+from hgail_envs.base import GoalEnv
+from hgail_envs.vision.rgbd import open_renderer
+
+_CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
+_SIZE = (480, 640)  # height, width
 _VISUAL_GROUP = 2  # of geoms that collide with nothing
 
 
@@ -27,3 +33,75 @@ def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
         for geom in [geom for geom in spec.geoms if geom.group == _VISUAL_GROUP]:
             spec.delete(geom)
     return spec.compile()
+
+
+def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
+    """Returns the camera that shows the arm wherever it goes."""
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    camera.distance = _CAMERA_DISTANCE * model.stat.extent
+    return camera
+
+
+class SceneView:
+    """Pictures of a task's scene in given poses.
+
+    Args:
+      env: the task.
+      render_mode: None for a view that is never asked for pictures, or `"rgb_array"`.
+
+    Raises:
+      ValueError: another mode, or a task without a scene.
+
+    """
+
+    def __init__(self, env: GoalEnv, render_mode: str | None) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode is {render_mode!r}; it must be None or 'rgb_array'")
+        if render_mode is not None and env.scene is None:
+            raise ValueError("the task has no scene to show")
+        self._env = env
+        self._renderer: mujoco.Renderer | None = None
+
+    def picture(self, qpos: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Returns the scene with joints at `qpos` and the target at `goal`, `[480, 640, 3]`, uint8.
+
+        Raises:
+          RenderingError: MuJoCo cannot render here.
+
+        """
+        if self._renderer is None:
+            self.model, self.data = open_scene(self._env)
+            self._renderer, self._camera = open_renderer(self.model, *_SIZE), free_camera(self.model)
+        pose(self.model, self.data, qpos, goal)
+        self._renderer.update_scene(self.data, self._camera)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = None
+
+
+def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Returns a task's scene with its visual geoms; the target's marker is hidden where a body is the target.
+
+    Raises:
+      ValueError: the task has no scene.
+
+    """
+    if env.scene is None:
+        raise ValueError("the task has no scene to show")
+    model = load_scene(env.scene, visual=True)
+    if env.target_body is not None:
+        model.site("target").rgba[3] = 0.0
+    return model, mujoco.MjData(model)
+
+
+def pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray, goal: np.ndarray) -> None:
+    """Poses a scene of `open_scene` for a picture, with the target's marker at `goal`, `[goal_size]`."""
+    model.site("target").pos = goal[:3]
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)

@@ -10,8 +10,28 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from hgail_envs import registry
 from hgail_envs.base import GoalEnv, State
+from hgail_envs.scenes import SceneView
 from hgail_envs.validation import MOST_SEED
+
+_AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
+
+
+def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, **options: Any) -> "GoalVectorEnv":
+    """Makes a vector environment from a task's name, as `gymnasium.make_vec` does; see `GoalVectorEnv`.
+
+    Args:
+      num_envs: environments.
+      task: a name in `hgail_envs.TASKS`.
+      max_episode_steps: steps in an episode; None is the task's number.
+      **options: `render_mode`, `autoreset_mode`, and options of the task, see `hgail_envs.make`.
+
+    """
+    own = {name: options.pop(name) for name in ("render_mode", "autoreset_mode") if name in options}
+    if "worlds" in registry.accepted_options(task) and _is_integer(num_envs) and num_envs >= 1:
+        options.setdefault("worlds", num_envs)
+    return GoalVectorEnv(registry.make(task, **options), num_envs, max_episode_steps=max_episode_steps, **own)
 
 
 class GoalVectorEnv(VectorEnv):
@@ -21,9 +41,11 @@ class GoalVectorEnv(VectorEnv):
     `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 if the achieved
     goal is a success. `info["is_success"]` holds booleans `[num_envs]`.
 
-    No episode terminates; all are truncated after `episode_length` steps. Environments are reset by the step that
-    follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns the first
-    observation of the next episode with reward 0.
+    No episode terminates; all are truncated after the same number of steps. By default environments are reset by the
+    step that follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns
+    the first observation of the next episode with reward 0. With `AutoresetMode.SAME_STEP` the step that truncates
+    returns it, and the last observations of the episodes are in `info["final_obs"]`, those of `info` in
+    `info["final_info"]`.
 
     Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
     episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
@@ -32,25 +54,43 @@ class GoalVectorEnv(VectorEnv):
     Args:
       env: the task.
       num_envs: environments.
+      max_episode_steps: steps in an episode; None is the task's `episode_length`.
+      autoreset_mode: `NEXT_STEP` or `SAME_STEP`, as a string (`"NextStep"`, `"SameStep"`) or Gymnasium's enumeration.
+      render_mode: None, or `"rgb_array"`: `render` returns a picture of each environment.
 
     Raises:
-      TypeError: `env` is no `GoalEnv`, or `num_envs` no integer.
-      ValueError: `num_envs` is less than 1, or more than the task's physics can step at once.
+      TypeError: `env` is no `GoalEnv`, or a number no integer.
+      ValueError: a number is less than 1, more environments than the task's physics can step at once, an unknown
+        mode, or pictures of a task without a scene.
 
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012  (as Gymnasium has it)
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012  (as Gymnasium has it)
 
-    def __init__(self, env: GoalEnv, num_envs: int) -> None:
+    def __init__(
+        self,
+        env: GoalEnv,
+        num_envs: int,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
         if not isinstance(env, GoalEnv):
             raise TypeError(f"env is {env!r}; it must be a GoalEnv")
-        if not _is_integer(num_envs):
-            raise TypeError(f"num_envs is {num_envs!r}; it must be an integer")
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}; it must be at least 1")
+        length = env.episode_length if max_episode_steps is None else max_episode_steps
+        for name, number in {"num_envs": num_envs, "max_episode_steps": length}.items():
+            if not _is_integer(number):
+                raise TypeError(f"{name} is {number!r}; it must be an integer")
+            if number < 1:
+                raise ValueError(f"{name} is {number}; it must be at least 1")
         if env.max_worlds is not None and num_envs > env.max_worlds:
             raise ValueError(f"num_envs is {num_envs}; the task was made for {env.max_worlds}: make it with worlds")
         self.env, self.num_envs = env, num_envs
+        self._autoreset, self._length = _autoreset_mode(autoreset_mode), length
+        self._view = SceneView(env, render_mode)
+        self.render_mode = render_mode
+        self.metadata = _metadata(env) | {"autoreset_mode": self._autoreset}
 
         def box(size: int) -> gymnasium.spaces.Box:
             return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -131,14 +171,38 @@ class GoalVectorEnv(VectorEnv):
         if actions.dtype.kind not in "biuf" or not np.isfinite(actions).all():
             raise ValueError("not all actions are finite numbers")
         no = np.zeros(self.num_envs, bool)
-        if self._steps == self.env.episode_length:  # Gymnasium's NEXT_STEP: the reset takes a step of its own
+        if self._steps == self._length:  # Gymnasium's NEXT_STEP: the reset takes a step of its own
             observation, info = self._start(self._keys)
             return observation, np.zeros(self.num_envs), no, no.copy(), info
         self._state = self._step(self._state, np.asarray(actions, np.float32))
         self._steps += 1
-        over = np.full(self.num_envs, self._steps == self.env.episode_length)
+        over = np.full(self.num_envs, self._steps == self._length)
         reward = np.asarray(self._state.reward, np.float64)
-        return self._observation(), reward, no, over, {"is_success": reward == 0.0}
+        observation, info = self._observation(), self._info()
+        if self._steps == self._length and self._autoreset == AutoresetMode.SAME_STEP:
+            final = _marked({"final_obs": _each(observation, self.num_envs), "final_info": info}, self.num_envs)
+            observation, info = self._start(self._keys)
+            info = info | final
+        return observation, reward, no, over, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Returns a picture of each environment, `[height, width, 3]`, uint8; None without a `render_mode`.
+
+        Raises:
+          gymnasium.error.ResetNeeded: there was no `reset` before.
+          RenderingError: MuJoCo cannot render here.
+
+        """
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        goals, poses = np.asarray(self._state.info["desired_goal"]), np.asarray(self._state.pipeline_state.qpos)
+        return tuple(self._view.picture(pose, goal) for pose, goal in zip(poses, goals, strict=True))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees the renderer."""
+        self._view.close()
 
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
         """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for a trainer that relabels."""
@@ -147,12 +211,41 @@ class GoalVectorEnv(VectorEnv):
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         self._keys, episode_keys = self._split(keys)
         self._steps, self._state = 0, self._reset(episode_keys)
-        return self._observation(), {"is_success": np.asarray(self._state.reward) == 0.0}
+        return self._observation(), self._info()
+
+    def _info(self) -> dict[str, Any]:
+        assert self._state is not None
+        return _marked({"is_success": np.asarray(self._state.reward) == 0.0}, self.num_envs)
 
     def _observation(self) -> dict[str, np.ndarray]:
         assert self._state is not None
         names = self.single_observation_space.spaces  # type: ignore[attr-defined]
         return {name: np.array(self._state.info[name], np.float32) for name in names}
+
+
+def _marked(info: dict[str, Any], num_envs: int) -> dict[str, Any]:
+    """Returns an info of Gymnasium's form: beside each entry, which environments have it."""
+    return info | {f"_{name}": np.ones(num_envs, bool) for name in info}
+
+
+def _each(observation: dict[str, np.ndarray], num_envs: int) -> np.ndarray:
+    """Returns the observation of each environment as an object of its own, as Gymnasium has final ones."""
+    objects = np.empty(num_envs, object)
+    objects[:] = [{name: value[index] for name, value in observation.items()} for index in range(num_envs)]
+    return objects
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    known = {one.value: one for one in _AUTORESET}
+    chosen = mode if isinstance(mode, AutoresetMode) else known.get(mode)
+    if chosen not in _AUTORESET:
+        raise ValueError(f"autoreset_mode is {mode!r}; choose from {', '.join(known)}")
+    return chosen
+
+
+def _metadata(env: GoalEnv) -> dict[str, Any]:
+    modes = [] if env.scene is None else ["rgb_array"]
+    return {"render_modes": modes, "render_fps": round(1 / env.control_period)}
 
 
 def _is_integer(value: Any) -> bool:

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from hgail_envs import GoalEnv, State
-from hgail_envs.scenes import load_scene
+from hgail_envs.scenes import free_camera, open_scene, pose
 from hgail_envs.vision.rgbd import RenderingError, open_renderer
 from hgail_jax.io.policy import MeanPolicy
 from hgail_jax.play.film import open_film
@@ -22,7 +21,6 @@ from hgail_jax.terminal.status import StatusLine
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
 _FADE = 8  # frames from an episode's end to the start of the next
-_CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
 
 
 class Playback:
@@ -39,12 +37,7 @@ class Playback:
     """
 
     def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int) -> None:
-        if env.scene is None:
-            raise ValueError("the task has no scene to show")
-        self.model = load_scene(env.scene, visual=True)
-        if env.target_body is not None:  # shows the target itself
-            self.model.site("target").rgba[3] = 0.0
-        self.data = mujoco.MjData(self.model)
+        self.model, self.data = open_scene(env)
         self.outcomes: list[bool] = []
         """Whether each episode so far was a success."""
         self._env, self._policy, self._seed = env, policy, seed
@@ -73,10 +66,8 @@ class Playback:
                 yield False
 
     def _pose(self, state: State) -> None:
-        self.model.site("target").pos = np.asarray(state.info["desired_goal"])[:3]
-        self.data.qpos[:] = np.asarray(state.pipeline_state.qpos)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
+        goal, qpos = np.asarray(state.info["desired_goal"]), np.asarray(state.pipeline_state.qpos)
+        pose(self.model, self.data, qpos, goal)
 
 
 def frames(playback: Playback, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
@@ -88,9 +79,7 @@ def frames(playback: Playback, episodes: int, height: int, width: int, every: in
       RenderingError: MuJoCo cannot render here.
 
     """
-    camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(playback.model, camera)
-    camera.distance = _CAMERA_DISTANCE * playback.model.stat.extent
+    camera = free_camera(playback.model)
     with open_renderer(playback.model, height, width) as renderer:
         picture: np.ndarray | None = None
         for index, first in enumerate(playback.play(episodes)):

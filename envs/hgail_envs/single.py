@@ -1,0 +1,76 @@
+"""A task as a single Gymnasium environment; `gymnasium.make("hgail_envs/FetchPush-v0")` makes one."""
+
+import sys
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hgail_envs import registry
+from hgail_envs.base import GoalEnv
+from hgail_envs.vector import GoalVectorEnv
+
+
+class GoalSingleEnv(gymnasium.Env):
+    """One episode of a task at a time, with the spaces, rewards and `info` of a `GoalVectorEnv`.
+
+    It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
+    episodes are those of the first environment of a `GoalVectorEnv` with that seed.
+
+    Args:
+      task: a name in `hgail_envs.TASKS`, or a task.
+      render_mode: None, or `"rgb_array"`: `render` returns a picture.
+      **options: of the task, see `hgail_envs.make`.
+
+    Raises:
+      ValueError: no such task, an unknown mode, or pictures of a task without a scene.
+
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  (as Gymnasium has it)
+
+    def __init__(self, task: str | GoalEnv, render_mode: str | None = None, **options: Any) -> None:
+        if isinstance(task, str):
+            if "worlds" in registry.accepted_options(task):
+                options.setdefault("worlds", 1)
+            task = registry.make(task, **options)
+        self.vector = GoalVectorEnv(task, 1, max_episode_steps=sys.maxsize, render_mode=render_mode)
+        self.metadata = {name: self.vector.metadata[name] for name in ("render_modes", "render_fps")}
+        self.render_mode = render_mode
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Starts an episode; without a seed, the one that follows the last."""
+        super().reset(seed=seed)
+        observation, info = self.vector.reset(seed=seed, options=options)
+        return _only(observation), _info(info)
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Takes an action `[action_size]`, clipped to [-1, 1]."""
+        observation, reward, _, _, info = self.vector.step(np.asarray(action)[None])
+        return _only(observation), float(reward[0]), False, False, _info(info)
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray | float:
+        """Returns the rewards of goals, `[..., goal_size]` each, for a trainer that relabels."""
+        rewards = self.vector.compute_reward(achieved, desired)
+        return rewards if rewards.ndim else float(rewards)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """Returns a picture, `[height, width, 3]`, uint8; None without a `render_mode`."""
+        pictures = self.vector.render()
+        return None if pictures is None else pictures[0]
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.vector.close()
+
+
+def _only(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: value[0] for name, value in values.items()}
+
+
+def _info(info: dict[str, Any]) -> dict[str, Any]:
+    return {"is_success": bool(info["is_success"][0])}

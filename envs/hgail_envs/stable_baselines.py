@@ -1,0 +1,70 @@
+"""A vector environment of this package as one of stable-baselines3, which has an interface of its own."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from hgail_envs.vector import GoalVectorEnv
+
+
+class GoalVecEnv(VecEnv):
+    """A `GoalVectorEnv` as a `stable_baselines3.common.vec_env.VecEnv`, e.g. for SAC with `HerReplayBuffer`.
+
+    Each environment's `info` has `is_success`, and at an episode's end `terminal_observation` and
+    `TimeLimit.truncated`, as stable-baselines3 wants them.
+
+    Args:
+      env: made with `autoreset_mode="SameStep"`.
+
+    Raises:
+      ValueError: another autoreset mode.
+
+    """
+
+    def __init__(self, env: GoalVectorEnv) -> None:
+        mode = env.metadata["autoreset_mode"]
+        if mode != AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode is {mode.value!r}; stable-baselines3 needs 'SameStep'")
+        self.env = env
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> dict[str, np.ndarray]:
+        """Starts an episode in all environments, with the seed of `seed` if it was called since."""
+        observation, _ = self.env.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keeps the actions, `[num_envs, action_size]`, for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Takes the actions of `step_async`."""
+        observation, reward, _, over, info = self.env.step(self._actions)
+        success = info.get("final_info", info)["is_success"]
+        infos: list[dict[str, Any]] = [{"is_success": bool(one)} for one in success]
+        for one, final in zip(infos, info.get("final_obs", ()), strict=False):
+            one |= {"terminal_observation": final, "TimeLimit.truncated": True}
+        return observation, reward, over, infos
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Calls a method of the vector environment, e.g. `compute_reward`, once for each of `indices`."""
+        return [getattr(self.env, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Returns an attribute of the vector environment for each of `indices`."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets an attribute of the vector environment."""
+        setattr(self.env, attr_name, value)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Returns False for each of `indices`: nothing is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.env.close()
