@@ -1,9 +1,10 @@
 """Trains other people's learners on reach until 98 % of test episodes succeed; docs/other-trainers.md has the figures.
 
-Run as `python -m experiments.other_trainers sac-her-sb3`; the choices are the keys of `TRAINERS`.
+Run as `python -m experiments.other_trainers sb3-sac-her`; the choices are the keys of `TRAINERS`.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 
@@ -11,12 +12,14 @@ import gymnasium
 import numpy as np
 
 import hgail_envs  # noqa: F401  (registers the tasks)
+from experiments import sac_her
 
 REACH = "hgail_envs/FetchReach-v0"
 ENOUGH = 0.98
 """Success at which a training ends."""
 TEST_ENVS = 100
 """Episodes of a test, at once."""
+_TEST_EVERY = 1000  # environment steps
 
 Policy = Callable[[dict[str, np.ndarray]], np.ndarray]
 Tested = Callable[[int, Policy], bool]
@@ -40,7 +43,6 @@ def make_test() -> Callable[[Policy], float]:
 def sb3_sac_her(tested: Tested, most_steps: int, num_envs: int = 8) -> None:
     """Trains stable-baselines3's SAC with its `HerReplayBuffer`, a gradient step for each environment step."""
     from stable_baselines3 import SAC, HerReplayBuffer
-    from stable_baselines3.common.callbacks import EveryNTimesteps, LambdaCallback  # type: ignore[attr-defined]
 
     from hgail_envs.stable_baselines import GoalVecEnv
 
@@ -49,13 +51,45 @@ def sb3_sac_her(tested: Tested, most_steps: int, num_envs: int = 8) -> None:
         "MultiInputPolicy",
         env,
         replay_buffer_class=HerReplayBuffer,
-        learning_starts=50 * num_envs,
+        learning_starts=50 * num_envs,  # hindsight needs an episode of each environment
         gamma=0.95,
         gradient_steps=num_envs,
         learning_rate=1e-3,
         seed=0,
     )
-    test = LambdaCallback(
-        lambda variables, _: not tested(model.num_timesteps, lambda seen: model.predict(seen, deterministic=True)[0])
-    )
-    model.learn(most_steps, callback=EveryNTimesteps(1000, test))
+
+    def goes_on(*_: object) -> bool:
+        policy = lambda seen: model.predict(seen, deterministic=True)[0]  # noqa: E731
+        return model.num_timesteps % _TEST_EVERY != 0 or not tested(model.num_timesteps, policy)
+
+    model.learn(most_steps, callback=goes_on)
+
+
+def measure(train: Callable[[Tested, int], None], most_steps: int = 40_000) -> dict[str, float]:
+    """Trains, and returns the environment steps, seconds and success of the first test that is `ENOUGH`, or the last.
+
+    The seconds count the compilation, but not the tests.
+    """
+    test, begin, testing = make_test(), time.perf_counter(), 0.0
+    result: dict[str, float] = {}
+
+    def tested(steps: int, policy: Policy) -> bool:
+        nonlocal testing
+        now = time.perf_counter()
+        success = test(policy)
+        result.update(steps=steps, seconds=round(now - begin - testing, 1), success=success)
+        print(result, file=sys.stderr)
+        testing += time.perf_counter() - now
+        return success >= ENOUGH
+
+    train(tested, most_steps)
+    return result
+
+
+TRAINERS: dict[str, Callable[[Tested, int], None]] = {"sb3-sac-her": sb3_sac_her, "sac-her": sac_her.train}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("trainer", choices=TRAINERS)
+    print(measure(TRAINERS[parser.parse_args().trainer]))
