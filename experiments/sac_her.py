@@ -16,7 +16,7 @@ import optax
 import hgail_envs  # noqa: F401  (registers the tasks)
 
 TASK, ENVS, STEPS = "hgail_envs/FetchReach-v0", 16, 50  # steps of an episode
-UPDATES, BATCH, GAMMA, POLYAK, ALPHA, RELABELLED = 200, 256, 0.95, 0.95, 0.02, 0.8
+UPDATES, BATCH, GAMMA, POLYAK, ALPHA, RELABELLED = 600, 256, 0.95, 0.95, 0.02, 0.8
 THRESHOLD = 0.05  # metres from the goal that are a success
 
 
