@@ -26,7 +26,7 @@ from typing import Any
 
 import jinja2
 
-from docs._generate import claims, off_policy, results, robots, robust, speed, suite, tables
+from docs._generate import claims, off_policy, results, robots, robust, speed, suite, tables, task_pages
 
 _NAMES = re.compile(r"<!-- figures\n(.*?)\n-->\n+", re.DOTALL)
 _FIGURE = re.compile(r"(<!--= (.*?) -->).*?(<!---->)", re.DOTALL)
@@ -83,7 +83,7 @@ def names(page: str) -> dict[str, str]:
 
 def _figures(page: str) -> Callable[[str], str]:
     """Returns the evaluator of a page's expressions; unknown names and rows are errors."""
-    modules = (results, tables, speed, suite, robots, robust, claims, off_policy)
+    modules = (results, tables, speed, suite, robots, robust, claims, off_policy, task_pages)
     known = {name: value for module in modules for name, value in vars(module).items() if callable(value)}
 
     def value(expression: str) -> Any:
