@@ -40,7 +40,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 		"jax[cuda13]==$$($(BIN)/python -c 'import jax; print(jax.__version__)')" warp-lang==1.14.0; fi
 	touch $@
 
-# Pins every dependency with its hashes for Python 3.11 and 3.12; needs uv.
+# Pins every dependency with its hashes for Python 3.11 and later; needs uv.
 lock:
 	uv pip compile pyproject.toml --extra compare --extra ur5e --extra franka --extra docs --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --no-header --quiet \

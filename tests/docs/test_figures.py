@@ -12,7 +12,7 @@ from tests.support import ROOT
 # A decimal, a power of ten, or a count with the unit of a measurement; versions and Python's are none.
 _UNIT = r"(?:k|M|s|seconds|minutes|%|(?:env )?steps/s)"
 _FIGURE = re.compile(rf"(?<![\w.,-])\d*\.\d+(?![\w.])|\b\d+e-\d+\b|(?<![\w.,])\d[\d,.]* {_UNIT}(?!\w)")
-_NO_FIGURE = re.compile(r"\]\([^)]*\)|https?://\S+|Python 3\.\d+( (or|and) 3\.\d+)?|\d+\.\d+\.\d+(\.\d+)?")
+_NO_FIGURE = re.compile(r"\]\([^)]*\)|https?://\S+|Python 3\.\d+( (or|and|to) 3\.\d+)?|\d+\.\d+\.\d+(\.\d+)?")
 SOURCES = tomllib.loads((ROOT / "docs" / "_generate" / "typed.toml").read_text())
 
 
