@@ -4,7 +4,7 @@ import math
 import statistics
 from typing import Any
 
-from docs._generate.results import Row, bench, bench_rows, count, fixed, pick, rate, read_json, seconds, start
+from docs._generate.results import ROOT, Row, bench, bench_rows, count, fixed, pick, rate, read_json, seconds, start
 from docs._generate.tables import markdown
 
 
@@ -182,6 +182,25 @@ def learners(task: str, platform: str, wanted: float = 0.98) -> str:
         lines.append([*line, fixed(min(max(row["success"]) for row in seeds), 2)])
     header = ["learner", "seeds", "env steps, median", "last seed", "seconds, median", "last seed"]
     return markdown([*header, "the worst seed's best test"], lines)
+
+
+def other_trainers() -> str:
+    """Environment steps and seconds until trainers of others had .98 on reach, on two CPU cores, and lines of glue."""
+    ours = read_json("bench/trainers")["rows"]
+    wanted = {"what": "JaxGCRL CRL", "task": "reach", "platform": "cpu"}
+    crl = [row for row in bench_rows("learners") if wanted.items() <= row.items()]
+    steps, time = (statistics.median(_first(row, what, 0.98) for row in crl) for what in ("env_steps", "train_seconds"))
+    bench_row = Row(what=f"JaxGCRL's CRL, median of {len(crl)} seeds", task="reach", steps=steps, seconds=time)
+    lines = [
+        [row["what"], row["task"], count(row["steps"]), seconds(row["seconds"]), str(_lines(row["glue"]))]
+        for row in [*ours, bench_row | {"glue": "experiments/bench/contrastive.py"}]
+    ]
+    return markdown(["trainer", "task", "env steps to .98", "seconds", "lines of glue"], lines)
+
+
+def _lines(path: str) -> int:
+    """Returns the lines of a file that are not empty."""
+    return sum(bool(line.strip()) for line in (ROOT / path).read_text().splitlines())
 
 
 def _first(row: Row, column: str, wanted: float) -> float:
