@@ -1,0 +1,139 @@
+"""Names, units and frames of each number that a task's policy reads and of each that it commands."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hgail_envs.registry import TASKS, find_class
+
+
+class Quantity(NamedTuple):
+    """A number of an observation, a goal or an action."""
+
+    name: str
+    unit: str
+    """`"m"`, `"rad"`, `"0 or 1"` and so on; empty if it is not known."""
+    frame: str
+    """A name in `FRAMES`; empty for a number that has none."""
+
+
+class Description(NamedTuple):
+    """The numbers that a policy of a task reads and commands, in their order."""
+
+    features: tuple[Quantity, ...]
+    """Of the observation before the goal, with the history if there is one."""
+    goal: tuple[Quantity, ...]
+    action: tuple[Quantity, ...]
+    """Each from -1 to 1."""
+
+
+FRAMES = {
+    "world": "of the scene: x ahead of the robot, y to its left, z up, origin on the floor; also the axes of relative"
+    " positions and of velocities",
+    "hand": "of the hand: each finger moves along its own axis, and 0 is closed",
+}
+"""Meaning of the frames."""
+
+_AXES = ("x", "y", "z")
+_PER_ACTION = "m per action of 0.04 s"
+
+
+def _vector(name: str, unit: str = "m", frame: str = "world") -> tuple[Quantity, ...]:
+    return tuple(Quantity(f"{name} {axis}", unit, frame) for axis in _AXES)
+
+
+def _fingers(name: str, unit: str) -> tuple[Quantity, ...]:
+    return tuple(Quantity(f"{name} of the {side} finger", unit, "hand") for side in ("right", "left"))
+
+
+_GRIPPER = (*_vector("gripper position"), *_vector("gripper velocity", _PER_ACTION))
+_GAP = Quantity("gap between the fingers", "m", "hand")
+_HAND = (_GAP, Quantity("hand holds the cube", "0 or 1", ""))
+_TARGET = _vector("target position")
+_OF_OBJECT = (*_TARGET, Quantity("target is the object's, not the gripper's", "0 or 1", ""))
+
+
+def _with_object(name: str) -> tuple[Quantity, ...]:
+    relative = _vector(f"{name} position less gripper position")
+    return (*_GRIPPER, *relative, *_vector(f"{name} position"), *_vector(f"{name} velocity", _PER_ACTION))
+
+
+def _official(name: str) -> tuple[Quantity, ...]:
+    """Returns the quantities of `hgail_envs.fetch.objects.ObjectEnv.official_features`."""
+    return (
+        *_vector("gripper position"),
+        *_vector(f"{name} position"),
+        *_vector(f"{name} position less gripper position"),
+        *_fingers("position", "m"),
+        *_vector(f"{name} rotation, Euler angle", "rad"),
+        *_vector(f"{name} velocity less gripper velocity", _PER_ACTION),
+        *_vector(f"{name} angular velocity", "rad per action of 0.04 s"),
+        *_vector("gripper velocity", _PER_ACTION),
+        *_fingers("velocity", _PER_ACTION),
+    )
+
+
+_FEATURES = {
+    "point": _vector("position"),
+    "reach": _GRIPPER,
+    "grasp": (*_GRIPPER, *_HAND),
+    "grasp-position": (*_GRIPPER, *_HAND),
+    "grasp-aperture": (*_GRIPPER, *_HAND),
+    "push": _with_object("cube"),
+    "pick-and-place": (*_with_object("cube"), *_HAND),
+    "slide": _with_object("puck"),
+}
+_OFFICIAL = {"push": "cube", "pick-and-place": "cube", "slide": "puck"}
+_GOALS = {
+    "point": _TARGET,
+    "reach": _TARGET,
+    "grasp": (*_TARGET, Quantity("to hold the cube at the target", "0 or 1", "")),
+    "grasp-position": _TARGET,
+    "grasp-aperture": (*_TARGET, Quantity("desired gap between the fingers", "m", "hand")),
+    "push": _OF_OBJECT,
+    "pick-and-place": _OF_OBJECT,
+    "slide": _OF_OBJECT,
+}
+_ARM = _vector("gripper displacement", "1 is about 0.033 m")
+_HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 leads the fingers by 1 m", "hand")
+_BLOCKED = Quantity("hand: no effect, the fingers are blocked", "", "hand")
+_BLOCKS_FINGERS = ("reach", "push", "slide")
+
+
+def describe(task: str, observation: str = "compact", history: int = 0, sizes: Sequence[int] = ()) -> Description:
+    """Describes the numbers of a task of the package; those of other tasks are numbered.
+
+    Args:
+      task: a name in `hgail_envs.TASKS`, or `"module:Class"`.
+      observation: `"compact"` or `"official"`, see `hgail_envs.fetch.objects.ObjectEnv`.
+      history: past actions and observations before the present observation, see `Randomization.history`.
+      sizes: of features without history, goal and action, for a task of one's own; empty are those of its class.
+
+    >>> describe("reach").features[3]
+    Quantity(name='gripper velocity x', unit='m per action of 0.04 s', frame='world')
+    >>> [quantity.name for quantity in describe("reach", history=1).features[:2]]
+    ['gripper displacement x, 1 step earlier', 'gripper displacement y, 1 step earlier']
+
+    """
+    if task in TASKS:
+        features = _official(_OFFICIAL[task]) if observation == "official" else _FEATURES[task]
+        goal = _GOALS[task]
+        hand = _BLOCKED if task in _BLOCKS_FINGERS else _HAND_COMMAND
+        action = _vector("displacement", "1 is 0.03 m") if task == "point" else (*_ARM, hand)
+    else:
+        of_class = find_class(task) if not sizes else None
+        counts = (of_class.feature_size, of_class.goal_size, of_class.action_size) if of_class else sizes
+        kinds = ("feature", "goal", "action")
+        features, goal, action = (
+            tuple(Quantity(f"{kind} {index}", "", "") for index in range(count))
+            for kind, count in zip(kinds, counts, strict=True)
+        )
+    return Description((*_past(action, features, history), *features), goal, action)
+
+
+def _past(action: tuple[Quantity, ...], features: tuple[Quantity, ...], history: int) -> tuple[Quantity, ...]:
+    """Returns the quantities of a history: the newest action and the features that it answered, then older ones."""
+    return tuple(
+        quantity._replace(name=f"{quantity.name}, {back} step{'s' if back > 1 else ''} earlier")
+        for back in range(1, history + 1)
+        for quantity in (*action, *features)
+    )
