@@ -38,8 +38,8 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
     """Writes the mean action as an ONNX model, normalisation included, with metadata that explain its numbers.
 
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
-    to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (of each number its index,
-    name, unit and frame), `frames`, `control_period` in seconds, `history`, `randomization` and `task_options` of the
+    to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
+    frame of each number), `frames`, `control_period` in seconds, `history`, `randomization` and `task_options` of the
     training, `versions` and, if it is known, `success`.
 
     Args:
@@ -49,6 +49,7 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
 
     Raises:
       ImportError: the extra `onnx` is not installed.
+      ValueError: the policy reads other numbers than its task has.
 
     """
     from onnx import checker, helper  # here, so that the module imports without the extra
@@ -118,6 +119,8 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
     of_package = policy.task in TASKS
     observation = str(policy.task_options.get("observation", "compact"))
     described = describe(policy.task, observation, history, () if of_package else sizes)
+    if len(described.features) + len(described.goal) != policy.observation_size:
+        raise ValueError(f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}")
     known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
     return {
         "task": policy.task,
