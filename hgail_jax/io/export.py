@@ -120,7 +120,9 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
     observation = str(policy.task_options.get("observation", "compact"))
     described = describe(policy.task, observation, history, () if of_package else sizes)
     if len(described.features) + len(described.goal) != policy.observation_size:
-        raise ValueError(f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}")
+        raise ValueError(
+            f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}"
+        )
     known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
     return {
         "task": policy.task,
