@@ -65,7 +65,9 @@ def find_policies(task: str | None, path: Path | None, level: str | None = None)
       OSError: a policy's file cannot be read.
 
     """
-    path = path or shipped(str(task), level)
+    if path is None and task is not None:
+        hgail_envs.find_class(task)
+        path = shipped(task, level)
     if path is None:
         raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
     loaded = [(file, load_policy(file)) for file in policy_files(path)]

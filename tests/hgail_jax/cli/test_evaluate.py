@@ -100,7 +100,7 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
     ("arguments", "message"),
     [
         (["--out", "p.txt"], "it must end in .onnx, .mlirbc, .npz"),
-        (["--task", "poke"], "no policy of poke comes with the package"),
+        (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "there is no file none.npz"),
         (["--policy", "run", "--out", "p.npz"], "run has 2 policies; name one, e.g. run/policies/seed-9.npz"),
         (["--out", "run/summary.json/p.npz"], "Not a directory"),
