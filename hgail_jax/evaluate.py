@@ -1,11 +1,16 @@
 """The one evaluation: episodes of a policy, and the means of how they ended."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from hgail_envs import EpisodeMetrics, GoalEnv
 from hgail_envs.validation import check_count
+from hgail_jax.io.policy import MeanPolicy
 from hgail_jax.rollout import Policy, Trajectory, rollout
+
+_MOST_AT_ONCE = 512  # episodes side by side
 
 
 def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
@@ -63,6 +68,40 @@ def evaluate_rollouts(
     outcomes, overflow = jax.lax.map(roll_out, jax.random.split(rng, rollouts))
     # A roll-out in which every episode broke has no distance; the others have the mean one.
     return jax.tree.map(lambda values: measured_mean(values, jnp.ones(rollouts, bool)), outcomes), overflow.any()
+
+
+def evaluate_policy(env: GoalEnv, policy: MeanPolicy, seed: int, num_episodes: int) -> tuple[EpisodeMetrics, int]:
+    """Evaluates a policy's mean action in the task's most accurate physics, as a run evaluates its seeds at its end.
+
+    Args:
+      env: the task, of the policy's sizes.
+      policy: to be evaluated.
+      seed: of the episodes.
+      num_episodes: least number of episodes: whole roll-outs of equal size.
+
+    Returns:
+      The means over the episodes, plain numbers, and the number of episodes.
+
+    Raises:
+      ValueError: `num_episodes` is no count from 1.
+      OverflowError: the simulation ran out of room for contacts.
+
+    """
+    reference = env.reference_physics()
+    rollouts = whole_rollouts(num_episodes, min(_MOST_AT_ONCE, env.max_worlds or _MOST_AT_ONCE))
+    num_envs = whole_rollouts(num_episodes, rollouts)
+
+    def act(observation: Any, rng: jax.Array) -> tuple[Any, jax.Array]:
+        return policy(observation, xp=jnp), jnp.zeros(len(observation))
+
+    @jax.jit
+    def measure(rng: jax.Array) -> tuple[EpisodeMetrics, jax.Array]:
+        return evaluate_rollouts(reference, act, rng, rollouts, num_envs)
+
+    outcome, overflow = measure(jax.random.key(seed))
+    if overflow:
+        raise OverflowError("the simulation ran out of room for contacts in the evaluation")
+    return jax.tree.map(float, outcome), rollouts * num_envs
 
 
 def whole_rollouts(num_episodes: int, num_envs: int) -> int:

@@ -20,9 +20,9 @@ import hgail_envs
 from experiments.bench.stepping import raw_rate
 from experiments.bench.timing import compile_timed, seconds_per_call
 from experiments.bench.workload import Workload, default_substeps
-from experiments.reference import make_reference
 from hgail_envs.engines.c import usable_cores
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, settle
+from hgail_envs.fetch.reference import make_reference
 from hgail_envs.scenes import load_scene
 from hgail_jax.defaults import platform_name
 

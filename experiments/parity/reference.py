@@ -6,8 +6,8 @@ import jax
 import mujoco
 import numpy as np
 
-from experiments.reference import make_reference
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
+from hgail_envs.fetch.reference import make_reference
 
 _LONGER_THAN_ANY = 10_000  # steps
 _NAMES = {

@@ -6,6 +6,8 @@ import sys
 COMMANDS = {
     "train": "trains seeds of a method on a task and writes the results to a folder",
     "play": "rolls out a trained policy, in the browser, in a viewer or as a film",
+    "evaluate": "measures the success of trained policies, with its interval",
+    "export": "writes a trained policy for other programs: ONNX, StableHLO or npz",
     "demos": "records demonstrations by a scripted controller",
 }
 """Help of each command; its module has its name."""

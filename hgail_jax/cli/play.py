@@ -9,21 +9,18 @@ from typing import Annotated
 import jax
 
 import hgail_envs
-from hgail_envs.randomization import LEVELS, Randomization
-from hgail_envs.randomized import randomize
-from hgail_envs.scenes import assets_directory
+from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.io.files import from_here
-from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, shipped, told
+from hgail_jax.io.policy import MeanPolicy
 from hgail_jax.play.film import check_film
 from hgail_jax.play.playback import film, show
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail play"
 
-_TASK = "grasp"
 _FIRST_PORT, _MOST_PORT = 8080, 65535
 
 
@@ -31,11 +28,11 @@ _FIRST_PORT, _MOST_PORT = 8080, 65535
 class Options:
     """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
 
-    task: Annotated[str | None, unless_given(f"the task of --policy, or {_TASK}", "STR")] = None
+    task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE")] = None
-    """The policy's file. Of those that come with the package the plain one, or with --randomize the robust one, if
-    there is one."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
+    """The policy's file, or a run's folder for its first seed. Of those that come with the package the plain one, or
+    with --randomize the robust one, if there is one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 3
@@ -58,7 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
     shows = options.out is None and bool(os.environ.get("DISPLAY"))
     try:
         _check(options)
-        task = _default_task(options.policy) if options.task is None else options.task
+        task = find_task(options.task, options.policy)
         _check_scene(task, options.policy)
         if options.web:
             _serve(options, task)
@@ -100,29 +97,10 @@ def _free_name(stem: str) -> Path:
     return next(path for path in itertools.chain([Path(f"{stem}.mp4")], numbered) if not os.path.lexists(path))
 
 
-def _default_task(path: Path | None) -> str:
-    """Returns the task to play if none is named: the policy's, or the default one.
-
-    Raises:
-      ValueError: the policy's task is none of this package. To load it would run code that the file names, and the
-        file need not be trusted.
-      OSError: the policy's file cannot be read.
-
-    """
-    if path is None:
-        return _TASK
-    task = load_policy(path).task
-    if task not in hgail_envs.TASKS:
-        raise ValueError(
-            f"{path} was trained on {task!r}, which is none of this package; name a task of your own by --task"
-        )
-    return task
-
-
 def _check_scene(task: str, path: Path | None) -> None:
     """Refuses a task without a scene, before anything else; the policy's file, if one is named, goes with no other."""
     if hgail_envs.find_class(task).scene is None:
-        played = ", ".join(name for name in hgail_envs.TASKS if _shipped(name))
+        played = ", ".join(name for name in hgail_envs.TASKS if shipped(name))
         instead = (
             f"choose from {played}" if path is None else f"{path} plays no other; without --policy choose from {played}"
         )
@@ -134,7 +112,7 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
 
     Args:
       task: its name.
-      path: the policy's file; None is one that comes with the package, see `_shipped`.
+      path: the policy's file or a run's folder; None is one that comes with the package, see `shipped`.
       level: of the randomisation; None is that of the policy's training.
       **physics: options of the task, where it takes them.
 
@@ -143,39 +121,10 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
       OSError: the policy's file cannot be read.
 
     """
-    path = path or _shipped(task, level)
-    if path is None:
-        raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
-    policy = load_policy(path)
-    taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
-    randomization = policy.randomization
-    if level is not None:
-        randomization = dataclasses.replace(LEVELS[level], history=randomization.history)  # it is shown as much
-    if policy.task != task:
-        raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
-    env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization)
-    if policy.observation_size != env.observation_size:
-        raise ValueError(
-            f"the policy reads {policy.observation_size} numbers, but an observation of {task} has "
-            f"{env.observation_size}"
-        )
-    print(f"policy {from_here(path)}, {_disturbances(randomization, level)}", flush=True)
+    file, policy = find_policies(task, path, level)[0]
+    env = make_task(policy, task, level, **physics)
+    print(told(file, policy, level), flush=True)
     return env, policy
-
-
-def _disturbances(randomization: Randomization, level: str | None) -> str:
-    """Names the level of the randomisation; it differs from the `level` asked for by the policy's own history."""
-    if randomization == randomization.nominal():
-        return "nominal"
-    name = next((name for name, sizes in LEVELS.items() if sizes == randomization), level)
-    return f"randomised: {name or 'as in its training'}"
-
-
-def _shipped(task: str, level: str | None = None) -> Path | None:
-    """Returns the file of the policy that comes with the package, for randomised episodes if a level is named."""
-    folder = assets_directory() / "policies"
-    robust = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
-    return next((path for path in (*robust, folder / f"{task}.npz") if path.exists()), None)
 
 
 def _serve(options: Options, shown: str) -> None:
@@ -199,7 +148,7 @@ def _serve(options: Options, shown: str) -> None:
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)
-    others = [task for task in hgail_envs.TASKS if task != shown and _shipped(task)]
+    others = [task for task in hgail_envs.TASKS if task != shown and shipped(task)]
     print(f"compiling {shown} ...", flush=True)
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)

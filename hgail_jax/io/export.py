@@ -1,13 +1,25 @@
-"""A trained policy as a StableHLO program, for runtimes that are not Python."""
+"""A trained policy as an ONNX or StableHLO program, for runtimes that are not Python."""
 
+import dataclasses
+import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.export
 import jax.numpy as jnp
+import numpy as np
 
+from hgail_envs.quantities import FRAMES, Quantity, describe
+from hgail_envs.registry import TASKS, find_class
 from hgail_jax.io.files import replace_file
-from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.io.policy import NORM_EPSILON, MeanPolicy
+from hgail_jax.io.provenance import installed
+from hgail_jax.state import MAX_NORMALIZED
+
+OPSET, IR_VERSION = 17, 8
+"""Versions of ONNX that onnxruntime 1.17 of 2024 loads, as do all later ones."""
 
 
 def export_policy(path: Path | str, policy: MeanPolicy) -> None:
@@ -20,3 +32,113 @@ def export_policy(path: Path | str, policy: MeanPolicy) -> None:
     exported = jax.export.export(jax.jit(lambda seen: policy(seen, xp=jnp)), platforms=("cpu",))(observation)
     with replace_file(path, "wb") as file:
         file.write(exported.mlir_module_serialized)
+
+
+def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = None) -> None:
+    """Writes the mean action as an ONNX model, normalisation included, with metadata that explain its numbers.
+
+    It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
+    to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
+    frame of each number), `frames`, `control_period` in seconds, `history`, `randomization` and `task_options` of the
+    training, `versions` and, if it is known, `success`.
+
+    Args:
+      path: to write.
+      policy: to be written.
+      success: rate of success of the policy, if it is known.
+
+    Raises:
+      ImportError: the extra `onnx` is not installed.
+      ValueError: the policy reads other numbers than its task has.
+
+    """
+    from onnx import checker, helper  # here, so that the module imports without the extra
+
+    nodes, constants = _operations(policy)
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("observation", 1, ["batch", policy.observation_size])],  # 1 is float32
+        [helper.make_tensor_value_info("action", 1, ["batch", policy.action_size])],
+        constants,
+        doc_string=f"Mean action of a policy for the task {policy.task}; the metadata describe each number.",
+    )
+    model = helper.make_model(
+        graph,
+        producer_name="hgail-jax",
+        producer_version=installed("hgail-jax")["hgail-jax"] or "",
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+    )
+    helper.set_model_props(model, {name: json.dumps(value) for name, value in _metadata(policy, success).items()})
+    checker.check_model(model, full_check=True)
+    with replace_file(path, "wb") as file:
+        file.write(model.SerializeToString())
+
+
+def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
+    """Returns the nodes and the constants of the graph; they follow `hgail_jax.io.policy.mean_action`."""
+    from onnx import helper, numpy_helper
+
+    constants: list[Any] = []
+    nodes: list[Any] = []
+
+    def constant(name: str, value: Any) -> str:
+        constants.append(numpy_helper.from_array(np.asarray(value, np.float32), name))
+        return name
+
+    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        nodes.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    hidden = node("Sub", ["observation", constant("mean", policy.mean)], "centred")
+    hidden = node("Div", [hidden, constant("std", policy.std)], "scaled")
+    limits = [constant("least", -MAX_NORMALIZED), constant("most", MAX_NORMALIZED)]
+    hidden = node("Clip", [hidden, *limits], "normalized")
+    last = len(policy.layers) - 1
+    for index, (weights, biases, *norm) in enumerate(policy.layers):
+        parts = [constant(f"weights_{index}", weights), constant(f"biases_{index}", biases)]
+        hidden = node("Gemm", [hidden, *parts], f"linear_{index}")
+        if norm:
+            parts = [constant(f"scale_{index}", norm[0]), constant(f"offset_{index}", norm[1])]
+            hidden = node("LayerNormalization", [hidden, *parts], f"norm_{index}", axis=-1, epsilon=NORM_EPSILON)
+            hidden = node("Relu", [hidden], f"hidden_{index}")
+        elif index < last:
+            hidden = node("Tanh", [hidden], f"hidden_{index}")
+    if policy.squash:
+        node("Tanh", [hidden], "action")
+    else:
+        node("Clip", [hidden, constant("low", -1.0), constant("high", 1.0)], "action")
+    return nodes, constants
+
+
+def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
+    history = policy.randomization.history
+    row = policy.action_size * history
+    sizes = ((policy.observation_size - policy.goal_size - row) // (1 + history), policy.goal_size, policy.action_size)
+    of_package = policy.task in TASKS
+    observation = str(policy.task_options.get("observation", "compact"))
+    described = describe(policy.task, observation, history, () if of_package else sizes)
+    if len(described.features) + len(described.goal) != policy.observation_size:
+        raise ValueError(
+            f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}"
+        )
+    known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
+    return {
+        "task": policy.task,
+        "observation": _rows((*described.features, *described.goal)),
+        "goal": _rows(described.goal, first=len(described.features)),
+        "action": [{**row, "low": -1.0, "high": 1.0} for row in _rows(described.action)],
+        "frames": FRAMES,
+        **known,
+        "normalization": f"in the graph: less mean, by standard deviation, clipped to {MAX_NORMALIZED:g} either way",
+        "history": history,
+        "randomization": dataclasses.asdict(policy.randomization),
+        "task_options": policy.task_options,
+        "versions": policy.versions,
+        **({} if success is None else {"success": success}),
+    }
+
+
+def _rows(quantities: Iterable[Quantity], first: int = 0) -> list[dict[str, Any]]:
+    return [{"index": index, **quantity._asdict()} for index, quantity in enumerate(quantities, first)]

@@ -36,7 +36,8 @@ _FORMAT = "hgail_jax policy 2"
 _ACTION = {"low": -1.0, "high": 1.0}
 _TANH, _LAYER_NORM_RELU = "tanh", "layer-norm-relu"
 _ARRAYS = ("weights", "biases", "scale", "offset")  # of a layer
-_EPSILON = 1e-6  # of layer normalisation, as flax has it
+NORM_EPSILON = 1e-6
+"""Of layer normalisation, as flax has it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +119,7 @@ def mean_action(mean: Any, std: Any, layers: Any, squash: bool, observation: Any
             scale, offset = norm
             centred = hidden - hidden.mean(axis=-1, keepdims=True)
             variance = xp.square(centred).mean(axis=-1, keepdims=True)
-            hidden = xp.maximum(centred / xp.sqrt(variance + _EPSILON) * scale + offset, 0.0)
+            hidden = xp.maximum(centred / xp.sqrt(variance + NORM_EPSILON) * scale + offset, 0.0)
         else:
             hidden = xp.tanh(hidden)
     weights, biases = layers[-1]

@@ -34,6 +34,19 @@ def confidence_interval(values: np.ndarray, axis: int = -1) -> np.ndarray:
     return special.stdtrit(count - 1, 0.975) * values.std(axis=axis, ddof=1) / np.sqrt(count)
 
 
+def success_interval(success: float, episodes: int) -> Estimate:
+    """Returns the rate of success of one policy in some episodes, and its 95 % interval by Wilson's formula.
+
+    >>> [round(bound, 4) for bound in success_interval(0.5, 10)]
+    [0.5, 0.2366, 0.7634]
+    """
+    z = special.ndtri(0.975)
+    scale = 1.0 + z**2 / episodes
+    middle = (success + z**2 / (2 * episodes)) / scale
+    half = z * np.sqrt(success * (1.0 - success) / episodes + (z / (2 * episodes)) ** 2) / scale
+    return Estimate(success, float(max(middle - half, 0.0)), float(min(middle + half, 1.0)))
+
+
 def interquartile_mean(*strata: np.ndarray) -> Estimate:
     """Returns the mean of the middle half of all values, and its interval by a stratified bootstrap.
 

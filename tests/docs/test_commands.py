@@ -13,12 +13,14 @@ from experiments.localisation.__main__ import Evaluate, Train
 from experiments.paper.__main__ import Options as Paper
 from experiments.parity.__main__ import Command as Parity
 from experiments.transfer.__main__ import Options as Transfer
-from hgail_jax.cli import command_line, demos, play, train
+from hgail_jax.cli import command_line, demos, evaluate, export, play, train
 from tests.support import ROOT
 
 COMMANDS = {
     "hgail train": train.Command,
     "hgail play": play.Options,
+    "hgail evaluate": evaluate.Options,
+    "hgail export": export.Options,
     "hgail demos": demos.Options,
     "python experiments/run.py": train.Command,
     "python -m experiments.bench": Bench,
@@ -63,7 +65,7 @@ def written(page):
     for program, words in [each.groups() for each in found if each and each[1].startswith("hgail") and each[2]]:
         with contextlib.suppress(SystemExit):  # of --help
             options = command_line.parse(COMMANDS[program], program, "", shlex.split(words))
-            if options.out is not None:
+            if getattr(options, "out", None) is not None:
                 names.append(str(options.out))
             elif program == "hgail play" and not options.web:
                 names.append(f"{options.task or options.policy}.mp4")

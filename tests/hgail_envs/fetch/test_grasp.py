@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from experiments.reference import make_reference
 from hgail_envs.fetch import controllers
+from hgail_envs.fetch.reference import make_reference
 
 BATCH = 16
 STEPS = 100

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from experiments.reference import make_reference
 from hgail_envs.fetch.arm import CONTROL_PERIOD
+from hgail_envs.fetch.reference import make_reference
 
 BATCH = 32
 PARTS = 12

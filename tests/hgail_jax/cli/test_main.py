@@ -22,7 +22,7 @@ def prepared(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("command", ["train", "play", "demos"])
+@pytest.mark.parametrize("command", ["train", "play", "evaluate", "export", "demos"])
 def test_a_command_is_given_its_options(command, monkeypatch, prepared):
     given = []
     module = importlib.import_module(f"hgail_jax.cli.{command}")
@@ -46,7 +46,13 @@ def test_commands_are_listed(arguments, capsys, prepared):
     shown = capsys.readouterr().out
     assert shown.startswith("usage: hgail COMMAND")
     lines = [line.split() for line in shown.splitlines()]
-    assert [words[0] for words in lines if words and words[0] in COMMANDS] == ["train", "play", "demos"]
+    assert [words[0] for words in lines if words and words[0] in COMMANDS] == [
+        "train",
+        "play",
+        "evaluate",
+        "export",
+        "demos",
+    ]
     assert not prepared  # which would make folders
 
 
@@ -57,7 +63,7 @@ def test_an_unknown_command_is_refused_in_one_line(name, capsys, prepared):
     assert exit_info.value.code == 2
     shown = capsys.readouterr()
     assert shown.out == ""
-    assert shown.err == f"hgail: there is no command {name!r}; choose from train, play, demos\n"
+    assert shown.err == f"hgail: there is no command {name!r}; choose from train, play, evaluate, export, demos\n"
 
 
 def test_the_package_has_the_console_command():

@@ -14,7 +14,7 @@ from PIL import Image
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
-from hgail_jax.cli import play
+from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import Playback, film
 from tests.hgail_jax.terminal.test_status import Terminal
@@ -312,5 +312,5 @@ def test_randomised_episodes_are_played_with_the_robust_policy_if_there_is_one(
     (tmp_path / "policies").mkdir()
     for file in files:
         (tmp_path / "policies" / f"{file}.npz").touch()
-    path = play._shipped("reach", level)
+    path = policies.shipped("reach", level)
     assert (path and path.stem) == expected

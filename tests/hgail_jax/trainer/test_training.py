@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from experiments.reference import make_reference
+from hgail_envs.fetch.reference import make_reference
 from hgail_jax import load_policy
 from hgail_jax.cli import train as run
 

@@ -1,0 +1,174 @@
+"""Gymnasium-Robotics' environments, the reference of the Fetch tasks, on C MuJoCo with the robot's own meshes."""
+
+import collections
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from hgail_envs.base import EpisodeMetrics
+from hgail_envs.fetch.grasp import LEAST_RISE, is_held
+from hgail_envs.fetch.objects import OBSERVATIONS
+from hgail_envs.registry import accepted_options, find_class
+from hgail_envs.validation import MOST_SEED, check_name
+
+TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
+"""Tasks of `ReferenceFetch`."""
+
+_FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
+_CUBE = "object0"
+_LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # the displacements of an episode with a longer stride
+
+
+def make_reference(name: str, **options: Any) -> Any:
+    """Makes an environment of Gymnasium-Robotics, on whatever MuJoCo is installed.
+
+    Args:
+      name: e.g. `"FetchReach-v4"`.
+      options: of `gymnasium.make`.
+
+    Raises:
+      ImportError: the extra `compare` is not installed.
+
+    """
+    import gymnasium  # here, so that this module imports without the extra
+    import gymnasium_robotics
+    from gymnasium_robotics.utils import mujoco_utils
+
+    # It tests whether a NumPy integer is `in` a tuple of joint types, which newer MuJoCos' enums never equal.
+    kinds = {name: int(kind) for name, kind in mujoco.mjtJoint.__members__.items()}
+    mujoco_utils.mujoco = SimpleNamespace(**vars(mujoco) | {"mjtJoint": SimpleNamespace(**kinds)})
+    gymnasium.register_envs(gymnasium_robotics)
+    return gymnasium.make(name, **options)
+
+
+class ReferenceFetch:
+    """The reference environment of a task: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
+
+    Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
+    FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
+    environment's observation, whose velocities are already multiplied by `CONTROL_PERIOD`:
+
+    | feature | FetchReach | the others |
+    |---|---|---|
+    | gripper position | 0:3 | 0:3 |
+    | gripper velocity × 0.04 s | 5:8 | 20:23 |
+    | object position less gripper position, object position | not seen | 6:9, 3:6; not seen in grasp |
+    | object velocity × 0.04 s | not seen | the sum of 14:17 and 20:23; not seen in grasp |
+    | gap between the fingers | not seen | the sum of 9:11; not seen in push and slide |
+    | holding | not seen | `hgail_envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
+    | target position | the desired goal | the desired goal; in grasp 3:6, the cube |
+
+    Actions are the same four numbers.
+
+    Args:
+      task: one of `TASKS`.
+      observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
+        numbers (`hgail_envs.fetch.objects.ObjectEnv.official_features`).
+
+    Raises:
+      ValueError: the task has no reference, or no such observation.
+      ImportError: the extra `compare` is not installed.
+
+    """
+
+    def __init__(self, task: str, observation: str = "compact") -> None:
+        check_name("task of the reference", task, TASKS)
+        has_object_in_sight = "observation" in accepted_options(task)
+        check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])
+        self.task = task
+        self._official = observation == "official"
+        env: Any = make_reference(str(find_class(task).reference), disable_env_checker=True).unwrapped
+        import gymnasium  # here, so that the class can be read without its extra
+
+        env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
+        self.model, self.data = env.model, env.data
+        self._env = env
+        self._fingers = {self.model.geom(name).id for name in _FINGERS}
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Starts an episode of the environment, which `rng` seeds."""
+        self._env.reset(seed=int(rng.integers(MOST_SEED + 1)))
+
+    def features(self) -> np.ndarray:
+        """Returns the features of the task's class in `hgail_envs`, with the same `observation`."""
+        seen = self._observation()
+        if self._official:
+            return seen
+        if self.task == "reach":
+            return np.concatenate([seen[:3], seen[5:8]])
+        gap = seen[9:11].sum()
+        arm, hand = np.concatenate([seen[:3], seen[20:23]]), [gap, is_held(self._touching(), gap)]
+        if self.task == "grasp":
+            return np.concatenate([arm, hand])
+        thing = np.concatenate([seen[6:9], seen[3:6], seen[14:17] + seen[20:23]])
+        return np.concatenate([arm, thing, hand if self.task == "pick-and-place" else []])
+
+    def target(self) -> np.ndarray:
+        """Returns the desired goal, or in grasp the cube's centre, `[3]`."""
+        return self._observation()[3:6] if self.task == "grasp" else self._env.goal.copy()
+
+    def carried(self) -> np.ndarray:
+        """Returns the gripper's position in reach and grasp, else the object's, `[3]`."""
+        return self._observation()[:3] if self.task in ("reach", "grasp") else self._observation()[3:6]
+
+    def reached(self) -> bool:
+        """Returns whether the environment counts a success; in grasp, whether the gripper is near the cube."""
+        if self.task == "grasp":
+            return bool(np.linalg.norm(self.carried() - self.target()) <= find_class(self.task).success_threshold)
+        return bool(self._env._is_success(self.carried(), self._env.goal))
+
+    def step(self, action: np.ndarray) -> None:
+        """Steps the environment by an action, `[4]`."""
+        self._env.step(np.asarray(action, np.float64))
+
+    def _observation(self) -> np.ndarray:
+        return self._env._get_obs()["observation"]
+
+    def _touching(self) -> bool:
+        """Returns whether both fingers touch the cube."""
+        cube = self.model.geom(_CUBE).id
+        pairs = self.data.contact.geom
+        return self._fingers <= set(pairs[(pairs == cube).any(axis=1)].ravel())
+
+
+def reference_episode(
+    reference: ReferenceFetch, policy: Callable[[np.ndarray], np.ndarray], history: int, seed: int, index: int
+) -> EpisodeMetrics:
+    """Runs a policy for one episode of the reference, with the task's lift test.
+
+    Args:
+      reference: of the task.
+      policy: maps an observation, float32 `[observation_size]`, to an action, `[4]`.
+      history: past actions and observations that the policy reads, see `Randomization.history`.
+      seed: of all episodes; with the index it decides the start.
+      index: of the episode.
+
+    Returns:
+      How the episode ended, in plain numbers.
+
+    """
+    task = find_class(reference.task)
+    reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
+    goal = np.append(reference.target(), np.ones(task.goal_size - 3))  # 1: the object's position, or to be held
+    rows = collections.deque([np.concatenate([np.zeros(4), reference.features()])] * history, maxlen=history)
+    for _ in range(task.episode_length):
+        seen = reference.features()
+        action = np.clip(policy(np.concatenate([*rows, seen, goal]).astype(np.float32)), -1.0, 1.0)
+        rows.appendleft(np.concatenate([action, seen]))
+        reference.step(action)
+    position, target = reference.carried(), reference.target()
+    achieved = bool(reference.features()[7]) if task.lift_test_steps else reference.reached()  # 7: the hand holds
+    for _ in range(task.lift_test_steps):
+        reference.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was
+    rise = reference.target()[2] - target[2] if task.lift_test_steps else np.inf
+    l1 = float(np.abs(position - target).sum())
+    return EpisodeMetrics(
+        success=float(achieved and rise > LEAST_RISE),
+        achieved=float(achieved),
+        success_l1=float(l1 <= task.success_threshold),
+        distance_l1=l1,
+        distance_l2=float(np.linalg.norm(position - target)),
+    )

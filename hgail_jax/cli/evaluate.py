@@ -1,0 +1,168 @@
+"""Measures the success of trained policies on their task, with its 95 % interval, and how near they come."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+import hgail_envs
+from hgail_envs.base import EpisodeMetrics
+from hgail_envs.engines import ENGINES
+from hgail_envs.fetch.reference import ReferenceFetch, reference_episode
+from hgail_envs.randomization import LEVELS
+from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
+from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, randomization, told
+from hgail_jax.evaluate import evaluate_policy
+from hgail_jax.io.files import from_here
+from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.io.provenance import installed
+from hgail_jax.terminal.status import StatusLine
+from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.statistics import confidence_interval, success_interval
+
+PROGRAM = "hgail evaluate"
+Measure = Callable[[MeanPolicy], tuple[EpisodeMetrics, int]]
+"""Returns the mean outcome of a policy, and of how many episodes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Measures the success of trained policies, with its 95 % interval: Wilson's, or of several seeds Student's."""
+
+    task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
+    """A task's name, or 'module:Class' of your own."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
+    """The policy's file, or a run's folder for all its seeds. Of those that come with the package the plain one, or
+    with --randomize the robust one, if there is one."""
+    randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
+    """How much each episode is randomised; see docs/robust.md."""
+    episodes: int = 200
+    """Episodes of each policy; from 513 on rounded up to whole roll-outs."""
+    seed: int = 0
+    """Of the episodes."""
+    impl: Annotated[str | None, unless_given("auto", "|".join(["auto", *ENGINES]))] = None
+    """Physics engine of the Fetch tasks, always with the reference's 20 steps per action."""
+    reference: bool = False
+    """Run in Gymnasium-Robotics' environment of the task instead (extra `compare`), one episode after another."""
+    json: bool = False
+    """Print a JSON object instead of text."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line `arguments`, or the process's own."""
+    options = parse(Options, PROGRAM, __doc__, arguments)
+    try:
+        _check(options)
+        task = find_task(options.task, options.policy)
+        policies = find_policies(task, options.policy, options.randomize)
+        engine, measure = (_reference if options.reference else _simulation)(task, options, policies[0][1])
+    except (ValueError, OSError) as error:
+        fail(PROGRAM, error, 2)
+    rows = []
+    try:
+        with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {task}"):
+            for path, policy in policies:
+                rows.append(_row(path, *measure(policy)))
+    except OverflowError as error:
+        fail(PROGRAM, error, 1)
+    if options.json:
+        print(json.dumps(_report(task, engine, options, policies[0][1], rows), indent=2))
+        return
+    for (path, policy), row in zip(policies, rows, strict=True):
+        print(told(path, policy, "none" if options.reference else options.randomize) + f", engine {engine}")
+        print(_text(row))
+    if len(rows) > 1:
+        mean = _mean(rows)
+        print(f"mean of {len(rows)} seeds: success {_interval(mean)}")
+
+
+def _check(options: Options) -> None:
+    """Refuses numbers out of range, and options that do not go together."""
+    check_count("episodes", options.episodes)
+    check_count("seed", options.seed, least=0, most=MOST_SEED)
+    if options.randomize is not None:
+        check_name("randomize", options.randomize, LEVELS)
+    if options.impl is not None:
+        check_name("impl", options.impl, ["auto", *ENGINES])
+    if options.reference and (options.impl is not None or options.randomize not in (None, "none")):
+        raise ValueError("the reference has one engine and is not randomised; leave out --impl and --randomize")
+
+
+def _simulation(task: str, options: Options, first: MeanPolicy) -> tuple[str, Measure]:
+    """Returns the engine's name, and a function that measures a policy in the task of this package."""
+    if options.impl and "impl" not in hgail_envs.accepted_options(task):
+        raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
+    physics: dict[str, Any] = {"impl": options.impl} if options.impl else {}
+    env = make_task(first, task, options.randomize, **physics)
+
+    def measure(policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
+        env = make_task(policy, task, options.randomize, **physics)
+        return evaluate_policy(env, policy, options.seed, options.episodes)
+
+    return getattr(env, "impl", "JAX"), measure
+
+
+def _reference(task: str, options: Options, first: MeanPolicy) -> tuple[str, Measure]:
+    """Returns the environment's name, and a function that measures a policy in it."""
+    try:
+        reference = ReferenceFetch(task, **first.task_options)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
+
+    def measure(policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
+        ends = [
+            reference_episode(reference, policy, policy.randomization.history, options.seed, index)
+            for index in range(options.episodes)
+        ]
+        names = [field.name for field in dataclasses.fields(EpisodeMetrics)]
+        means = {name: float(np.mean([getattr(end, name) for end in ends])) for name in names}
+        return EpisodeMetrics(**means), options.episodes
+
+    return str(hgail_envs.find_class(task).reference), measure
+
+
+def _row(path: Path, outcome: EpisodeMetrics, episodes: int) -> dict[str, Any]:
+    """Returns what was measured of a policy."""
+    success = success_interval(float(outcome.success), episodes)
+    return {
+        "policy": str(from_here(path)),
+        "episodes": episodes,
+        **{"success": success.value, "low": success.low, "high": success.high},
+        **{name: getattr(outcome, name) for name in ("achieved", "success_l1", "distance_l1", "distance_l2")},
+    }
+
+
+def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Returns the mean success of several seeds, and its interval by Student's t."""
+    success = np.array([row["success"] for row in rows])
+    half = float(confidence_interval(success))
+    return {"success": float(success.mean()), "low": float(success.mean()) - half, "high": float(success.mean()) + half}
+
+
+def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns the content of the JSON object."""
+    sizes = randomization(policy, "none" if options.reference else options.randomize)
+    return {
+        "task": task,
+        "engine": engine,
+        "seed": options.seed,
+        "randomization": dataclasses.asdict(sizes),
+        "policies": rows,
+        **({"mean": _mean(rows)} if len(rows) > 1 else {}),
+        "versions": installed("hgail-jax", "jax", "mujoco", "gymnasium-robotics"),
+    }
+
+
+def _text(row: dict[str, Any]) -> str:
+    return (
+        f"success {_interval(row)} in {counted(row['episodes'], 'episode')};"
+        f" L1 distance {row['distance_l1']:.4f} m, Euclidean {row['distance_l2']:.4f} m"
+    )
+
+
+def _interval(row: dict[str, Any]) -> str:
+    return f"{row['success']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"

@@ -1,0 +1,127 @@
+"""Policies that a command is given: a file, a run's folder, or one that comes with the package."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import hgail_envs
+from hgail_envs.randomization import LEVELS, Randomization
+from hgail_envs.randomized import randomize
+from hgail_envs.scenes import assets_directory
+from hgail_jax.io.files import from_here
+from hgail_jax.io.policy import MeanPolicy, load_policy
+
+DEFAULT_TASK = "grasp"
+"""Task of a command that is given neither a task nor a policy."""
+
+
+def policy_files(path: Path) -> list[Path]:
+    """Returns a policy's file, or those of a run's folder, by seed.
+
+    Raises:
+      ValueError: the folder has no policy.
+
+    """
+    if not path.is_dir():
+        return [path]
+    found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
+    if not found:
+        raise ValueError(f"there is no policy in the folder {path}; a run writes its policies at its end")
+    return sorted(found, key=lambda file: [int(part) if part.isdigit() else part for part in _NUMBER.split(file.name)])
+
+
+_NUMBER = re.compile(r"(\d+)")
+
+
+def find_task(task: str | None, path: Path | None) -> str:
+    """Returns the task that is named, else the policy's, else the default one.
+
+    Raises:
+      ValueError: the policy's task is none of this package. To load it would run code that the file names, and the
+        file need not be trusted.
+      OSError: the policy's file cannot be read.
+
+    """
+    if task is not None or path is None:
+        return task or DEFAULT_TASK
+    of_policy = load_policy(policy_files(path)[0]).task
+    if of_policy not in hgail_envs.TASKS:
+        raise ValueError(
+            f"{path} was trained on {of_policy!r}, which is none of this package; name a task of your own by --task"
+        )
+    return of_policy
+
+
+def find_policies(task: str | None, path: Path | None, level: str | None = None) -> list[tuple[Path, MeanPolicy]]:
+    """Returns the policies of a file or a run's folder, and their files.
+
+    Args:
+      task: its name; None is the policy's own, whose code is not loaded.
+      path: of the file or folder; None is a policy that comes with the package, see `shipped`.
+      level: of the randomisation, for `shipped`.
+
+    Raises:
+      ValueError: there is none, or it is not for the task.
+      OSError: a policy's file cannot be read.
+
+    """
+    if path is None and task is not None:
+        hgail_envs.find_class(task)
+        path = shipped(task, level)
+    if path is None:
+        raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
+    loaded = [(file, load_policy(file)) for file in policy_files(path)]
+    for _, policy in loaded:
+        if task not in (None, policy.task):
+            raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
+    return loaded
+
+
+def shipped(task: str, level: str | None = None) -> Path | None:
+    """Returns the file of the policy that comes with the package, for randomised episodes if a level is named."""
+    folder = assets_directory() / "policies"
+    robust = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
+    return next((path for path in (*robust, folder / f"{task}.npz") if path.exists()), None)
+
+
+def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int) -> hgail_envs.GoalEnv:
+    """Makes the task that a policy is for.
+
+    Args:
+      policy: its options and its history are the task's.
+      task: its name.
+      level: of the randomisation; None is that of the policy's training.
+      **physics: options of the task, where it takes them.
+
+    Raises:
+      ValueError: the policy is not for it, or an option is refused.
+
+    """
+    taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
+    env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
+    if policy.observation_size != env.observation_size:
+        raise ValueError(
+            f"the policy reads {policy.observation_size} numbers, but an observation of {task} has "
+            f"{env.observation_size}"
+        )
+    return env
+
+
+def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
+    """Returns the randomisation of a level, or if it is None that of the policy's training, with its history."""
+    if level is None:
+        return policy.randomization
+    return dataclasses.replace(LEVELS[level], history=policy.randomization.history)  # the policy is shown as much
+
+
+def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
+    """Returns a line that names the policy's file and the level of the randomisation."""
+    return f"policy {from_here(path)}, {_disturbances(randomization(policy, level), level)}"
+
+
+def _disturbances(sizes: Randomization, level: str | None) -> str:
+    """Names the level of the randomisation; it differs from the `level` asked for by the policy's own history."""
+    if sizes == sizes.nominal():
+        return "nominal"
+    name = next((name for name, known in LEVELS.items() if known == sizes), level)
+    return f"randomised: {name or 'as in its training'}"

@@ -1,0 +1,142 @@
+"""hgail evaluate and hgail export."""
+
+import importlib.util
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from scipy import stats
+
+import hgail_envs
+from experiments.transfer.episode import run_episodes
+from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from hgail_jax import load_policy
+from hgail_jax.cli import evaluate, export
+from hgail_jax.trainer.statistics import success_interval
+
+
+@pytest.fixture
+def run_folder(tmp_path, shipped_policy):
+    folder = tmp_path / "run"
+    (folder / "policies").mkdir(parents=True)
+    for seed in (10, 9):
+        shutil.copy(shipped_policy, folder / "policies" / f"seed-{seed}.npz")
+    (folder / "summary.json").write_text(json.dumps({"success_rate": {"per_seed": [0.25, 0.75]}}))
+    return folder
+
+
+def report(arguments, capsys):
+    evaluate.main([*arguments, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("hits", "episodes"), [(0, 5), (5, 5), (3, 7), (180, 200)])
+def test_the_interval_is_wilson_s(hits, episodes):
+    low, high = stats.binomtest(hits, episodes).proportion_ci(method="wilson")
+    assert success_interval(hits / episodes, episodes) == pytest.approx((hits / episodes, low, high))
+
+
+def test_what_is_printed_is_what_a_roll_out_of_the_policy_gives(capsys, shipped_policy):
+    told = report(["--task", "reach", "--episodes", "6", "--seed", "3"], capsys)
+    (row,) = told["policies"]
+    policy = load_policy(shipped_policy)
+    env = hgail_envs.make("reach")
+    step, reset = jax.jit(env.step), jax.jit(env.reset)
+    (rng,) = jax.random.split(jax.random.key(3), 1)  # one roll-out
+    distances = []
+    for key in jax.random.split(jax.random.split(rng)[0], 6):
+        state = reset(key)
+        for _ in range(env.episode_length):
+            state = step(state, policy(np.asarray(state.obs)))
+        distances.append(np.linalg.norm(state.info["achieved_goal"] - state.info["desired_goal"]))
+    assert row["distance_l2"] == pytest.approx(np.mean(distances), abs=1e-4)
+    assert row["success"] == np.mean(np.array(distances) <= 0.05)
+    assert (told["task"], told["engine"], row["episodes"]) == ("reach", env.impl, 6)
+
+
+def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder):
+    told = report(["--policy", str(run_folder), "--episodes", "3"], capsys)
+    assert [row["policy"].split("/")[-1] for row in told["policies"]] == ["seed-9.npz", "seed-10.npz"]
+    assert told["mean"]["success"] == told["policies"][0]["success"] == told["policies"][1]["success"]
+    evaluate.main(["--policy", str(run_folder), "--episodes", "3", "--randomize", "mild"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    assert "randomised: mild, engine" in lines[0]
+
+
+@pytest.mark.parametrize("task", ["push", "grasp"])
+def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, capsys):
+    pytest.importorskip("gymnasium_robotics")
+    told = report(["--task", task, "--reference", "--episodes", "3", "--seed", "5"], capsys)
+    (row,) = told["policies"]
+    policy = load_policy(hgail_envs.scenes.assets_directory() / "policies" / f"{task}.npz")
+    ends = run_episodes(GymnasiumFetch(task), [policy], range(3), seed=5)
+    for name in ("success", "achieved", "distance_l1", "distance_l2"):
+        assert row[name] == pytest.approx(np.mean([getattr(end, name) for end in ends]), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--episodes", "0"], "episodes is 0; it must be at least 1"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--task", "poke"], "unknown task 'poke'"),
+        (["--policy", "none.npz"], "there is no file none.npz"),
+        (["--policy", "."], "there is no policy in the folder ."),
+        (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
+        (["--randomize", "wild"], "randomize is 'wild'"),
+        (["--task", "point"], "no policy of point comes with the package"),
+        (["--reference", "--impl", "c"], "leave out --impl"),
+        (["--reference", "--randomize", "mild"], "leave out --impl and --randomize"),
+    ],
+)
+def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch):
+    refused(evaluate.main, arguments, message, capsys, tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--out", "p.txt"], "it must end in .onnx, .mlirbc, .npz"),
+        (["--task", "poke"], "unknown task 'poke'"),
+        (["--policy", "none.npz"], "there is no file none.npz"),
+        (["--policy", "run", "--out", "p.npz"], "run has 2 policies; name one, e.g. run/policies/seed-9.npz"),
+        (["--out", "run/summary.json/p.npz"], "Not a directory"),
+        (["--out", "run/policies/seed-9.npz"], "exists already"),
+        (["--randomize", "wild"], "randomize is 'wild'"),
+    ],
+)
+def test_bad_input_to_export_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, run_folder):
+    refused(export.main, arguments, message, capsys, tmp_path, monkeypatch)
+
+
+def refused(program, arguments, message, capsys, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(SystemExit) as exit_info:
+        program(arguments)
+    error = capsys.readouterr().err
+    assert (exit_info.value.code, error.count("\n")) == (2, 1)
+    assert message in error
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_onnx_without_its_package_is_refused_before_anything_is_written(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    refused(export.main, ["--task", "reach"], "pip install 'hgail-jax[onnx]'", capsys, tmp_path, monkeypatch)
+
+
+def test_a_policy_is_exported_in_each_format(capsys, tmp_path, monkeypatch, run_folder):
+    monkeypatch.chdir(tmp_path)
+    for name in ("p.npz", "p.mlirbc"):
+        export.main(["--task", "reach", "--out", name])
+        assert capsys.readouterr().out.endswith(f"-> {name}\n")
+    observation = np.random.default_rng(0).normal(size=(5, 9)).astype(np.float32)
+    shipped = load_policy(hgail_envs.scenes.assets_directory() / "policies" / "reach.npz")
+    np.testing.assert_array_equal(load_policy("p.npz")(observation), shipped(observation))
+    onnx = pytest.importorskip("onnx")
+    export.main(["--policy", "run/policies/seed-10.npz"])
+    told = {each.key: each.value for each in onnx.load("reach.onnx").metadata_props}
+    assert float(told["success"]) == 0.75  # of the second seed, as the run measured it

@@ -1,0 +1,79 @@
+"""ONNX files: what onnxruntime computes from them, and what they say of themselves."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.randomized import randomize
+from hgail_envs.scenes import assets_directory
+from hgail_jax import load_policy
+from hgail_jax.io.export import export_onnx
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+SHIPPED = sorted((assets_directory() / "policies").glob("*.npz"))
+
+
+def exported(policy, path, **more):
+    export_onnx(path, policy, **more)
+    model = onnx.load(path)
+    return model, {prop.key: json.loads(prop.value) for prop in model.metadata_props}
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_model_computes_the_policy(path, tmp_path):
+    policy = load_policy(path)
+    model, _ = exported(policy, tmp_path / "p.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "p.onnx")
+    far = np.random.default_rng(0).normal(size=(10_000, policy.observation_size)) * 4.0  # beyond the clip at 5, too
+    observation = (policy.mean + policy.std * far).astype(np.float32)
+    (action,) = session.run(None, {"observation": observation})
+    np.testing.assert_allclose(action, policy(observation), rtol=0, atol=1e-5)
+    for batch in (0, 1, 3):
+        assert session.run(None, {"observation": observation[:batch]})[0].shape == (batch, policy.action_size)
+    assert (model.ir_version, [(each.domain, each.version) for each in model.opset_import]) == (8, [("", 17)])
+    assert [file.name for file in tmp_path.iterdir()] == ["p.onnx"]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_metadata_describe_each_number(path, tmp_path):
+    policy = load_policy(path)
+    _, told = exported(policy, tmp_path / "p.onnx")
+    env = randomize(hgail_envs.make(policy.task, impl="c", substeps=4), policy.randomization)
+    rows = told["observation"]
+    assert [row["index"] for row in rows] == list(range(env.observation_size))
+    assert len({row["name"] for row in rows}) == len(rows)
+    assert told["goal"] == rows[-env.goal_size :]
+    assert [(row["low"], row["high"]) for row in told["action"]] == [(-1.0, 1.0)] * env.action_size
+    assert {row["frame"] for row in rows} - {""} <= set(told["frames"])
+    assert (told["task"], told["control_period"]) == (policy.task, env.control_period)
+    assert told["history"] == told["randomization"]["history"] == policy.randomization.history
+    assert told["versions"]["jax"]
+    assert "success" not in told
+    state = jax.jit(env.reset)(jax.random.key(0))
+    position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
+    np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
+
+
+def test_success_is_told_if_it_is_known(shipped_policy, tmp_path):
+    _, told = exported(load_policy(shipped_policy), tmp_path / "p.onnx", success=0.75)
+    assert told["success"] == 0.75
+
+
+def test_a_policy_of_another_task_is_written_without_its_code(shipped_policy, tmp_path):
+    policy = dataclasses.replace(load_policy(shipped_policy), task="no_such_module:Task")
+    _, told = exported(policy, tmp_path / "p.onnx")
+    assert [row["name"] for row in told["goal"]] == ["goal 0", "goal 1", "goal 2"]
+    assert "control_period" not in told
+
+
+def test_a_policy_that_does_not_fit_its_task_writes_nothing(shipped_policy, tmp_path):
+    policy = dataclasses.replace(load_policy(shipped_policy), task="push")
+    with pytest.raises(ValueError, match="reads 9 numbers, which is no observation of push"):
+        export_onnx(tmp_path / "p.onnx", policy)
+    assert not list(tmp_path.iterdir())
