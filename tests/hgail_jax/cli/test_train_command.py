@@ -245,6 +245,23 @@ def test_every_option_is_handed_on():
         assert name == "randomize" or found(plain) != value, name
 
 
+def test_options_of_several_processes_are_handed_on(in_folder, capsys, monkeypatch):
+    joined = []
+
+    def join(*numbers, **options):
+        joined.append((numbers, options))
+        raise ValueError("nobody answers")
+
+    monkeypatch.setattr(run, "join", join)
+    words = ["--coordinator", "here:1", "--num-processes", "3", "--process-id", "2", "--heartbeat-timeout", "7"]
+    with pytest.raises(SystemExit) as exit_info:
+        run.main([*words, "--distributed", "auto"])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err == "hgail train: nobody answers\n"
+    assert joined == [(("here:1", 3, 2), {"auto": True, "heartbeat_timeout": 7})]
+    assert not list(in_folder.iterdir())
+
+
 @pytest.mark.slow
 def test_a_run_promotes_no_ranks_or_types(in_folder):
     """Under settings that forbid it, up to its policies and its curves."""

@@ -6,8 +6,22 @@ import numpy as np
 import pytest
 
 from hgail_envs.fetch.reference import make_reference
-from hgail_jax import load_policy
+from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
+from hgail_jax.trainer import training
+from hgail_jax.trainer.options import plan
+
+
+def test_final_evaluations_have_as_many_episodes_as_asked_for(monkeypatch):
+    """Of a randomised task as trained, and without randomisation."""
+    traced = []
+    monkeypatch.setattr(training, "trace_evaluation", lambda env, *sizes: traced.append((env, *sizes)))
+    planned = plan(TrainOptions(task="reach", seeds=1, num_envs=2, randomize="mild", evaluation_episodes=9), "cpu")
+    training.trace_evaluations(planned)
+    assert [(env.randomization, episodes) for env, _, _, episodes, _ in traced] == [
+        (planned.env.randomization, 9),
+        (planned.env.randomization.nominal(), 9),
+    ]
 
 
 @pytest.mark.slow
