@@ -7,6 +7,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -46,7 +47,8 @@ def sb3_sac_her(tested: Tested, most_steps: int, num_envs: int = 8) -> None:
 
     from hgail_envs.stable_baselines import GoalVecEnv
 
-    env = GoalVecEnv(gymnasium.make_vec(REACH, num_envs=num_envs, autoreset_mode="SameStep"))
+    made: Any = gymnasium.make_vec(REACH, num_envs=num_envs, autoreset_mode="SameStep")
+    env = GoalVecEnv(made)
     model = SAC(
         "MultiInputPolicy",
         env,

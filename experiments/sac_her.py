@@ -34,7 +34,8 @@ class Mlp(nn.Module):
 
 
 TwoMlps = nn.vmap(Mlp, in_axes=None, axis_size=2, variable_axes={"params": 0}, split_rngs={"params": True})
-actor, critic = Mlp(8), TwoMlps(1)
+actor: Any = Mlp(8)  # flax's types say that it may return more than an array
+critic: Any = TwoMlps(1)
 adam = optax.adam(1e-3)
 
 
@@ -116,6 +117,9 @@ def train(tested: Callable[[int, Callable[[dict], np.ndarray]], bool], most_step
             buffer[name][episodes, STEPS] = np.stack([final[name] for final in info["final_obs"]])
         rng, key = jax.random.split(rng)
         state = updates(state, buffer, episodes.stop, key)
-        params = state[0]["actor"]
-        if tested(episodes.stop * STEPS, lambda seen, params=params: np.asarray(mean(params, joined(seen)))):
+
+        def policy(seen: dict[str, np.ndarray], params: Any = state[0]["actor"]) -> np.ndarray:
+            return np.asarray(mean(params, joined(seen)))
+
+        if tested(episodes.stop * STEPS, policy):
             return

@@ -58,7 +58,7 @@ class GoalSingleEnv(gymnasium.Env):
         rewards = self.vector.compute_reward(achieved, desired)
         return rewards if rewards.ndim else float(rewards)
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """Returns a picture, `[height, width, 3]`, uint8; None without a `render_mode`."""
         pictures = self.vector.render()
         return None if pictures is None else pictures[0]
