@@ -323,7 +323,7 @@ def test_the_page_is_given_the_command_s_options(monkeypatch, in_folder):
         port = 8099
 
         def __init__(self, open_session, tasks, *numbers):
-            given.extend([tasks[0], *numbers])
+            given.extend([tasks[0], *numbers, open_session("reach", 7)])
 
         def run(self):
             assert not list(in_folder.iterdir())
@@ -331,5 +331,16 @@ def test_the_page_is_given_the_command_s_options(monkeypatch, in_folder):
     monkeypatch.setattr(web, "Page", Page)
     monkeypatch.setattr(web, "free_port", lambda host, port, first: port)
     monkeypatch.setattr(jax.config, "update", lambda *_: None)
-    play.main(["--web", "--task", "reach", "--seed", "5", "--host", "0.0.0.0", "--port", "8099"])
-    assert given == ["reach", 5, "0.0.0.0", 8099]
+    monkeypatch.setattr("hgail_jax.play.session.Session", lambda env, policy, seed: (env.randomization.delay, seed))
+    words = ["--web", "--task", "reach", "--randomize", "mild"]
+    play.main([*words, "--seed", "5", "--host", "0.0.0.0", "--port", "8099"])
+    assert given == ["reach", 5, "0.0.0.0", 8099, (LEVELS["mild"].delay, 7)]
+
+
+@pytest.mark.parametrize("program", ["film", "show"])
+def test_films_and_the_viewer_are_given_episodes_and_seed(monkeypatch, in_folder, program):
+    given = []
+    monkeypatch.setattr(play, program, lambda *words: given.extend(words[-2:]) or [True])
+    monkeypatch.setenv("DISPLAY", ":0" if program == "show" else "")
+    play.main(["--task", "reach", "--episodes", "2", "--seed", "5"])
+    assert given == [2, 5]
