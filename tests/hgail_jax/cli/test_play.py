@@ -314,3 +314,33 @@ def test_randomised_episodes_are_played_with_the_robust_policy_if_there_is_one(
         (tmp_path / "policies" / f"{file}.npz").touch()
     path = policies.shipped("reach", level)
     assert (path and path.stem) == expected
+
+
+def test_the_page_is_given_the_command_s_options(monkeypatch, in_folder):
+    web, given = pytest.importorskip("hgail_jax.play.page"), []
+
+    class Page:
+        port = 8099
+
+        def __init__(self, open_session, tasks, *numbers):
+            given.extend([tasks[0], *numbers, open_session("reach", 7)])
+
+        def run(self):
+            assert not list(in_folder.iterdir())
+
+    monkeypatch.setattr(web, "Page", Page)
+    monkeypatch.setattr(web, "free_port", lambda host, port, first: port)
+    monkeypatch.setattr(jax.config, "update", lambda *_: None)
+    monkeypatch.setattr("hgail_jax.play.session.Session", lambda env, policy, seed: (env.randomization.delay, seed))
+    words = ["--web", "--task", "reach", "--randomize", "mild"]
+    play.main([*words, "--seed", "5", "--host", "0.0.0.0", "--port", "8099"])
+    assert given == ["reach", 5, "0.0.0.0", 8099, (LEVELS["mild"].delay, 7)]
+
+
+@pytest.mark.parametrize("program", ["film", "show"])
+def test_films_and_the_viewer_are_given_episodes_and_seed(monkeypatch, in_folder, program):
+    given = []
+    monkeypatch.setattr(play, program, lambda *words: given.extend(words[-2:]) or [True])
+    monkeypatch.setenv("DISPLAY", ":0" if program == "show" else "")
+    play.main(["--task", "reach", "--episodes", "2", "--seed", "5"])
+    assert given == [2, 5]
