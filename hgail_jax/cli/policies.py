@@ -26,7 +26,7 @@ def policy_files(path: Path) -> list[Path]:
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
     if not found:
-        raise ValueError(f"there is no policy in the folder {path}; a run writes its policies at its end")
+        raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
     return sorted(found, key=lambda file: [int(part) if part.isdigit() else part for part in _NUMBER.split(file.name)])
 
 

@@ -84,7 +84,7 @@ def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, capsys):
         (["--seed", "-1"], "seed is -1"),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "there is no file none.npz"),
-        (["--policy", "."], "there is no policy in the folder ."),
+        (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
         (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
         (["--randomize", "wild"], "randomize is 'wild'"),
         (["--task", "point"], "no policy of point comes with the package"),

@@ -308,7 +308,7 @@ def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder)
 def test_randomised_episodes_are_played_with_the_robust_policy_if_there_is_one(
     files, level, expected, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(play, "assets_directory", lambda: tmp_path)
+    monkeypatch.setattr(policies, "assets_directory", lambda: tmp_path)
     (tmp_path / "policies").mkdir()
     for file in files:
         (tmp_path / "policies" / f"{file}.npz").touch()
