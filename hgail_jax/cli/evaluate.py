@@ -137,10 +137,10 @@ def _row(path: Path, outcome: EpisodeMetrics, episodes: int) -> dict[str, Any]:
 
 
 def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Returns the mean success of several seeds, and its interval by Student's t."""
+    """Returns the mean success of several seeds and, from three on, its interval by Student's t."""
     success = np.array([row["success"] for row in rows])
-    half = float(confidence_interval(success))
-    return {"success": float(success.mean()), "low": float(success.mean()) - half, "high": float(success.mean()) + half}
+    mean, half = float(success.mean()), float(confidence_interval(success))
+    return {"success": mean} | ({"low": mean - half, "high": mean + half} if np.isfinite(half) else {})
 
 
 def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -165,4 +165,5 @@ def _text(row: dict[str, Any]) -> str:
 
 
 def _interval(row: dict[str, Any]) -> str:
-    return f"{row['success']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
+    bounds = f" [{row['low']:.3f}, {row['high']:.3f}]" if "low" in row else ""
+    return f"{row['success']:.3f}{bounds}"
