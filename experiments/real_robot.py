@@ -1,5 +1,6 @@
 """A policy in a robot's control loop; the simulated UR5e stands for the robot, behind `read` and `command`."""
 
+import collections
 from collections.abc import Callable
 
 import numpy as np
@@ -9,6 +10,7 @@ from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
 STEPS, MOST_LATE = 50, 3
+MOTION = 0.033  # metres by which a displacement of 1 moves the tool
 
 
 def run(
@@ -18,9 +20,10 @@ def run(
     offset: np.ndarray,  # from the robot's frame to the policy's
     goal: np.ndarray,  # in the robot's frame, as a camera gives it
     workspace: np.ndarray,  # lowest and highest position, `[2, 3]`, in the robot's frame
+    history: int = 0,  # past actions and observations that the policy reads
 ) -> bool:
     """Runs an episode, and returns whether it went to its end; it stops if several observations in a row are late."""
-    before, late = None, 0
+    before, late, rows = None, 0, None
     for _ in range(STEPS):
         position = read()
         if position is None:
@@ -30,16 +33,18 @@ def run(
                 return False
             continue
         late, moved = 0, np.zeros(3) if before is None else position - before  # metres per action
-        action = np.clip(policy(np.concatenate([position + offset, moved, goal + offset]).astype(np.float32)), -1, 1)
-        outside = np.where(action[:3] > 0, position >= workspace[1], position <= workspace[0])
-        action[:3][outside] = 0.0  # no further out
+        seen = np.concatenate([position + offset, moved])
+        rows = rows or collections.deque([np.concatenate([np.zeros(4), seen])] * history, history)
+        action = np.clip(policy(np.concatenate([*rows, seen, goal + offset]).astype(np.float32)), -1.0, 1.0)
+        action[:3] = np.clip(action[:3], *np.clip((workspace - position) / MOTION, -1.0, 1.0))  # within the workspace
         command(action)
+        rows.appendleft(np.concatenate([action, seen]))  # the newest first
         before = position
     return True
 
 
 if __name__ == "__main__":
-    robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / "reach.npz")
+    robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / "reach-robust.npz")
     robot.reset(np.random.default_rng(0))
     start, target = (place - robot.offset for place in (robot.features()[:3], robot.target()))
     run(
@@ -49,5 +54,6 @@ if __name__ == "__main__":
         robot.offset,
         target,
         start + np.array([[-0.2], [0.2]]),
+        policy.randomization.history,
     )
     print(f"{np.linalg.norm(robot.features()[:3] - robot.target()) * 1000:.1f} mm from the target")

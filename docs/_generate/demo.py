@@ -58,6 +58,7 @@ def build(site: Path = SITE) -> Path:
         "policies": sorted(path.stem for path in policies.iterdir()),
     }
     (site / "content.json").write_text(json.dumps(content))
+    (site / "package.json").write_text('{"type": "module"}')  # without it older Node.js does not run headless.js
     return site
 
 
@@ -67,7 +68,7 @@ def _install() -> Path:
     if npm is None or shutil.which("node") is None:
         raise UnavailableError("Node.js and npm are not installed")
     done = PACKAGES / "installed.json"
-    if done.exists() and filecmp.cmp(done, SOURCES / "package-lock.json", shallow=False):
+    if modules.is_dir() and done.exists() and filecmp.cmp(done, SOURCES / "package-lock.json", shallow=False):
         return modules
     PACKAGES.mkdir(parents=True, exist_ok=True)
     for name in _LOCK:
@@ -76,7 +77,8 @@ def _install() -> Path:
     try:
         subprocess.run(command, cwd=PACKAGES, check=True, capture_output=True, text=True, timeout=_PATIENCE)
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        lines = str(getattr(error, "stderr", None) or error).strip().splitlines()
+        said = error.stderr.decode() if isinstance(error.stderr, bytes) else error.stderr or ""
+        lines = [line for line in said.splitlines() if line.startswith("npm error")] or [str(error)]
         raise UnavailableError(f"npm could not install the page's packages: {lines[0]}") from error
     shutil.copyfile(SOURCES / "package-lock.json", done)
     return modules

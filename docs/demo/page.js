@@ -132,7 +132,7 @@ class Session {
   }
 
   get reached() {
-    return this.success ?? this.task.achieved();
+    return this.success === null || this.phase === "staying" ? this.task.achieved() : this.success;
   }
 }
 
@@ -146,7 +146,7 @@ class Page {
     this.speed = 1;
     this.due = 0;
     this.seed = 1;
-    this.frames = this.simulated = this.drawn = 0;
+    this.frames = this.simulated = 0;
     this.paused = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.visible = true;
     new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.canvas);
@@ -192,7 +192,7 @@ class Page {
   #showStatus() {
     const { session } = this, status = find("status"), centimetres = (100 * session.task.distance()).toFixed(1);
     const words = this.paused ? "Paused" : session.success === false ? "Missed; once more"
-      : session.success ? "Success" : session.phase === "lifting" ? "Lifting it, as a test"
+      : session.success && session.reached ? "Success" : session.phase === "lifting" ? "Lifting it, as a test"
       : session.reached ? (session.task.kind.liftSteps ? "Holding it" : "At the target") : "On its way";
     status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
     find("standing").textContent = words;
@@ -373,9 +373,9 @@ async function open() {
     setTask: (name, robust) => page.setTask(name, robust),
     setTarget: (position) => page.moveTarget(position),
     status: () => {
-      const { session, viewer } = page, { phase, success, episodes, successes } = session;
+      const { session } = page, { phase, success, episodes, successes } = session;
       const { task } = session, distance = task.distance(), { goal, bounds } = task;
-      return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated, ratio: viewer.ratio };
+      return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated };
     },
     pixel: (position) => page.viewer.project(position),
   };

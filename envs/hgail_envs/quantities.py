@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hgail_envs.registry import TASKS, find_class
+from hgail_envs.validation import check_name
 
 
 class Quantity(NamedTuple):
@@ -115,6 +116,9 @@ def describe(task: str, observation: str = "compact", history: int = 0, sizes: S
 
     """
     if task in TASKS:
+        check_name(
+            f"observation of {task}", observation, ("compact", "official") if task in _OFFICIAL else ("compact",)
+        )
         features = _official(_OFFICIAL[task]) if observation == "official" else _FEATURES[task]
         goal = _GOALS[task]
         hand = _BLOCKED if task in _BLOCKS_FINGERS else _HAND_COMMAND

@@ -1,6 +1,7 @@
 """Finds and loads the MJCF scenes, in a checkout and in an installed wheel alike."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -77,11 +78,19 @@ class SceneView:
         self._renderer.update_scene(self.data, self._camera)
         return self._renderer.render()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies a view without its renderer, which is opened again when it is asked for a picture."""
+        return _closed_view, (self._env,)
+
     def close(self) -> None:
         """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = None
+
+
+def _closed_view(env: GoalEnv) -> SceneView:
+    return SceneView(env, None)
 
 
 def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:

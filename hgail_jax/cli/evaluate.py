@@ -1,6 +1,7 @@
 """Measures the success of trained policies on their task, with its 95 % interval, and how near they come."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, randomization, told
-from hgail_jax.evaluate import evaluate_policy
+from hgail_jax.evaluate import Evaluation
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import MeanPolicy
 from hgail_jax.io.provenance import installed
@@ -25,8 +26,8 @@ from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
 
 PROGRAM = "hgail evaluate"
-Measure = Callable[[MeanPolicy], tuple[EpisodeMetrics, int]]
-"""Returns the mean outcome of a policy, and of how many episodes."""
+Measure = Callable[[], tuple[EpisodeMetrics, int]]
+"""Returns the means over a policy's episodes, and their number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,14 +60,15 @@ def main(arguments: list[str] | None = None) -> None:
         _check(options)
         task = find_task(options.task, options.policy)
         policies = find_policies(task, options.policy, options.randomize)
-        engine, measure = (_reference if options.reference else _simulation)(task, options, policies[0][1])
+        found = [policy for _, policy in policies]
+        engine, measures = (_reference if options.reference else _simulation)(task, options, found)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     rows = []
     try:
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {task}"):
-            for path, policy in policies:
-                rows.append(_row(path, *measure(policy)))
+            for (path, _), measure in zip(policies, measures, strict=True):
+                rows.append(_row(path, *measure()))
     except OverflowError as error:
         fail(PROGRAM, error, 1)
     if options.json:
@@ -92,47 +94,65 @@ def _check(options: Options) -> None:
         raise ValueError("the reference has one engine and is not randomised; leave out --impl and --randomize")
 
 
-def _simulation(task: str, options: Options, first: MeanPolicy) -> tuple[str, Measure]:
-    """Returns the engine's name, and a function that measures a policy in the task of this package."""
+def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, list[Measure]]:
+    """Returns the engine's name, and functions that measure the policies in the task of this package."""
     if options.impl and "impl" not in hgail_envs.accepted_options(task):
         raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
     physics: dict[str, Any] = {"impl": options.impl} if options.impl else {}
-    env = make_task(first, task, options.randomize, **physics)
+    evaluations: dict[str, Evaluation] = {}
+    measures: list[Measure] = []
+    for policy in policies:
+        trained = repr((policy.task_options, policy.randomization, policy.observation_size))
+        if trained not in evaluations:
+            env = make_task(policy, task, options.randomize, **physics)
+            evaluations[trained] = Evaluation(env, options.seed, options.episodes)
+        evaluation = evaluations[trained]
+        measures.append(functools.partial(_simulate, evaluation, policy))
+    return getattr(env, "impl", "JAX"), measures
 
-    def measure(policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
-        env = make_task(policy, task, options.randomize, **physics)
-        return evaluate_policy(env, policy, options.seed, options.episodes)
 
-    return getattr(env, "impl", "JAX"), measure
+def _simulate(evaluation: Evaluation, policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
+    return evaluation(policy), evaluation.episodes
 
 
-def _reference(task: str, options: Options, first: MeanPolicy) -> tuple[str, Measure]:
-    """Returns the environment's name, and a function that measures a policy in it."""
-    try:
-        reference = ReferenceFetch(task, **first.task_options)
-    except ModuleNotFoundError as error:
-        raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
+def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, list[Measure]]:
+    """Returns the environment's name, and functions that measure the policies in it."""
+    measures: list[Measure] = []
+    for policy in policies:
+        make_task(policy, task, "none")  # refuses a policy that does not fit
+        observation = {name: value for name, value in policy.task_options.items() if name == "observation"}
+        try:
+            reference = ReferenceFetch(task, **observation)
+        except ModuleNotFoundError as error:
+            raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
+        measures.append(functools.partial(_run_in_reference, reference, policy, options))
+    return str(hgail_envs.find_class(task).reference), measures
 
-    def measure(policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
-        ends = [
-            reference_episode(reference, policy, policy.randomization.history, options.seed, index)
-            for index in range(options.episodes)
-        ]
-        names = [field.name for field in dataclasses.fields(EpisodeMetrics)]
-        means = {name: float(np.mean([getattr(end, name) for end in ends])) for name in names}
-        return EpisodeMetrics(**means), options.episodes
 
-    return str(hgail_envs.find_class(task).reference), measure
+def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Options) -> tuple[EpisodeMetrics, int]:
+    """Returns the means over the episodes of a policy in the reference, and their number."""
+    ends = [
+        reference_episode(reference, policy, policy.randomization.history, options.seed, index)
+        for index in range(options.episodes)
+    ]
+    names = [field.name for field in dataclasses.fields(EpisodeMetrics)]
+    return EpisodeMetrics(**{name: float(np.mean([getattr(end, name) for end in ends])) for name in names}), len(ends)
 
 
 def _row(path: Path, outcome: EpisodeMetrics, episodes: int) -> dict[str, Any]:
     """Returns what was measured of a policy."""
-    success = success_interval(float(outcome.success), episodes)
+    rates = {
+        name: round(getattr(outcome, name) * episodes) / episodes for name in ("success", "achieved", "success_l1")
+    }
+    success = success_interval(rates["success"], episodes)
+    distances = {name: getattr(outcome, name) for name in ("distance_l1", "distance_l2")}
     return {
         "policy": str(from_here(path)),
         "episodes": episodes,
-        **{"success": success.value, "low": success.low, "high": success.high},
-        **{name: getattr(outcome, name) for name in ("achieved", "success_l1", "distance_l1", "distance_l2")},
+        **rates,
+        **{"low": success.low, "high": success.high},
+        # where the simulation of every episode broke down there is none
+        **{name: value if np.isfinite(value) else None for name, value in distances.items()},
     }
 
 
@@ -140,7 +160,7 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Returns the mean success of several seeds and, from three on, its interval by Student's t."""
     success = np.array([row["success"] for row in rows])
     mean, half = float(success.mean()), float(confidence_interval(success))
-    return {"success": mean} | ({"low": mean - half, "high": mean + half} if np.isfinite(half) else {})
+    return {"success": mean} | ({"low": max(mean - half, 0.0), "high": min(mean + half, 1.0)} if half >= 0 else {})
 
 
 def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -158,10 +178,10 @@ def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: 
 
 
 def _text(row: dict[str, Any]) -> str:
-    return (
-        f"success {_interval(row)} in {counted(row['episodes'], 'episode')};"
-        f" L1 distance {row['distance_l1']:.4f} m, Euclidean {row['distance_l2']:.4f} m"
-    )
+    success = f"success {_interval(row)} in {counted(row['episodes'], 'episode')}"
+    if row["distance_l1"] is None:
+        return success
+    return f"{success}; L1 distance {row['distance_l1']:.4f} m, Euclidean {row['distance_l2']:.4f} m"
 
 
 def _interval(row: dict[str, Any]) -> str:

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Annotated
 
 from hgail_envs.randomization import LEVELS
-from hgail_envs.validation import check_name
+from hgail_envs.registry import TASKS
+from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, find_policies
-from hgail_jax.io.export import export_onnx, export_policy
+from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task
+from hgail_jax.evaluate import Evaluation
+from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_writable, from_here
-from hgail_jax.io.policy import save_policy
+from hgail_jax.io.policy import MeanPolicy, save_policy
+from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail export"
@@ -35,14 +38,16 @@ class Options:
     """Level that chooses the robust one of the policies that come with the package."""
     out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
     """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
+    episodes: int = 100
+    """Episodes, randomised as in its training, in which the success is measured that an ONNX file tells; none for a
+    policy in its run's folder, whose final evaluation is told, or with 0."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, PROGRAM, __doc__, arguments)
     try:
-        if options.randomize is not None:
-            check_name("randomize", options.randomize, LEVELS)
+        _check(options)
         # The task's own code is not needed, so that a file's task may be any.
         task = options.task or (DEFAULT_TASK if options.policy is None else None)
         found = find_policies(task, options.policy, options.randomize)
@@ -51,14 +56,30 @@ def main(arguments: list[str] | None = None) -> None:
         path, policy = found[0]
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         _check_file(out)
-        out.parent.mkdir(parents=True, exist_ok=True)
+        success = None
         if out.suffix == ".onnx":
-            export_onnx(out, policy, _success(path))
-        else:
-            {".mlirbc": export_policy, ".npz": save_policy}[out.suffix](out, policy)
+            check_described(policy)
+            success = _success(path, policy, options)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if out.suffix == ".onnx":
+            export_onnx(out, policy, success)
+        else:
+            {".mlirbc": export_policy, ".npz": save_policy}[out.suffix](out, policy)
+    except OSError as error:
+        fail(PROGRAM, error, 1)
     print(f"policy {from_here(path)} as {FORMATS[out.suffix]} -> {out}")
+
+
+def _check(options: Options) -> None:
+    """Refuses numbers out of range, and options that do not go together."""
+    check_count("episodes", options.episodes, least=0)
+    if options.randomize is not None:
+        check_name("randomize", options.randomize, LEVELS)
+        if options.policy is not None:
+            raise ValueError("--randomize chooses among the policies that come with the package; leave out --policy")
 
 
 def _check_file(path: Path) -> None:
@@ -72,8 +93,20 @@ def _check_file(path: Path) -> None:
         raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
 
 
-def _success(path: Path) -> float | None:
-    """Returns the success of a policy in the final evaluation of its run, if it lies in the run's folder."""
+def _success(path: Path, policy: MeanPolicy, options: Options) -> float | None:
+    """Returns the success of a policy in the final evaluation of its run, or in episodes that are run now.
+
+    It is None where there are none to run, or to make the task would run code that a file names.
+    """
+    known = _success_in_run(path)
+    if known is not None or not options.episodes or (policy.task not in TASKS and options.task is None):
+        return known
+    env = make_task(policy, policy.task, None)
+    with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {policy.task}"):
+        return float(Evaluation(env, 0, options.episodes)(policy).success)
+
+
+def _success_in_run(path: Path) -> float | None:
     folder, seed = path.parent.parent, re.fullmatch(r"seed-(\d+)", path.stem)
     try:
         rates = json.loads((folder / "summary.json").read_text())["success_rate"]["per_seed"]

@@ -11,7 +11,7 @@ import jax.export
 import jax.numpy as jnp
 import numpy as np
 
-from hgail_envs.quantities import FRAMES, Quantity, describe
+from hgail_envs.quantities import FRAMES, Description, Quantity, describe
 from hgail_envs.registry import TASKS, find_class
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.policy import NORM_EPSILON, MeanPolicy
@@ -112,7 +112,13 @@ def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
     return nodes, constants
 
 
-def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
+def check_described(policy: MeanPolicy) -> Description:
+    """Returns the description of the numbers that a policy reads and commands.
+
+    Raises:
+      ValueError: the policy reads other numbers than its task has.
+
+    """
     history = policy.randomization.history
     row = policy.action_size * history
     sizes = ((policy.observation_size - policy.goal_size - row) // (1 + history), policy.goal_size, policy.action_size)
@@ -123,6 +129,12 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
         raise ValueError(
             f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}"
         )
+    return described
+
+
+def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
+    described, history = check_described(policy), policy.randomization.history
+    of_package = policy.task in TASKS
     known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
     return {
         "task": policy.task,
@@ -131,7 +143,7 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
         "action": [{**row, "low": -1.0, "high": 1.0} for row in _rows(described.action)],
         "frames": FRAMES,
         **known,
-        "normalization": f"in the graph: less mean, by standard deviation, clipped to {MAX_NORMALIZED:g} either way",
+        "normalization": f"in the graph: less mean, by standard deviation, clipped to ±{MAX_NORMALIZED:g}",
         "history": history,
         "randomization": dataclasses.asdict(policy.randomization),
         "task_options": policy.task_options,

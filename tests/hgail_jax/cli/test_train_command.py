@@ -191,6 +191,14 @@ def test_bad_input_is_one_line_and_writes_nothing(in_folder, capsys, arguments, 
     assert {path.name for path in in_folder.rglob("*")} == {"there", "file"}
 
 
+def test_double_precision_is_refused_before_anything_begins(in_folder, capsys):
+    with jax.enable_x64(True), pytest.raises(SystemExit) as exit_info:
+        run.main(["--task", "point", "--seeds", "1"])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err == "hgail train: JAX_ENABLE_X64 is set, and training is in float32; unset it\n"
+    assert not list(in_folder.iterdir())
+
+
 def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
     def refuse(*arguments, **options):
         raise PermissionError(13, "Permission denied")

@@ -8,11 +8,13 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_jax import Checkpoints, Trainer, TrainOptions, load_policy
+from hgail_jax import TD3, Checkpoints, Config, Preset, Trainer, TrainOptions, load_policy
+from hgail_jax.defaults import DEFAULTS
 from hgail_jax.trainer import results, training
 from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.options import plan
@@ -41,6 +43,19 @@ class After(threading.Event):
         if self.left < 0:
             self.set()
         return super().is_set()
+
+
+@pytest.mark.parametrize("learner", ["ppo", "td3"])
+def test_a_run_has_no_number_that_is_none(monkeypatch, learner):
+    """What a round does not measure is infinite, so that JAX finds only what is wrong."""
+    few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8)
+    preset = Preset(Config(num_envs=4, rounds=1, learner=few, policy_hidden=(8,), discriminator_minibatches=1))
+    monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": preset})
+    options = dataclasses.replace(SMALL, seeds=1, iterations=1, learner=learner)
+    with jax.debug_nans(True):
+        assert Trainer(options, out=Path("run")).train()["diverged_seeds"] == []
+        with pytest.raises(FloatingPointError):
+            jax.jit(jnp.log)(-1.0)  # it does find them
 
 
 def table(folder):
