@@ -26,7 +26,7 @@ def run(
     before, late, rows = None, 0, None
     for _ in range(STEPS):
         position = read()
-        if position is None:
+        if position is None or not np.isfinite(position).all():
             late, before = late + 1, None  # a difference over two periods would be twice the velocity
             command(np.zeros(4))  # stand still: the last action was for another place
             if late == MOST_LATE:

@@ -1,7 +1,7 @@
 """Writes the tables about the learner TD3, as Markdown."""
 
-from docs._generate.results import Row, count, fixed, mean, of_seeds, read_csv, read_json, seconds
-from docs._generate.tables import markdown
+from docs._generate.results import Row, count, fixed, mean, of_seeds, read_json, seconds
+from docs._generate.tables import markdown, steps_to
 
 _RUNS = ("push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "push-hgail", "pick-and-place-hgail")
 _TRIALS = "suite/off-policy"
@@ -22,19 +22,10 @@ def _run(name: str) -> list[str]:
         f"{fixed(1 - weight, 2)} discriminator, {fixed(weight, 2)} goal test" if weight else "discriminator alone",
         of_seeds(row["success_rate"]),
         fixed(min(row["success_rate"]["per_seed"]), 3),
-        count(steps_to(name)),
+        count(steps_to(name) or 0),
         count(row["env_steps_per_seed"]),
         *(seconds(row["wall_seconds"][part]) for part in ("train", "total")),
     ]
-
-
-def steps_to(name: str, least: float = 0.95) -> int:
-    """Returns the steps of a seed after which the mean of a run's seeds was first measured at `least`."""
-    rows = [row for row in read_csv(f"runs/{name}/metrics") if row["success_rate"] != ""]
-    steps = sorted({row["env_steps"] for row in rows})
-    return next(
-        int(each) for each in steps if mean([row["success_rate"] for row in rows if row["env_steps"] == each]) >= least
-    )
 
 
 def off_policy_trials(name: str) -> str:

@@ -35,8 +35,8 @@ def task_page(task: str) -> str:
     parts = [
         _prose(task),
         _facts(task),
-        "Observation, then goal:",
-        _numbers((*described.features, *described.goal)),
+        "Observation, and after it the goal:",
+        _numbers((*described.features, *described.goal), len(described.features)),
         "Action, each number in [-1, 1]:",
         _numbers(described.action),
         _options(task),
@@ -90,22 +90,28 @@ def _policies(task: str) -> list[list[str]]:
     return [["shipped policies", ", ".join(names)], *rows]
 
 
-def _numbers(quantities: Sequence[Quantity]) -> str:
-    """Returns a table of numbers, those of a vector in one row.
+def _numbers(quantities: Sequence[Quantity], goal: int | None = None) -> str:
+    """Returns a table of numbers, those of a vector in one row; from the index `goal` on they are the goal's.
 
-    >>> print(_numbers(describe("point").goal).strip())
+    >>> print(_numbers(describe("point").goal, 0).strip())
     | index | quantity | unit | frame |
     |---|---|---|---|
-    | 0:3 | target position | m | world |
+    | 0:3, the goal's 0:3 | target position | m | world |
     """
     rows, index = [], 0
     for _, group in itertools.groupby(quantities, lambda each: (re.sub(r" [xyz]$", "", each.name), *each[1:])):
         each = list(group)
         name = re.sub(r" [xyz]$", "", each[0].name) if len(each) > 1 else each[0].name
-        span = f"{index}:{index + len(each)}" if len(each) > 1 else str(index)
+        span = _span(index, len(each))
+        if goal is not None and index >= goal:
+            span += f", the goal's {_span(index - goal, len(each))}"
         rows.append([span, name, each[0].unit, each[0].frame])
         index += len(each)
     return markdown(["index", "quantity", "unit", "frame"], rows)
+
+
+def _span(first: int, size: int) -> str:
+    return f"{first}:{first + size}" if size > 1 else str(first)
 
 
 def _options(task: str) -> str:

@@ -95,7 +95,7 @@ _GOALS = {
     "slide": _OF_OBJECT,
 }
 _ARM = _vector("gripper displacement", "1 is about 0.033 m")
-_HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 leads the fingers by 1 m", "hand")
+_HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 drives the fingers to their stops", "hand")
 _BLOCKED = Quantity("hand: no effect, the fingers are blocked", "", "hand")
 _BLOCKS_FINGERS = ("reach", "push", "slide")
 

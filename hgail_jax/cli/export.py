@@ -54,6 +54,8 @@ def main(arguments: list[str] | None = None) -> None:
         if len(found) > 1:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]
+        if options.randomize not in (None, "none") and not path.stem.endswith("-robust"):
+            raise ValueError(f"no robust policy of {policy.task} comes with the package; leave out --randomize")
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         _check_file(out)
         success = None

@@ -78,7 +78,7 @@ def test_public_names_are_documented():
             assert re.search(rf"\b(hgail_jax|hgail_envs)\.{name}\b", written), name
 
 
-QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust", "real-robot"]
+QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust", "real-robot", "tasks"]
 TRAINING = ["README", "index", "getting-started", "sweeps", "off-policy"]
 
 

@@ -76,6 +76,9 @@ def test_late_observations_stop_the_robot():
     assert not run(follow, point.read, point.command, np.zeros(3), np.ones(3), WIDE)
     assert len(point.actions) == 4 + MOST_LATE
     assert not np.any(point.actions[4:])
+    broken = Point()
+    assert not run(follow, lambda: np.full(3, np.nan), broken.command, np.zeros(3), np.ones(3), WIDE)
+    assert not np.any(broken.actions)
     few = Point(late=range(4, 3 + MOST_LATE))
     assert run(follow, few.read, few.command, np.zeros(3), np.ones(3), WIDE)
 

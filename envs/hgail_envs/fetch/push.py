@@ -47,7 +47,7 @@ class Push(ObjectEnv):
 
     In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
     uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. Push does not need them: on
-    the evaluation's goals alone its success is .890 against .679 after 40 rounds, and no different after all 120
+    the evaluation's goals alone PPO's success is .890 against .679 after 40 rounds, and no different after all 120
     (`docs/lab/suite-parts.md`). `Slide`, which inherits them, does.
 
     See `ObjectEnv` for the arguments.

@@ -138,7 +138,7 @@ def in_folder(tmp_path, monkeypatch):
 
 
 def test_a_film_that_is_there_is_kept(in_folder, capsys, monkeypatch):
-    monkeypatch.setattr(play, "load_policy", None)  # which is slow, and what follows slower
+    monkeypatch.setattr(play, "find_policies", None)  # which is slow, and what follows slower
     (in_folder / "mine.gif").write_text("kept")
     refused(["--task", "reach", "--out", "mine.gif"], "mine.gif exists already; name another file", capsys)
     assert (in_folder / "mine.gif").read_text() == "kept"
