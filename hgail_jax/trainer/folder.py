@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import fcntl
+import itertools
 import json
 import os
 import sys
@@ -29,14 +30,15 @@ def create_numbered_folder(parent: Path, stem: str) -> Path:
       ValueError: it cannot be made.
 
     """
-    while True:
-        path = parent / f"{stem}-{1 + max(_numbers(parent, stem), default=0)}"
+    for number in itertools.count(1 + max(_numbers(parent, stem), default=0)):
+        path = parent / f"{stem}-{number}"
         try:
             create_folder(path)
-            return path
+            break
         except ValueError:
             if not path.exists():  # else a run that began at the same moment has this number
                 raise
+    return path
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
