@@ -167,9 +167,13 @@ def check_metrics(metrics: RoundMetrics) -> None:
         `metrics.diverged`, or they learnt nothing, see `metrics.dropped`.
 
     """
-    if np.any(np.asarray(metrics.overflow) > 0):
+    # Infinite is not measured: a round that learns nothing, as the first without a pre-training, has no divergence.
+    overflow, diverged = (
+        (rate > 0) & (rate < np.inf) for rate in map(np.asarray, (metrics.overflow, metrics.diverged))
+    )
+    if np.any(overflow):
         raise OverflowError("the simulation ran out of room for contacts")
-    diverged, broken = np.asarray(metrics.diverged) > 0, np.asarray(metrics.dropped) == 1
+    broken = np.asarray(metrics.dropped) == 1
     if np.all(broken):
         raise FloatingPointError("the simulation of every episode broke down")
     if np.all(diverged | broken):
