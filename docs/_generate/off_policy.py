@@ -1,7 +1,7 @@
 """Writes the tables about the learner TD3, as Markdown."""
 
 from docs._generate.results import Row, count, fixed, mean, of_seeds, read_json, seconds
-from docs._generate.tables import markdown, steps_to
+from docs._generate.tables import markdown, steps_told
 
 _RUNS = ("push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "push-hgail", "pick-and-place-hgail")
 _TRIALS = "suite/off-policy"
@@ -22,7 +22,7 @@ def _run(name: str) -> list[str]:
         f"{fixed(1 - weight, 2)} discriminator, {fixed(weight, 2)} goal test" if weight else "discriminator alone",
         of_seeds(row["success_rate"]),
         fixed(min(row["success_rate"]["per_seed"]), 3),
-        count(steps_to(name) or 0),
+        steps_told(name),
         count(row["env_steps_per_seed"]),
         *(seconds(row["wall_seconds"][part]) for part in ("train", "total")),
     ]

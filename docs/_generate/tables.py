@@ -191,15 +191,21 @@ def steps_to(run: str, least: float = 0.95) -> int | None:
     return next((int(each) for each, success in means if success >= least), None)
 
 
+def steps_told(run: str) -> str:
+    """Returns what `steps_to` does, as a table has it."""
+    steps = steps_to(run)
+    return "never" if steps is None else count(steps)
+
+
 def _front(run: str, name: str, elsewhere: tuple[str, ...]) -> list[str]:
-    row, reached = read_json(f"runs/{run}/summary"), steps_to(run)
+    row = read_json(f"runs/{run}/summary")
     weight = row.get("environment_reward", 0.0)
     return [
         name,
         row.get("learner", "ppo").upper(),
         f"goal test × {fixed(weight, 2)}" if weight else "none",
         of_seeds(row["success_rate"]),
-        "never" if reached is None else count(reached),
+        steps_told(run),
         count(row["env_steps_per_seed"]),
         seconds(row["wall_seconds"]["train"]),
         "; ".join(_elsewhere(row["task"], what) for what in elsewhere),

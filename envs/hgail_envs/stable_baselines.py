@@ -31,7 +31,7 @@ class GoalVecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> dict[str, np.ndarray]:
-        """Starts an episode in all environments, with the seed of `seed` if it was called since."""
+        """Starts an episode in all environments, once with the seed that was last given to `seed`."""
         observation, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
         return observation

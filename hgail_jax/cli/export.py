@@ -62,6 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
         if out.suffix == ".onnx":
             check_described(policy)
             success = _success(path, policy, options)
+    except OverflowError as error:
+        fail(PROGRAM, error, 1)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     try:
@@ -96,16 +98,18 @@ def _check_file(path: Path) -> None:
 
 
 def _success(path: Path, policy: MeanPolicy, options: Options) -> float | None:
-    """Returns the success of a policy in the final evaluation of its run, or in episodes that are run now.
+    """Returns the success of a policy in the final evaluation of its run, or else in episodes that are run now.
 
-    It is None where there are none to run, or to make the task would run code that a file names.
+    Returns None if no episodes are asked for, or if only the policy's file names the task: making a task that is not of
+    this package would run code that an untrusted file chose.
     """
     known = _success_in_run(path)
     if known is not None or not options.episodes or (policy.task not in TASKS and options.task is None):
         return known
     env = make_task(policy, policy.task, None)
     with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {policy.task}"):
-        return float(Evaluation(env, 0, options.episodes)(policy).success)
+        evaluation = Evaluation(env, 0, options.episodes)
+        return round(float(evaluation(policy).success) * evaluation.episodes) / evaluation.episodes
 
 
 def _success_in_run(path: Path) -> float | None:

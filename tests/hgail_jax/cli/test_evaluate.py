@@ -5,6 +5,7 @@ import importlib.util
 import json
 import re
 import shutil
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from scipy import stats
 import hgail_envs
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from hgail_envs.base import EpisodeMetrics
 from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export
 from hgail_jax.trainer.statistics import success_interval
@@ -69,6 +71,26 @@ def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder):
     assert len(lines) == 5
     assert "randomised: mild, engine" in lines[0]
     assert re.fullmatch(r"mean of 2 seeds: success \d\.\d{3}", lines[-1])
+
+
+def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_path, shipped_policy):
+    good = load_policy(shipped_policy)
+    *hidden, (weights, biases) = good.layers
+    still = dataclasses.replace(good, layers=(*hidden, (0 * weights, 0 * biases)))
+    for name, policy in {"seed-0": good, "seed-1": still, "seed-2": good}.items():
+        save_policy(tmp_path / f"{name}.npz", policy)
+    told = report(["--policy", str(tmp_path), "--episodes", "20"], capsys)
+    success = [row["success"] for row in told["policies"]]
+    assert success[0] == success[2] == 1.0
+    assert success[1] < 0.3  # of a target that is at the gripper already
+    assert 0.0 <= told["mean"]["low"] < told["mean"]["success"] < told["mean"]["high"] == 1.0  # Student's is beyond
+
+
+def test_distances_that_no_episode_has_are_null():
+    broken = EpisodeMetrics(success=0.0, achieved=0.0, success_l1=0.0, distance_l1=np.inf, distance_l2=np.inf)
+    row = evaluate._row(Path("broken.npz"), broken, 5)
+    assert row["distance_l1"] is row["distance_l2"] is None
+    assert evaluate._text(row) == "success 0.000 [0.000, 0.434] in 5 episodes"
 
 
 @pytest.mark.parametrize("task", ["push", "grasp"])
