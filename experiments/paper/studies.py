@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
@@ -202,7 +203,7 @@ _PARTS = Study(
     ),
 )
 _REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _P_HT, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
-STUDIES = (*_REPORTED, _PARTS, *TUNING_STUDIES)
+STUDIES = (*_REPORTED, _PARTS, *OFF_POLICY_STUDIES, *TUNING_STUDIES)
 """Every study, in order of training. The paper has table 1 alone of grasp."""
 _TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
 _NOT_IN_THE_PAPER = ("push", "pick-and-place", "slide")

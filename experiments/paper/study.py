@@ -21,6 +21,7 @@ class Setting:
     panel: str = ""
     """Row of the figure that has the line."""
     method: str = "hgail"
+    learner: str = "ppo"
     config: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the method's config."""
     hyperparameters: dict[str, Any] = dataclasses.field(default_factory=dict)

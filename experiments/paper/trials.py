@@ -8,7 +8,7 @@ from typing import Any
 import hgail_envs
 from experiments.paper.study import Setting
 from hgail_envs.engines import resolve_impl
-from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.config import PPO, Config, Hyperparameters
 from hgail_jax.defaults import EVALUATION_EPISODES, task_preset
 from hgail_jax.methods import METHODS
 from hgail_jax.presets import FEW_UPDATES, Preset
@@ -20,7 +20,13 @@ FEW_ROUNDS = 100
 _PER_ROLL_OUT = 4  # roll-outs whose episodes fill the best-of buffer
 _MOST_BEST = 1000  # as Guo et al. 2018 keep
 
-_QUICK: dict[str, Any] = FEW_UPDATES | {"num_envs": 4, "rounds": 1}
+_FEW_EPISODES: dict[str, Any] = {"num_envs": 4, "rounds": 1}
+_QUICK: dict[str, dict[str, Any]] = {
+    "ppo": FEW_UPDATES | _FEW_EPISODES,
+    "td3": _FEW_EPISODES
+    | {"rollouts": 1, "updates": 2, "batch": 16, "buffer_episodes": 8}
+    | {"discriminator_minibatches": 2, "discriminator_batch": 16},
+}
 _QUICK_EVALUATION_EPISODES = 8
 
 
@@ -49,10 +55,10 @@ class Scale:
         """Options of the task's class in training, e.g. `substeps` of the Fetch tasks."""
         return dict(task_preset(self.task_class, self.platform).task_options)
 
-    def preset(self, name: str = "parallel") -> Preset:
+    def preset(self, name: str = "parallel", learner: str = PPO.name) -> Preset:
         """Returns the preset that settings change."""
-        preset = task_preset(self.task_class, self.platform, name)
-        config = preset.config.replace(**(_QUICK if self.quick else {}))
+        preset = task_preset(self.task_class, self.platform, name, learner)
+        config = preset.config.replace(**(_QUICK[learner] if self.quick else {}))
         config = config.replace(best_episodes=min(_MOST_BEST, _PER_ROLL_OUT * config.num_envs))
         return dataclasses.replace(preset, config=config)
 
@@ -122,7 +128,7 @@ def hash_json(content: Any) -> str:
 def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256: str | None = None) -> Trial:
     """Resolves a setting into a trial.
 
-    It has `setting.steps` times HGAIL's default environment steps, rounded to whole rounds.
+    It has `setting.steps` times the default environment steps of HGAIL with that learner, rounded to whole rounds.
 
     Args:
       scale: the task and its sizes.
@@ -132,10 +138,10 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
 
     """
     env = scale.task_class
-    base = METHODS[setting.method].apply(scale.preset(setting.preset))
+    base = METHODS[setting.method].apply(scale.preset(setting.preset, setting.learner))
     config = base.config.replace(**setting.config)
     if "rounds" not in setting.config:
-        wanted = setting.steps_on(scale.task) * _steps(env, scale.preset().config)
+        wanted = setting.steps_on(scale.task) * _steps(env, scale.preset(learner=setting.learner).config)
         before = _steps(env, config.replace(rounds=0))
         each = _steps(env, config.replace(rounds=1)) - before
         config = config.replace(rounds=max(round((wanted - before) / each), 1))

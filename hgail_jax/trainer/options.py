@@ -14,7 +14,7 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
-from hgail_jax.config import LEARNERS, PPO, REWARDS, STRATEGIES
+from hgail_jax.config import LEARNERS, PPO, REWARDS, STRATEGIES, TD3
 from hgail_jax.defaults import EVALUATION_EPISODES, default_learner, task_preset
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
@@ -229,11 +229,10 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "reward": REWARDS[options.reward],
         "standardize_reward": options.standardize_reward,
     }
-    return dataclasses.replace(
-        preset,
-        config=preset.config.replace(**_given(sizes)),
-        hyperparameters=preset.hyperparameters.replace(**_given(scalars)),
-    )
+    hyperparameters = preset.hyperparameters.replace(**_given(scalars))
+    if isinstance(preset.config.learner, TD3) and hyperparameters.environment_reward == 1.0:
+        sizes["discriminator_minibatches"] = 0  # the discriminator has no say, and is not trained
+    return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,37 @@
+"""Studies of the learner TD3: what each part of it adds."""
+
+from typing import Any
+
+from experiments.paper.study import Setting, Study
+
+
+def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
+    return Setting(name, learner="td3", config=config or {}, hyperparameters=hyperparameters)
+
+
+# These differ in numbers alone, and are one program.
+_NUMBERS = Study(
+    "off-policy",
+    "TD3, parts left out or changed",
+    (
+        _change("as it is"),
+        _change("no reward: the discriminator alone", environment_reward=0.0),
+        *(_change(f"goal test × {weight:g}", environment_reward=weight) for weight in (0.25, 0.5)),
+        _change("the goal test alone (HER)", environment_reward=1.0),
+        *(_change(f"p_ht {p_ht:g}", p_ht=p_ht) for p_ht in (0.5, 1.0)),
+        _change("BC weight 0.1", bc_weight=0.1),
+        _change("solved samples × 0.3", solved_weight=0.3),
+        _change("discriminator's goals any number of steps ahead", discriminator_steps=2**30),
+    ),
+)
+_SIZES = Study(
+    "off-policy-sizes",
+    "TD3, other sizes and goals",
+    (
+        _change("as it is"),
+        _change("the task's own goals to learn from", {"training_goals": False}),
+        *(_change(f"{count} updates a roll-out", {"updates": count}) for count in (128, 512)),
+        *(_change(f"{count} critic{'s' * (count > 1)}", {"critics": count}) for count in (1, 4)),
+    ),
+)
+OFF_POLICY_STUDIES = (_NUMBERS, _SIZES)
