@@ -58,7 +58,7 @@ METHODS = {
         {"bc_batch": BC_BATCH},
         without_effect=("p_ht", "strategy"),
         # with TD3 it is the discriminator-actor-critic (Kostrikov et al. 2019), which relabels nothing
-        off_policy={"p_ht": 0.0, "bc_weight": 0.0},
+        off_policy={"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0},
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
@@ -66,7 +66,7 @@ METHODS = {
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "training_goals": False},
         without_effect=("p_ht", "strategy"),
-        off_policy={"p_ht": 0.0},
+        off_policy={"p_ht": 0.0, "environment_reward": 0.0},
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",

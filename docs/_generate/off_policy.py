@@ -1,25 +1,27 @@
 """Writes the tables about the learner TD3, as Markdown."""
 
-from docs._generate.results import Row, count, fixed, mean, of_seeds, read_json, seconds
-from docs._generate.tables import markdown, steps_told
+from docs._generate.results import Row, count, fixed, mean, of_seeds, read_json, seconds, trials
+from docs._generate.tables import markdown, reward, steps_told
 
-_RUNS = ("push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "push-hgail", "pick-and-place-hgail")
+_RUNS = (
+    *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3", "grasp-td3"),
+    *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
+)
 _TRIALS = "suite/off-policy"
 
 
 def off_policy() -> str:
-    """Eight seeds of push and of pick and place by either learner."""
+    """Eight seeds of each task by either learner."""
     header = ["task", "learner", "reward", "success", "worst seed", "steps to .95", "all steps", "training"]
     return markdown([*header, "whole run"], [_run(name) for name in _RUNS])
 
 
 def _run(name: str) -> list[str]:
     row = read_json(f"runs/{name}/summary")
-    weight = row.get("environment_reward", 0.0)
     return [
         row["task"],
         row.get("learner", "ppo").upper(),
-        f"{fixed(1 - weight, 2)} discriminator, {fixed(weight, 2)} goal test" if weight else "discriminator alone",
+        reward(row),
         of_seeds(row["success_rate"]),
         fixed(min(row["success_rate"]["per_seed"]), 3),
         steps_told(name),
@@ -28,10 +30,27 @@ def _run(name: str) -> list[str]:
     ]
 
 
-def off_policy_trials(name: str) -> str:
+def off_policy_parts(task: str) -> str:
+    """Success of a task with TD3, a part left out or changed."""
+    return markdown(
+        ["setting", "success", "of each seed", "L1 distance"],
+        [
+            [
+                row["setting"],
+                fixed(row["success_rate"], 3),
+                ", ".join(fixed(each, 3) for each in row["final"]["success"]),
+                f"{fixed(mean(row['final']['distance_l1']), 3)} m",
+            ]
+            for row in trials(f"off-policy-{task}")
+        ],
+    )
+
+
+def off_policy_trials(name: str, every: int = 2) -> str:
     """Returns the success of settings that one program trained side by side, after some of its rounds."""
     (trial,) = (program for program in read_json(_TRIALS)["programs"] if program["name"] == name)
-    shown = [point for index, point in enumerate(trial["curve"]) if index % 2 == 0 or point is trial["curve"][-1]][1:]
+    shown = [point for index, point in enumerate(trial["curve"]) if index % every == 0 or point is trial["curve"][-1]]
+    shown = shown[1:]
     header = ["setting", *(f"{round(point['env_steps'] / 1000)} k" for point in shown)]
     return markdown(
         header,

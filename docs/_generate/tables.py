@@ -170,6 +170,7 @@ _HEADLINE = (  # a run, its task's name, and the methods whose figures stand bes
     ("push-td3", "push", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3-no-reward", "pick and place", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3", "pick and place", ("RHER", "DDPG + HER")),
+    ("slide-td3", "slide", ("TQC + HER",)),
     ("slide-hgail", "slide", ("TQC + HER",)),
 )
 
@@ -199,17 +200,28 @@ def steps_told(run: str) -> str:
 
 def _front(run: str, name: str, elsewhere: tuple[str, ...]) -> list[str]:
     row = read_json(f"runs/{run}/summary")
-    weight = row.get("environment_reward", 0.0)
     return [
         name,
         row.get("learner", "ppo").upper(),
-        f"goal test × {fixed(weight, 2)}" if weight else "none",
+        reward(row),
         of_seeds(row["success_rate"]),
         steps_told(run),
         count(row["env_steps_per_seed"]),
         seconds(row["wall_seconds"]["train"]),
         "; ".join(_elsewhere(row["task"], what) for what in elsewhere),
     ]
+
+
+def reward(summary: Row) -> str:
+    """Returns what a run's policy was rewarded for, beside the discriminator's reward.
+
+    >>> reward({"environment_reward": 0.25}), reward({"environment_reward": 1.0}), reward({})
+    ('goal test × 0.25', 'goal test alone', 'none')
+    """
+    weight = summary.get("environment_reward", 0.0)
+    if weight == 1.0:
+        return "goal test alone"
+    return f"goal test × {fixed(weight, 2)}" if weight else "none"
 
 
 def _elsewhere(task: str, what: str) -> str:

@@ -23,6 +23,7 @@ _NUMBERS = Study(
         _change("solved samples × 0.3", solved_weight=0.3),
         _change("discriminator's goals any number of steps ahead", discriminator_steps=2**30),
     ),
+    curves=True,
 )
 _SIZES = Study(
     "off-policy-sizes",
@@ -33,5 +34,6 @@ _SIZES = Study(
         *(_change(f"{count} updates a roll-out", {"updates": count}) for count in (128, 512)),
         *(_change(f"{count} critic{'s' * (count > 1)}", {"critics": count}) for count in (1, 4)),
     ),
+    curves=True,
 )
 OFF_POLICY_STUDIES = (_NUMBERS, _SIZES)

@@ -56,6 +56,8 @@ class Study:
     """The paper's number, which several studies may have."""
     figure: int | None = None
     """The paper's number."""
+    curves: bool = False
+    """Whether to keep success over steps; a study with a figure does anyway."""
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
     tuning: bool = False

@@ -95,7 +95,7 @@ def make_rows(task: str, study: Study, results: list[dict[str, Any]]) -> list[di
                     for other, of_other in list(zip(study.settings, results, strict=True))[index + 1 :]
                 },
                 **{name: result[name] for name in ("identity", "final", "program", "made_by")},
-                **({} if study.figure is None else {"curves": result["curves"]}),
+                **({"curves": result["curves"]} if study.curves or study.figure is not None else {}),
             }
         )
     return rows

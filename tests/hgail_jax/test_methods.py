@@ -145,9 +145,12 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         "hgail-no": ({}, {"p_ht": 0.0}),
         "gail-demo": (
             {"expert_source": "demonstrations", "training_goals": False},
-            {"p_ht": 0.0, "bc_weight": 0.0},
+            {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0},
         ),
-        "gasil": ({"expert_source": "best", "training_goals": False}, {"p_ht": 0.0}),
+        "gasil": (
+            {"expert_source": "best", "training_goals": False},
+            {"p_ht": 0.0, "environment_reward": 0.0},  # else slide's default would leave its expert unheard
+        ),
         "her": ({"discriminator_minibatches": 0}, {"environment_reward": 1.0}),
     }
     assert set(expected) == {name for name, method in METHODS.items() if "td3" in method.learners}
@@ -166,6 +169,7 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         ("push", "ppo", "parallel", None, "ppo"),
         ("push", "hgail", "parallel", "ppo", "ppo"),
         ("pick-and-place", "gasil", "parallel", None, "td3"),
+        ("slide", "hgail", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", None, "ppo"),
         ("reach", "her", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", "td3", "td3"),
@@ -179,6 +183,25 @@ def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, m
 def test_an_unknown_learner_is_refused():
     with pytest.raises(ValueError, match="learner"):
         choose_learner("point", "hgail", "parallel", "sac")
+
+
+@pytest.mark.parametrize(
+    ("task", "changes", "trained"),
+    [
+        ("slide", {}, False),
+        ("slide", {"environment_reward": 0.5}, True),
+        ("push", {}, True),
+        ("push", {"environment_reward": 1.0}, False),
+        ("push", {"method": "her"}, False),
+        ("push", {"method": "gasil"}, True),
+        ("slide", {"method": "gasil"}, True),
+        ("push", {"learner": "ppo", "environment_reward": 1.0}, True),
+    ],
+)
+def test_off_policy_a_discriminator_is_trained_where_it_has_a_say(task, changes, trained):
+    run = plan(TrainOptions(task=task, impl="c", **changes), "gpu")
+    assert (run.config.discriminator_minibatches > 0) == trained
+    assert trained == (run.hyperparameters.environment_reward < 1.0) or run.config.learner.name == "ppo"
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
 from experiments.paper.work import Unfinished
 from hgail_jax import PRESETS, env_steps, phase_table
+from hgail_jax.defaults import DEFAULTS
 from hgail_jax.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.loop import Program
@@ -363,6 +364,25 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert [trial.task_options.get("observation") for trial in parts] == [None] * 8 + ["official"]
     assert len({trial.key() for trial in parts}) == 8  # one of the solved weights is the task's own
     assert studies_of("push") == (BY_NAME["parts"],)
+
+
+@pytest.mark.parametrize("task", ["push", "slide"])
+def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
+    numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
+    assert len(group_by_program(numbers)) == 1
+    preset = DEFAULTS[task]["td3"]["gpu"]
+    of_task = env_steps(hgail_envs.find_class(task), preset.config, phase_table(preset.config)).sum()
+    for trial in numbers + sizes:
+        changed = [
+            name
+            for name, value in vars(trial.hyperparameters).items()
+            if value != getattr(preset.hyperparameters, name)
+        ]
+        before, after = (vars(config) | vars(config.learner) for config in (preset.config, trial.config))
+        changed += [name for name in before if before[name] != after[name] and name not in ("learner", "best_episodes")]
+        assert len(changed) <= 1
+        assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
+        assert not changed or trial.setting.name != "as it is"
 
 
 def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeypatch):
