@@ -165,8 +165,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "grasp-position": _GRASP,
     "grasp-aperture": _GRASP,
     "push": {
-        # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half is the goal
-        # test.
+        # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
         "td3": _td3({"cpu": {"rounds": 9}, "gpu": {"rounds": 8}}, _OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
         # Networks 256 wide reach .95 in 40 to 55 rounds where those 64 wide take 49 to 102 or never do (suite,
         # networks); their number on a CPU is from docs/lab/suite-settings.md. Solved samples, whose cube is at the goal
