@@ -161,9 +161,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             **_EXACT,
         ),
     },
-    "grasp": _GRASP,
-    "grasp-position": _GRASP,
-    "grasp-aperture": _GRASP,
+    **dict.fromkeys(("grasp", "grasp-position", "grasp-aperture"), _GRASP),
     "push": {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
         "td3": _td3({"cpu": {"rounds": 9}, "gpu": {"rounds": 8}}, _OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
@@ -232,6 +230,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
 }
 """Settings of each task that comes with the package, by learner and platform; the learner that stands first is the
 task's default. A task of one's own brings `GoalEnv.training`."""
+
+DEFAULTS["stack"] = DEFAULTS["pick-and-place"]  # untried there: copied as they are, for a first training
 
 
 def default_learner(task: str) -> str:

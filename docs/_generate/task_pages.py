@@ -24,6 +24,8 @@ _RUNS = {
     "pick-and-place": "pick-and-place-td3",
     "slide": "slide-hgail",
 }
+_PICTURED = (*_RUNS, "stack")
+_GOAL_TESTS = {"grasp": ", and held", "stack": "; of a cube to be left, 0.025 m in the plane and 0.01 m in height"}
 _NOT_ON = {"slide": ("jax",), "point": ("warp", "c")}
 _ENGINES = ("warp", "c", "jax")
 _PANEL = (300, 225)  # width and height, pixels
@@ -59,7 +61,7 @@ def _facts(task: str) -> str:
         ["reference", f"`{of_class.reference}`" if of_class.reference else "none"],
         ["episode", f"{of_class.episode_length} steps of {of_class.control_period:g} s"],
         ["reward", "-1 a step, 0 at the goal"],
-        ["goal test", f"within {of_class.success_threshold:g} m" + (", and held" if task == "grasp" else "")],
+        ["goal test", f"within {of_class.success_threshold:g} m" + _GOAL_TESTS.get(task, "")],
         ["engines", ", ".join(engines) if task != "point" else "none needed, it is all JAX"],
         ["scripted controllers", ", ".join(f"`{name}`" for name in of_class.controllers) or "none"],
         *_policies(task),
@@ -132,10 +134,9 @@ def _options(task: str) -> str:
 def main() -> None:
     """Draws the start of an episode of each task with a scene, a red ball at the target."""
     width, height = _PANEL
-    tasks = list(_RUNS)
     montage = Image.new("RGB", (3 * width, 2 * (height + 24)), "white")
     font = ImageFont.load_default(16)
-    for index, task in enumerate(tasks):
+    for index, task in enumerate(_PICTURED):
         env = hgail_envs.make(task, impl="c")
         state = jax.jit(env.reset)(jax.random.key(3))
         view = hgail_envs.scenes.SceneView(env, "rgb_array")  # type: ignore[attr-defined]

@@ -49,13 +49,18 @@ def _fingers(name: str, unit: str) -> tuple[Quantity, ...]:
 _GRIPPER = (*_vector("gripper position"), *_vector("gripper velocity", _PER_ACTION))
 _GAP = Quantity("gap between the fingers", "m", "hand")
 _HAND = (_GAP, Quantity("hand holds the cube", "0 or 1", ""))
+_HOLDS_A = Quantity("hand holds cube A", "0 or 1", "")
 _TARGET = _vector("target position")
 _OF_OBJECT = (*_TARGET, Quantity("target is the object's, not the gripper's", "0 or 1", ""))
+_OF_CUBES = (
+    *(Quantity(f"target is cube {cube}'s", "0 or 1", "") for cube in "AB"),
+    Quantity("cube A is to be left at the target", "0 or 1", ""),
+)
 
 
-def _with_object(name: str) -> tuple[Quantity, ...]:
+def _object(name: str) -> tuple[Quantity, ...]:
     relative = _vector(f"{name} position less gripper position")
-    return (*_GRIPPER, *relative, *_vector(f"{name} position"), *_vector(f"{name} velocity", _PER_ACTION))
+    return (*relative, *_vector(f"{name} position"), *_vector(f"{name} velocity", _PER_ACTION))
 
 
 def _official(name: str) -> tuple[Quantity, ...]:
@@ -79,9 +84,10 @@ _FEATURES = {
     "grasp": (*_GRIPPER, *_HAND),
     "grasp-position": (*_GRIPPER, *_HAND),
     "grasp-aperture": (*_GRIPPER, *_HAND),
-    "push": _with_object("cube"),
-    "pick-and-place": (*_with_object("cube"), *_HAND),
-    "slide": _with_object("puck"),
+    "push": (*_GRIPPER, *_object("cube")),
+    "pick-and-place": (*_GRIPPER, *_object("cube"), *_HAND),
+    "slide": (*_GRIPPER, *_object("puck")),
+    "stack": (*_GRIPPER, *_object("cube A"), _GAP, _HOLDS_A, *_object("cube B")),
 }
 _OFFICIAL = {"push": "cube", "pick-and-place": "cube", "slide": "puck"}
 _GOALS = {
@@ -93,6 +99,7 @@ _GOALS = {
     "push": _OF_OBJECT,
     "pick-and-place": _OF_OBJECT,
     "slide": _OF_OBJECT,
+    "stack": (*_TARGET, *_OF_CUBES),
 }
 _ARM = _vector("gripper displacement", "1 is about 0.033 m")
 _HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 drives the fingers to their stops", "hand")

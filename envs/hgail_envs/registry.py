@@ -14,6 +14,7 @@ TASKS = {
     "push": "hgail_envs.fetch.push:Push",
     "pick-and-place": "hgail_envs.fetch.pick_and_place:PickAndPlace",
     "slide": "hgail_envs.fetch.slide:Slide",
+    "stack": "hgail_envs.fetch.stack:Stack",
     "grasp-position": "hgail_envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
 }
@@ -25,8 +26,8 @@ GYMNASIUM_IDS = {
 }
 """Gymnasium's identifiers of the tasks, e.g. `hgail_envs/FetchPush-v0`."""
 
-EPISODE_STEPS = 50
-"""Steps in an episode of each task in `TASKS`: the time limit that `gymnasium.make` sets."""
+EPISODE_STEPS = dict.fromkeys(TASKS, 50) | {"stack": 100}
+"""Steps in an episode of each task: the time limit that `gymnasium.make` sets."""
 
 
 def register_gymnasium() -> None:
@@ -40,7 +41,7 @@ def register_gymnasium() -> None:
                     name,
                     "hgail_envs.single:GoalSingleEnv",
                     vector_entry_point="hgail_envs.vector:make_vector",
-                    max_episode_steps=EPISODE_STEPS,
+                    max_episode_steps=EPISODE_STEPS[task],
                     kwargs={"task": task},
                 )
 

@@ -37,7 +37,7 @@ class SensorErrors(struct.PyTreeNode):
     robot_motion: jax.Array
     """Error of the gripper's displacement in the last action, metres."""
     object: jax.Array
-    """Error of the object's position, metres."""
+    """Error of the object's position, metres; of several objects it is the same."""
     object_motion: jax.Array
     """Error of the object's displacement in the last action, metres."""
 

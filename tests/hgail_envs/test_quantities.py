@@ -14,6 +14,8 @@ from hgail_envs.randomized import randomize
 OBSERVATIONS = [(task, "compact") for task in hgail_envs.TASKS if task != "point"]
 OBSERVATIONS += [(task, "official") for task in ("push", "pick-and-place", "slide")]
 
+THINGS = {"cube": "cube", "puck": "puck", "cube_a": "cube A", "cube_b": "cube B"}
+
 
 def vector(name, values):
     return dict(zip([f"{name} {axis}" for axis in "xyz"], values, strict=True))
@@ -34,9 +36,12 @@ def measured(env, state, target):
     for side, finger in zip(("right", "left"), fingers, strict=True):
         found |= {f"position of the {side} finger": finger.qpos[0]}
         found |= {f"velocity of the {side} finger": finger.qvel[0] * 0.04}
-    for thing in {"cube", "puck"} & {model.body(index).name for index in range(model.nbody)}:
-        centre, joint = data.body(thing).xpos, data.joint(thing)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, model.body(thing).id, twist, 0)
+    bodies = {model.body(index).name for index in range(model.nbody)}
+    for body, thing in THINGS.items():
+        if body not in bodies:
+            continue
+        centre, joint = data.body(body).xpos, data.joint(body)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, model.body(body).id, twist, 0)
         found |= vector(f"{thing} position", centre) | vector(f"{thing} position less gripper position", centre - grip)
         found |= vector(f"{thing} velocity", joint.qvel[:3] * 0.04)
         found |= vector(f"{thing} velocity less gripper velocity", joint.qvel[:3] * 0.04 - motion)
@@ -55,9 +60,9 @@ def test_each_number_is_what_its_name_says(task, observation):
         state = step(state, jnp.array(action))
     physics = state.pipeline_state
     if env._scene_model.has_object:  # thrown, so that no two of its quantities are equal
-        thrown = physics.qvel.at[env._scene_model.object_qvel[0] + jnp.arange(6)].set(
-            jnp.array([0.3, -0.7, 1.1, 2.0, -3.0, 5.0])
-        )
+        velocity = np.array([0.3, -0.7, 1.1, 2.0, -3.0, 5.0])
+        objects = env._scene_model.object_qvel[:, :1]
+        thrown = physics.qvel.at[objects + np.arange(6)].set(velocity + np.arange(len(objects))[:, None])
         physics = physics.replace(qvel=thrown)
         state = state.replace(pipeline_state=physics)
     seen = np.concatenate([env.features(physics), state.info["desired_goal"]])
@@ -72,6 +77,10 @@ def test_each_number_is_what_its_name_says(task, observation):
         "to hold the cube at the target",
         "target is the object's, not the gripper's",
         "desired gap between the fingers",
+        "hand holds cube A",
+        "target is cube A's",
+        "target is cube B's",
+        "cube A is to be left at the target",
     }
     assert len(described.action) == env.action_size
     assert all(quantity.frame in (*FRAMES, "") for group in described for quantity in group)

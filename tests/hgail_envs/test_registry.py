@@ -54,6 +54,7 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
         "push": (19, 4, 4),
         "pick-and-place": (21, 4, 4),
         "slide": (19, 4, 4),
+        "stack": (32, 6, 4),
     }
 
 

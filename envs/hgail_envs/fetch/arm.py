@@ -32,7 +32,7 @@ LEAD = 0.05
 """Metres by which the mocap body leads the gripper for a unit action."""
 
 LEAST_DISTANCE = 0.1
-"""Least distance in the plane between the starts of object and gripper, metres."""
+"""Least distance in the plane between the starts of object and gripper, and of two objects, metres."""
 
 _POSTURES = 64  # settled in advance for randomised starts; each takes C MuJoCo a few milliseconds
 # A candidate is far enough with probability 0.65, or 0.21 for the puck of slide: all 64 fail once in 3 million draws.
@@ -141,19 +141,25 @@ class FetchEnv(GoalEnv):
         offset = jax.random.uniform(rng, (3,), minval=-_ROAM, maxval=_ROAM)
         return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
 
-    def random_place(self, rng: jax.Array, width: float) -> jax.Array:
-        """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near."""
+    def random_place(self, rng: jax.Array, width: float, other: jax.Array | None = None) -> jax.Array:
+        """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near.
+
+        Nor is it too near to `other`, `[2]`, the place of another object.
+        """
         # Rejection sampling in fixed time: the first of many candidates that is far enough.
         offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
+        places = self.initial_gripper_position[None, :2] + offsets
         far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
-        return self.initial_gripper_position[:2] + offsets[jnp.argmax(far)]
+        if other is not None:
+            far &= jnp.linalg.norm(places - other[None], axis=-1) >= LEAST_DISTANCE
+        return places[jnp.argmax(far)]
 
     def gap(self, physics: FetchPhysics) -> jax.Array:
         """Returns the distance between the fingers, `[]`, metres."""
         return physics.qpos[self._finger_qpos].sum()
 
     def object_factor(self, physics: FetchPhysics) -> jax.Array | float:
-        """Returns the factor on the object's size, `[]`."""
+        """Returns the factor on the size of the objects, `[]`."""
         return 1.0 if physics.factors is None else physics.factors.object_size
 
     def overflow(self, physics: FetchPhysics) -> jax.Array:
@@ -173,22 +179,23 @@ class FetchEnv(GoalEnv):
         )
 
     def vary_model(self, physics: FetchPhysics, factors: ModelFactors) -> FetchPhysics:
-        """Scales the model, and sets an object of another height on the table; see `GoalEnv`."""
+        """Scales the model, and sets objects of another height on the table; see `GoalEnv`."""
         qpos = physics.qpos
         if self._scene_model.has_object:
-            rise = self._scene_model.object_half_height * (factors.object_size - 1.0)
-            qpos = qpos.at[self._scene_model.object_qpos[2]].add(rise)
+            rise = self._scene_model.object_half_heights * (factors.object_size - 1.0)
+            qpos = qpos.at[self._scene_model.object_qpos[:, 2]].add(rise)
         return physics.replace(qpos=qpos, factors=factors)
 
     def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: jax.Array | float) -> PhysicsT:
-        """Draws a posture at least `LEAST_DISTANCE` from an object, and opens a hand with servos; see `GoalEnv`."""
+        """Draws a posture at least `LEAST_DISTANCE` from all objects, and opens a hand with servos; see `GoalEnv`."""
         drawn = jax.random.uniform(rng, (_POSTURES + 1,))  # one draw compiles the fastest
         scores, opened = drawn[1:], drawn[0]
         postures, model = self._postures(shift), self._scene_model
         if model.has_object:
-            away = postures.gripper_position[:, :2] - physics.qpos[model.object_qpos[:2]][None]
+            away = postures.gripper_position[:, None, :2] - physics.qpos[model.object_qpos[:, :2]][None]
+            far = (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE).all(axis=1)
             # Scores are below 1, so that each posture that is far enough is ahead of each that is not.
-            scores = scores + (jnp.linalg.norm(away, axis=-1) >= LEAST_DISTANCE).astype(scores.dtype)
+            scores = scores + far.astype(scores.dtype)
         chosen = jnp.argmax(scores)
         qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
         qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)

@@ -23,6 +23,11 @@ _THERE = 0.01  # metres from the target at which a push is over
 _PUCK_FRICTION = 0.1
 _ENOUGH = 0.9  # fraction of the speed that brings a free puck to the target, below which the hand takes it again
 _CENTRED = 0.02  # metres between hand and puck in the plane, within which the hand presses
+_CARRYING = 0.1  # metres of a carried cube's centre above that of the cube that it is to lie on
+_STACKED = 0.008  # metres between their centres in the plane, within which it is lowered
+_LYING, _PRESSING_DOWN = 0.0515, 0.045  # metres above that centre, at which it lies there; and to which it is lowered
+_WIDE = 0.08  # metres between the fingers, from which the hand withdraws
+_CLEAR_OF_TOWER = 0.1  # metres above the cube's centre, to which it withdraws
 _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
 
 
@@ -59,6 +64,33 @@ def pick_and_place(observation: jax.Array) -> jax.Array:
     approach = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN]) * apart
     move = jnp.where(held[..., None], _GAIN * remaining, approach)
     return _with_hand(jnp.clip(move, -1.0, 1.0), jnp.where(close, _CLOSE, _OPEN))
+
+
+def stack(observation: jax.Array) -> jax.Array:
+    """Grasps cube A from above, carries it over cube B, lowers it, lets go of it and rises."""
+    height, apart, gap = observation[..., 2:3], observation[..., 6:9], observation[..., 15:16]
+    way = observation[..., 20:23] - observation[..., 9:12]  # from cube A's centre to cube B's
+    aside, above = jnp.linalg.norm(way[..., :2], axis=-1, keepdims=True), -way[..., 2:]
+    held = observation[..., 16:17] > 0.5
+    close = held | (jnp.linalg.norm(apart, axis=-1, keepdims=True) <= _NEAR)
+    lies = (aside <= _CENTRED) & (above > 0.0) & (above <= _LYING)
+
+    over = jnp.linalg.norm(apart[..., :2], axis=-1, keepdims=True) <= _CENTRED
+    down = jnp.where(over, _GAIN * apart[..., 2:], _GAIN * jnp.maximum(_PASSING_HEIGHT - height, 0.0))
+    approach = jnp.concatenate([_GAIN * apart[..., :2], down], axis=-1)
+
+    centred = aside <= _STACKED
+    across = jnp.where((above >= _CARRYING - 0.01) | centred, _GAIN * way[..., :2], 0.0)
+    lower = jnp.maximum(_DESCENT_GAIN * (_PRESSING_DOWN - above), -0.5)
+    carry = jnp.concatenate([across, jnp.where(centred, lower, _GAIN * (_CARRYING - above))], axis=-1)
+
+    opened = gap >= _WIDE
+    up = jnp.where(opened & (apart[..., 2:] > -_CLEAR_OF_TOWER), 1.0, 0.0)
+    retreat = jnp.concatenate([jnp.zeros_like(way[..., :2]), up], axis=-1)
+
+    move = jnp.where(lies, retreat, jnp.where(held, carry, approach))
+    hand = jnp.where(close & ~lies, _CLOSE, _OPEN)
+    return _with_hand(jnp.clip(move, -1.0, 1.0), hand[..., 0])
 
 
 def push(observation: jax.Array) -> jax.Array:

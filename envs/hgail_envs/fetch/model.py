@@ -12,10 +12,10 @@ FINGERS = ("right_finger", "left_finger")
 
 
 class SceneModel:
-    """A scene's fields, and the indices of its object in them.
+    """A scene's fields, and the indices of its objects in them.
 
     Args:
-      model: the scene; it has at most one free joint, whose body is the object.
+      model: the scene; the bodies of its free joints are the objects.
 
     """
 
@@ -23,16 +23,15 @@ class SceneModel:
         self._model = model
         free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         self.has_object = bool(free.size)
+        first_qpos, first_qvel = model.jnt_qposadr[free, None], model.jnt_dofadr[free, None]
+        self._bodies = model.jnt_bodyid[free]
+        self._geoms = model.body_geomadr[self._bodies]
+        self._dofs = first_qvel + np.arange(6)
+        self.object_qpos, self.object_qvel = first_qpos + np.arange(3), self._dofs[:, :3]  # [objects, 3]
         self.of_arm_qpos, self.of_arm_qvel = np.ones(model.nq, bool), np.ones(model.nv, bool)
-        if self.has_object:
-            first_qpos, first_qvel = int(model.jnt_qposadr[free[0]]), int(model.jnt_dofadr[free[0]])
-            self._body = int(model.jnt_bodyid[free[0]])
-            self._geom = int(model.body_geomadr[self._body])
-            self._dofs = np.arange(first_qvel, first_qvel + 6)
-            self.object_qpos, self.object_qvel = np.arange(first_qpos, first_qpos + 3), self._dofs[:3]
-            self.of_arm_qpos[first_qpos : first_qpos + 7] = self.of_arm_qvel[self._dofs] = False
-            is_cylinder = model.geom_type[self._geom] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else a box
-            self.object_half_height = float(model.geom_size[self._geom, 1 if is_cylinder else 2])
+        self.of_arm_qpos[first_qpos + np.arange(7)] = self.of_arm_qvel[self._dofs] = False
+        are_cylinders = model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else boxes
+        self.object_half_heights = model.geom_size[self._geoms, np.where(are_cylinders, 1, 2)].astype(np.float32)
 
     def fields(self, factors: ModelFactors) -> dict[str, jax.Array]:
         """Returns the fields that differ, whole arrays by their names in `mujoco.MjModel`.
@@ -48,22 +47,22 @@ class SceneModel:
         return fields
 
     def _object_fields(self, mass: jax.Array | float, size: jax.Array | float) -> dict[str, jax.Array]:
-        """Returns the fields that differ for an object `mass` times as heavy and `size` times as large."""
-        body, geom, turning = self._body, self._geom, mass * size**2  # a moment of inertia is mass times length squared
+        """Returns the fields that differ for objects `mass` times as heavy and `size` times as large."""
+        bodies, geoms, turning = self._bodies, self._geoms, mass * size**2  # inertia is mass times length squared
         of_dof = jnp.array([mass] * 3 + [turning] * 3)
-        heavier = self._model.body_mass[body] * (mass - 1.0)
+        heavier = self._model.body_mass[bodies] * (mass - 1.0)
         scaled = {
-            "body_mass": (body, mass),
-            "body_inertia": (body, turning),
-            "body_invweight0": (body, jnp.array([1.0 / mass, 1.0 / turning])),
+            "body_mass": (bodies, mass),
+            "body_inertia": (bodies, turning),
+            "body_invweight0": (bodies, jnp.array([1.0 / mass, 1.0 / turning])),
             "dof_invweight0": (self._dofs, 1.0 / of_dof),
-            "geom_size": (geom, size),
-            "geom_rbound": (geom, size),  # else the broad phase would miss contacts of a larger object
-            "geom_aabb": (geom, size),
+            "geom_size": (geoms, size),
+            "geom_rbound": (geoms, size),  # else the broad phase would miss contacts of a larger object
+            "geom_aabb": (geoms, size),
         }
         fields = {name: self._field(name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
-        subtrees = np.array([0, body])  # the object's own and the world's
-        return fields | {"body_subtreemass": self._field("body_subtreemass").at[subtrees].add(heavier)}
+        subtrees = self._field("body_subtreemass").at[bodies].add(heavier).at[0].add(heavier.sum())  # 0 is the world's
+        return fields | {"body_subtreemass": subtrees}
 
     def _finger_fields(
         self, force: jax.Array | float, speed: jax.Array | float, others: dict[str, jax.Array]

@@ -16,6 +16,7 @@ HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
 
 _RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
+_PADS = 2  # whose touch of the cube the scene's first sensors tell
 _AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
 
 
@@ -62,13 +63,13 @@ class PickAndPlace(ObjectEnv):
     target_range = 0.15
 
     scene = "fetch/grasp"
-    reference = "FetchPickAndPlace-v4"
+    reference: str | None = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
+        return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width)
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])

@@ -29,12 +29,13 @@ KEYS = jax.random.split(jax.random.key(0), 300)
 def edited(model, factors):
     """Returns a model with mass, inertia, size and friction edited, and what derives from them worked out by MuJoCo."""
     model = copy.copy(model)
-    body, geom = model.body("cube"), model.geom("cube")
-    body.mass *= factors.object_mass
-    body.inertia *= factors.object_mass * factors.object_size**2
-    geom.size *= factors.object_size
-    model.geom_rbound[geom.id] = np.linalg.norm(geom.size)
-    model.geom_aabb[geom.id, 3:] = geom.size
+    for name in {"cube", "cube_a", "cube_b"} & {model.body(index).name for index in range(model.nbody)}:
+        body, geom = model.body(name), model.geom(name)
+        body.mass *= factors.object_mass
+        body.inertia *= factors.object_mass * factors.object_size**2
+        geom.size *= factors.object_size
+        model.geom_rbound[geom.id] = np.linalg.norm(geom.size)
+        model.geom_aabb[geom.id, 3:] = geom.size
     model.pair_friction *= factors.friction
     for name in FINGERS:
         joint, servo = model.joint(name), model.actuator(name)
@@ -56,11 +57,13 @@ def step_by_hand(model, qpos, qvel, control, substeps):
     return data.qpos, data.qvel
 
 
-def test_what_derives_from_masses_is_what_mujoco_derives():
+@pytest.mark.parametrize("scene", ["grasp", "stack"])
+def test_what_derives_from_masses_is_what_mujoco_derives(scene):
     """All of the model's numbers, changed or not; the fingers' part in the arm's inverse weights is left out."""
-    ours, theirs = SceneModel(MODEL).fields(FACTORS), edited(MODEL, FACTORS)
-    for name in dir(MODEL):
-        before = getattr(MODEL, name)
+    model = load_scene(f"fetch/{scene}")
+    ours, theirs = SceneModel(model).fields(FACTORS), edited(model, FACTORS)
+    for name in dir(model):
+        before = getattr(model, name)
         if isinstance(before, np.ndarray) and before.dtype.kind == "f" and name not in NOT_IN_A_STEP:
             after = np.asarray(ours.get(name, before))
             least = {"dof_invweight0": 1e-2, "body_invweight0": 0.05}.get(name, 1e-12)  # the arm's own, which it drags
@@ -160,7 +163,7 @@ def test_slow_fingers_take_as_much_longer():
     assert gaps[0.5, 0.5] == pytest.approx(gaps[0.5, 1.0], rel=0.1)
 
 
-@pytest.mark.parametrize("task", ["grasp", "push"])
+@pytest.mark.parametrize("task", ["grasp", "push", "stack"])
 def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     env = hgail_envs.make(task, impl="c", substeps=8)
     physics = jax.jit(jax.vmap(env.reset_physics))(KEYS)
@@ -169,28 +172,29 @@ def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     assert np.abs(shift).max() < 0.05
     assert (np.ptp(shift, axis=0)[:2] > 0.06).all()
     assert np.asarray(moved.gripper_position)[:, 2].min() > 0.41
-    cube = np.asarray(moved.qpos[:, 13:16])
-    np.testing.assert_array_equal(cube, physics.qpos[:, 13:16])
-    away = np.linalg.norm(moved.gripper_position[:, :2] - cube[:, :2], axis=-1)
-    assert away.min() > LEAST_DISTANCE - 1e-3
+    np.testing.assert_array_equal(moved.qpos[:, 13:], physics.qpos[:, 13:])
+    for first in range(13, env.model.nq, 7):  # one cube after another
+        away = np.linalg.norm(moved.gripper_position[:, :2] - moved.qpos[:, first : first + 2], axis=-1)
+        assert away.min() > LEAST_DISTANCE - 1e-3
     gaps = np.asarray(jax.vmap(env.gap)(moved))
-    assert (gaps.min() < 0.01 and gaps.max() > 0.09) if task == "grasp" else gaps.max() < 0.01
+    assert gaps.max() < 0.01 if task == "push" else (gaps.min() < 0.01 and gaps.max() > 0.09)
 
 
-def test_sensors_err_by_what_they_are_told():
-    env = hgail_envs.make("pick-and-place", impl="c", substeps=8)
+@pytest.mark.parametrize("task", ["pick-and-place", "stack"])
+def test_sensors_err_by_what_they_are_told(task):
+    env = hgail_envs.make(task, impl="c", substeps=8)
     randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
     state = randomised.step(randomised.reset(jax.random.key(0)), jnp.zeros(4))
     physics, errors = state.pipeline_state, state.pipeline_state.errors()
     plain, seen = np.asarray(env.features(physics.true)), np.asarray(state.info["observation"])
-    expected = [errors.robot, errors.robot_motion, errors.object - errors.robot, errors.object, errors.object_motion]
-    np.testing.assert_allclose(seen[:15] - plain[:15], np.concatenate(expected), atol=1e-6)
-    np.testing.assert_array_equal(seen[15:], plain[15:])
+    of_object = [errors.object - errors.robot, errors.object, errors.object_motion]
+    expected = [errors.robot, errors.robot_motion, *of_object, np.zeros(2), *(of_object if task == "stack" else ())]
+    np.testing.assert_allclose(seen - plain, np.concatenate(expected), atol=1e-6)
     assert np.abs(errors.robot).max() > 1e-3
     assert np.abs(errors.robot_motion).max() > 1e-4
 
 
-@pytest.mark.parametrize("task", ["reach", "grasp", "push", "pick-and-place", "slide"])
+@pytest.mark.parametrize("task", ["reach", "grasp", "push", "pick-and-place", "slide", "stack"])
 def test_the_full_level_suits_all_fetch_tasks(task):
     env = RandomizedEnv(hgail_envs.make(task, impl="c", substeps=4), LEVELS["full-history"])
 
@@ -215,7 +219,7 @@ def test_a_field_that_an_engine_cannot_vary_is_refused():
             engine.step(state, control.replace(model={name: jnp.zeros(3)}))
 
 
-@pytest.mark.parametrize("scene", ["grasp", "push", "slide", "reach"])
+@pytest.mark.parametrize("scene", ["grasp", "push", "slide", "reach", "stack"])
 def test_warp_has_all_fields_for_each_world(scene):
     """By MJX's own table of what its implementation on Warp may be given a batch of."""
     types = pytest.importorskip("mujoco.mjx.warp.types")

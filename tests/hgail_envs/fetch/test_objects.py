@@ -301,7 +301,7 @@ def test_no_controller_reads_the_official_observation():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["push", "pick-and-place"])
+@pytest.mark.parametrize("name", ["push", "pick-and-place", "stack"])
 def test_mjx_jax_moves_as_c_mujoco(name):
     """After an action from equal states, time and again."""
     env, other = (hgail_envs.make(name, impl=impl) for impl in ("c", "jax"))

@@ -39,6 +39,7 @@ def where(impl):
         ("pick-and-place", "from-above", 0.03),
         ("push", "from-behind", 0.03),
         ("slide", "from-above", 0.03),
+        ("stack", "from-above", 0.03),
     ],
 )
 def test_controllers_score_as_on_c_mujoco(task, name, margin):
@@ -114,7 +115,7 @@ def test_reach_moves_as_on_c_mujoco(impl, median_mm, percentile_mm, drift_mm):
     assert np.median(drift) <= drift_mm
 
 
-@pytest.mark.parametrize("task", ["push", "pick-and-place", "slide"])
+@pytest.mark.parametrize("task", ["push", "pick-and-place", "slide", "stack"])
 def test_the_object_at_rest_stays(task):
     env = hgail_envs.make(task, impl="warp", worlds=EPISODES)
 
@@ -133,7 +134,7 @@ def test_the_object_at_rest_stays(task):
     assert tilted < 1e-3
 
 
-@pytest.mark.parametrize("task", ["grasp", "reach", "push", "pick-and-place", "slide"])
+@pytest.mark.parametrize("task", ["grasp", "reach", "push", "pick-and-place", "slide", "stack"])
 def test_a_million_random_steps_stay_finite(task):
     env = hgail_envs.make(task, substeps=8, worlds=4096)
 

@@ -1,0 +1,294 @@
+"""Stacking: put a cube on another one and let go of it."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
+from hgail_envs.fetch.grasp import CUBE_WIDTH
+from hgail_envs.fetch.objects import ObjectPhysics
+from hgail_envs.fetch.pick_and_place import PickAndPlace
+from hgail_envs.variation import ModelFactors
+
+MOST_ASIDE = 0.025
+"""Largest distance in the plane of a cube from its place on another, metres."""
+MOST_HIGH = 0.01
+"""Largest difference in height of a cube from its place on another, metres."""
+LEAST_AWAY = 0.05
+"""Least distance between the gripper and a cube that it has let go of, metres."""
+LEAST_GAP = 0.08
+"""Least distance between the fingers of an open hand, metres."""
+AT_REST = 0.05
+"""Largest speed of a cube that lies where it was left, metres per second."""
+
+_OF_GRIPPER, _OF_A, _OF_B = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)  # whose position it is: a goal's numbers 3 and 4
+_MOVED = 0.01  # metres from its start, beyond which a cube's position may be the achieved goal
+_AT_GOAL = 0.03  # metres between cube and goal, within which the goal is already solved
+_RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on the other cube at 0.475
+_CUBES_TOUCH = 2  # index of the sensor of the cubes' contact, after those of the pads
+_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
+_AT_CUBE = 0.04  # metres between gripper and cube A, within which a relay's goal becomes the cube's
+_OVER = 0.02  # metres in the plane between the cubes, within which a relay lowers cube A
+_ABOVE = 0.05  # metres above its place on cube B, to which a relay first brings cube A
+
+
+class StackPhysics(ObjectPhysics, kw_only=True):
+    """`ObjectPhysics`, whose object is cube A, and the start of cube B."""
+
+    b_start: jax.Array
+    """`[3]`: metres."""
+
+
+class StackPlan(struct.PyTreeNode):
+    """The goals of an episode of `Stack`."""
+
+    goal: jax.Array
+    """`[goal_size]`."""
+    relay: jax.Array
+    """`[]` boolean: whether the goals are the stages on the way to it."""
+
+
+class Stack(PickAndPlace):
+    """Stacking: put cube A on cube B, let go of it and withdraw the hand; B stays where it was.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6:9 | cube A's position less gripper position | m |
+    | 9:12 | cube A's position | m |
+    | 12:15 | cube A's velocity × 0.04 s | m |
+    | 15 | gap between the fingers | m |
+    | 16 | holding: both pads touch cube A, and the gap is its width within 8 mm | 0 or 1 |
+    | 17:20 | cube B's position less gripper position | m |
+    | 20:23 | cube B's position | m |
+    | 23:26 | cube B's velocity × 0.04 s | m |
+    | 26:29 | target position | m |
+    | 29 | whether the target is cube A's | 0 or 1 |
+    | 30 | whether the target is cube B's; if neither, it is the gripper's | 0 or 1 |
+    | 31 | whether cube A is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
+
+    A goal is a position, whose it is, and whether cube A is left there: the gripper at least 5 cm from A's centre, the
+    fingers at least 8 cm apart, and A no faster than 5 cm/s, for a falling cube is left nowhere. The achieved goal of a
+    state is cube A's position, and whether A is left, once A is more than 1 cm from its start; else cube B's position
+    once B is; else the gripper's. A goal of a cube that is left is reached within 2.5 cm in the plane and 1 cm in
+    height, any other goal within 5 cm.
+
+    An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
+    0.10 m away from it and from the other cube. The evaluation's goal is cube A left on cube B, where B started.
+    A scripted hand reaches it in 35 to 42 steps. Episodes have a hundred: with a noise of .1 on its actions, as of a
+    policy that explores, the same hand reaches two thirds of the goals in fifty steps, and nearly all in a hundred.
+
+    Success is strict, and includes a test that the tower stands. After the last step cube A is left at the goal, its
+    centre is within 2.5 cm of cube B's in the plane and within 1 cm of the height at which it lies on B, and the cubes
+    touch. So B has moved by 5 cm at most. After twelve further steps, in which the hand keeps still and open, A still
+    is there and touches B. `achieved` of the metrics is without that test. Distances are between cube A and its place
+    after the last step.
+
+    Half the training episodes are relays, whose goal depends on the state alone: the gripper at cube A while it is more
+    than 4 cm from it, then A 5 cm above its place on B until it is within 2 cm of B in the plane, then A on B, and once
+    it is there, A left there. In an eighth the goal is the gripper, cube A or cube B at a random place, cubes on the
+    table. The rest have the evaluation's goals.
+
+    See `FetchEnv` for the arguments.
+    """
+
+    episode_length = 100
+    feature_size = 26
+    goal_size = 6
+    goal_kinds = 6
+    lift_test_steps = 12
+    object_name = "cube_a"
+    object_range = 0.15
+
+    scene = "fetch/stack"
+    reference = None
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.stack}
+
+    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+        super().__init__(impl, substeps, worlds)
+
+    def place(self, qpos: jax.Array, qvel: jax.Array) -> StackPhysics:
+        start = jnp.asarray(qpos[self._b_qpos], jnp.float32)
+        return StackPhysics(**vars(super().place(qpos, qvel)), b_start=start)
+
+    @property
+    def _b_qpos(self) -> slice:
+        first = int(self.model.joint("cube_b").qposadr[0])
+        return slice(first, first + 3)
+
+    @property
+    def _b_qvel(self) -> slice:
+        first = int(self.model.joint("cube_b").dofadr[0])
+        return slice(first, first + 3)
+
+    def b_position(self, physics: StackPhysics) -> jax.Array:
+        """Returns cube B's centre, `[3]`, metres, world frame; cube A's is `object_position`."""
+        return physics.qpos[self._b_qpos]
+
+    def place_on_b(self, physics: StackPhysics) -> jax.Array:
+        """Returns the place of cube A's centre on cube B, where B now is, `[3]`, metres, world frame."""
+        return self.b_position(physics).at[2].add(CUBE_WIDTH * self.object_factor(physics))
+
+    def is_on_b(self, physics: StackPhysics) -> jax.Array:
+        """Returns whether cube A is in its place on cube B, held or not: a boolean `[]`."""
+        return _is_in_place(self.object_position(physics) - self.place_on_b(physics))
+
+    def reset_physics(self, rng: jax.Array) -> StackPhysics:
+        a_rng, b_rng = jax.random.split(rng)
+        physics: Any = super().reset_physics(a_rng)
+        place = self.random_place(b_rng, self.object_range, physics.object_start[:2])
+        return self._put_b(physics, jnp.append(place, self.object_height))
+
+    def _put_b(self, physics: Any, position: jax.Array) -> Any:
+        """Returns the physics with cube B at `position`, `[3]`, upright and at rest, as at the start of an episode."""
+        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
+        return physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._b_qpos.start,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._b_qvel.start,)),
+            sensordata=physics.sensordata.at[_CUBES_TOUCH].set(0.0),
+            b_start=position,
+        )
+
+    def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
+        varied: Any = super().vary_model(physics, factors)
+        return varied.replace(b_start=self.b_position(varied))
+
+    def compact_features(self, physics: Any) -> jax.Array:
+        b, velocity = self.b_position(physics), physics.qvel[self._b_qvel] * CONTROL_PERIOD
+        return jnp.concatenate([super().compact_features(physics), b - physics.gripper_position, b, velocity])
+
+    def achieved_goal(self, physics: Any) -> jax.Array:
+        gripper, a, b = physics.gripper_position, self.object_position(physics), self.b_position(physics)
+        a_moved = jnp.linalg.norm(a - physics.object_start) > _MOVED
+        b_moved = jnp.linalg.norm(b - physics.b_start) > _MOVED
+        of_others = jnp.where(b_moved, _goal(b, _OF_B), _goal(gripper, _OF_GRIPPER))
+        left = _is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
+        return jnp.where(a_moved, _goal(a, _OF_A, left), of_others)
+
+    def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
+        return _goal(self.place_on_b(physics), _OF_A, left=True)
+
+    def plan_goals(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
+        kind_rng, whose_rng, position_rng, goal_rng = jax.random.split(rng, 4)
+        kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
+        anywhere = self.random_position(position_rng)
+        on_table = anywhere.at[2].set(self.object_height)
+        choices = jnp.stack([_goal(anywhere, _OF_GRIPPER), _goal(on_table, _OF_A), _goal(on_table, _OF_B)])
+        elsewhere = choices[jax.random.randint(whose_rng, (), 0, len(choices))]
+        sent_elsewhere = (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
+        goal = jnp.where(sent_elsewhere, elsewhere, self.sample_goal(goal_rng, physics))
+        return StackPlan(goal=goal, relay=kind < _RELAYS)
+
+    def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
+        return jnp.where(plan.relay, self._stage(physics), plan.goal)
+
+    def _stage(self, physics: StackPhysics) -> jax.Array:
+        """Returns the goal of a relay, `[goal_size]`, by the state alone: a cube that slips is taken again."""
+        a, place = self.object_position(physics), self.place_on_b(physics)
+        away = jnp.linalg.norm(physics.gripper_position - a) > _AT_CUBE
+        over = jnp.linalg.norm((a - place)[:2]) <= _OVER
+        brought = jnp.where(over, place, place.at[2].add(_ABOVE))
+        before = jnp.where(away, _goal(a, _OF_GRIPPER), _goal(brought, _OF_A))
+        return jnp.where(self.is_on_b(physics), _goal(place, _OF_A, left=True), before)
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Puts cube B down below `position`, at rest and upright; the place on it is the goal. See `GoalEnv`."""
+        moved = self._put_b(state.pipeline_state, jnp.asarray(position).at[2].set(self.object_height))
+        plan = self.aim(state.info["plan"], self.place_on_b(moved))
+        return self._advance(state, moved, plan, state.info["step"])
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """Returns 0 for goals of the gripper, 1 to 4 of cube A and 5 of cube B.
+
+        Cube A's are 1 on the table and 2 above it if the cube is not left there, and 3 and 4 if it is.
+        """
+        raised, left = goal[..., 2] > _RAISED, goal[..., 5] > 0.5
+        of_a = 1 + raised.astype(jnp.int32) + 2 * left.astype(jnp.int32)
+        return jnp.where(_is_a(goal), of_a, jnp.where(_is_b(goal), self.goal_kinds - 1, 0))
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
+        return self._is_at(achieved[..., :3], desired) & alike
+
+    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
+        return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
+
+    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+        """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
+        return self._is_at(_position_of(features, goal), goal) & _is_left_as_wanted(features, goal)
+
+    def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether goals are a cube's and within 3 cm of its present position, and A left as wanted."""
+        distance = jnp.linalg.norm(_position_of(features, goal) - goal[..., :3], axis=-1)
+        return (_is_a(goal) | _is_b(goal)) & (distance <= _AT_GOAL) & _is_left_as_wanted(features, goal)
+
+    def _is_at(self, position: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether positions, `[..., 3]`, are near enough to goals, `[..., goal_size]`: booleans `[...]`."""
+        apart = position - goal[..., :3]
+        near = jnp.linalg.norm(apart, axis=-1) <= self.success_threshold
+        return jnp.where(goal[..., 5] > 0.5, _is_in_place(apart), near)
+
+    def lift_test_action(self, action: jax.Array) -> jax.Array:
+        return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open
+
+    def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
+        last, desired = end.pipeline_state, end.info["desired_goal"]
+        achieved = self.reached(last, desired) & self._stands(last, desired)
+        success = achieved & self._stands(lifted.pipeline_state, desired)
+        return self.measure(self.object_position(last), desired[:3]).replace(
+            success=success.astype(jnp.float32), achieved=achieved.astype(jnp.float32)
+        )
+
+    def _stands(self, physics: Any, desired: jax.Array) -> jax.Array:
+        """Returns whether cube A is at the goal and on cube B, and touches it, wherever the hand is: a boolean `[]`."""
+        at_goal = self._is_at(self.object_position(physics), desired)
+        return at_goal & self.is_on_b(physics) & (physics.sensordata[_CUBES_TOUCH] > 0)
+
+
+def _goal(position: jax.Array, whose: tuple[float, float], left: jax.Array | bool = False) -> jax.Array:
+    """Returns a goal, `[6]`, of a position, `[3]`; `whose` is one of the constants above."""
+    return jnp.concatenate([position, jnp.array([*whose, left], jnp.float32)])
+
+
+def _is_a(goal: jax.Array) -> jax.Array:
+    return goal[..., 3] > 0.5
+
+
+def _is_b(goal: jax.Array) -> jax.Array:
+    return goal[..., 4] > 0.5
+
+
+def _position_of(features: jax.Array, goal: jax.Array) -> jax.Array:
+    """Returns the position, `[..., 3]`, of that whose goals, `[..., 6]`, are, in features `[..., 26]`."""
+    gripper, a, b = features[..., :3], features[..., 9:12], features[..., 20:23]
+    return jnp.where(_is_a(goal)[..., None], a, jnp.where(_is_b(goal)[..., None], b, gripper))
+
+
+def _is_left(apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
+    """Returns whether cube A rests where the hand has let go of it: booleans `[...]`.
+
+    Args:
+      apart: `[..., 3]`: the cube's position less the gripper's, metres.
+      velocity: `[..., 3]`: the cube's, metres per action.
+      gap: `[...]`: between the fingers, metres.
+
+    """
+    away = (jnp.linalg.norm(apart, axis=-1) >= LEAST_AWAY) & (gap >= LEAST_GAP)
+    return away & (jnp.linalg.norm(velocity, axis=-1) <= AT_REST * CONTROL_PERIOD)
+
+
+def _is_left_as_wanted(features: jax.Array, goal: jax.Array) -> jax.Array:
+    """Returns whether cube A is left, or not, as its goals, `[..., 6]`, want it; others want nothing."""
+    left = _is_left(features[..., 6:9], features[..., 12:15], features[..., 15])
+    return ~_is_a(goal) | (left == (goal[..., 5] > 0.5))
+
+
+def _is_in_place(apart: jax.Array) -> jax.Array:
+    """Returns whether a cube `apart`, `[..., 3]`, from its place on another one is on it: booleans `[...]`."""
+    return (jnp.linalg.norm(apart[..., :2], axis=-1) <= MOST_ASIDE) & (jnp.abs(apart[..., 2]) <= MOST_HIGH)
