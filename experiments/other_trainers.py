@@ -12,10 +12,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import hgail_envs  # noqa: F401  (registers the tasks)
 from experiments import sac_her
+from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
+from hgail_envs.registry import GYMNASIUM_IDS
 
-REACH = "hgail_envs/FetchReach-v0"
 ENOUGH = 0.98
 """Success at which a training ends."""
 TEST_ENVS = 100
@@ -27,9 +27,15 @@ Tested = Callable[[int, Policy], bool]
 """Called now and then with environment steps and a deterministic policy; returns true when the success is enough."""
 
 
-def make_test() -> Callable[[Policy], float]:
-    """Returns a test of policies on reach: the success at the last step of `TEST_ENVS` episodes, always the same."""
-    env = gymnasium.make_vec(REACH, num_envs=TEST_ENVS)
+def make_test(task: str = "reach", substeps: int = REFERENCE_SUBSTEPS) -> Callable[[Policy], float]:
+    """Returns a test of policies: the success at the last step of `TEST_ENVS` episodes, always the same.
+
+    Args:
+      task: a Fetch task.
+      substeps: physics steps per action.
+
+    """
+    env = gymnasium.make_vec(GYMNASIUM_IDS[task], num_envs=TEST_ENVS, substeps=substeps)
 
     def success(policy: Policy) -> float:
         observation, info = env.reset(seed=10_000)
@@ -41,13 +47,16 @@ def make_test() -> Callable[[Policy], float]:
     return success
 
 
-def sb3_sac_her(tested: Tested, most_steps: int, num_envs: int = 8) -> None:
+def sb3_sac_her(
+    tested: Tested, most_steps: int, num_envs: int = 8, task: str = "reach", substeps: int = REFERENCE_SUBSTEPS
+) -> None:
     """Trains stable-baselines3's SAC with its `HerReplayBuffer`, a gradient step for each environment step."""
     from stable_baselines3 import SAC, HerReplayBuffer
 
     from hgail_envs.stable_baselines import GoalVecEnv
 
-    made: Any = gymnasium.make_vec(REACH, num_envs=num_envs, autoreset_mode="SameStep")
+    name = GYMNASIUM_IDS[task]
+    made: Any = gymnasium.make_vec(name, num_envs=num_envs, autoreset_mode="SameStep", substeps=substeps)
     env = GoalVecEnv(made)
     model = SAC(
         "MultiInputPolicy",

@@ -12,7 +12,9 @@ from jax.sharding import Mesh
 
 from experiments.bench.timing import compile_timed
 from experiments.bench.workload import Workload
+from hgail_jax.config import PPO
 from hgail_jax.devices.sharding import shard
+from hgail_jax.learners.base import LEARNING
 from hgail_jax.learners.ppo import ppo_sizes
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import relabelled_samples
@@ -22,7 +24,7 @@ from hgail_jax.train import Phase, init_state, make_policy, phase_table
 
 
 class Training:
-    """Seeds in training, to be timed phase by phase.
+    """Seeds in training, to be timed phase by phase; off-policy with a full replay buffer.
 
     Args:
       workload: of each seed.
@@ -32,11 +34,15 @@ class Training:
     """
 
     def __init__(self, workload: Workload, seeds: int = 1, mesh: Mesh | None = None) -> None:
-        preset = workload.preset()
-        self.config = preset.config
+        self.workload, self.seeds = workload, seeds
+        self.config = workload.preset.config
         self._row = phase_table(self.config)[0]
-        states = init_seeds(workload.env, self.config, preset.hyperparameters, seed_keys(0, seeds))
-        self._states = states if mesh is None else shard(states, mesh)
+        states = init_seeds(workload.env, self.config, workload.preset.hyperparameters, seed_keys(0, seeds))
+        if states.buffer is not None:
+            added = jnp.full_like(states.buffer.added, states.buffer.valid.shape[-1])
+            states = states.replace(buffer=states.buffer.replace(added=added))
+        self.states: TrainState = states if mesh is None else shard(states, mesh)
+        """Untrained, `[seeds, ...]`."""
 
         started = time.perf_counter()
         self._step: SeedsStep = compile_train_step(workload.env, self.config, states, self._row, mesh)
@@ -46,7 +52,7 @@ class Training:
         """Returns a function that trains a round of these phases with each call, and skips the rest of the round."""
         row = np.full_like(self._row, Phase.SKIP)
         row[: len(phases)] = phases
-        states = jax.tree.map(jnp.copy, self._states)  # a copy, as the step donates its argument
+        states = jax.tree.map(jnp.copy, self.states)  # a copy, as the step donates its argument
 
         def call() -> Any:
             nonlocal states
@@ -56,13 +62,12 @@ class Training:
         return call
 
     def updates(self) -> list[Phase]:
-        """Returns the phases of a round with updates."""
-        sizes = ppo_sizes(self.config)
-        return [Phase.POLICY] * sizes.policy_phases + [Phase.DISCRIMINATOR] * sizes.discriminator_phases
+        """Returns the phases of a round that learn."""
+        return [Phase(phase) for phase in phase_table(self.config)[-1] if phase in LEARNING]
 
 
 class RollingOut:
-    """A roll-out of an untrained policy, and the relabelling of its samples, to be timed.
+    """A roll-out of an untrained policy, and with PPO the relabelling of its samples, to be timed.
 
     Args:
       workload: to roll out.
@@ -70,7 +75,7 @@ class RollingOut:
     """
 
     def __init__(self, workload: Workload) -> None:
-        env, preset = workload.env, workload.preset()
+        env, preset = workload.env, workload.preset
         config, hyperparameters = preset.config, preset.hyperparameters
         self._env_steps = workload.env_steps
         state = init_state(env, config, hyperparameters, jax.random.key(0))
@@ -81,59 +86,69 @@ class RollingOut:
 
         compiled, _ = compile_timed(roll_out, state, rollout_rng)
         trajectory = compiled(state, rollout_rng)
-        relabel, _ = compile_timed(functools.partial(relabelled_samples, env, hyperparameters), trajectory, relabel_rng)
-        self.calls = {
-            "rollout": lambda: compiled(state, rollout_rng),
-            "relabel": lambda: relabel(trajectory, relabel_rng),
-        }
+        self.calls: dict[str, Callable[[], Any]] = {"rollout": lambda: compiled(state, rollout_rng)}
         """Calls by name, each an episode in every environment."""
+        if isinstance(config.learner, PPO):  # off-policy goals are drawn anew with each sample
+            relabelling = functools.partial(relabelled_samples, env, hyperparameters)
+            relabel, _ = compile_timed(relabelling, trajectory, relabel_rng)
+            self.calls["relabel"] = lambda: relabel(trajectory, relabel_rng)
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
         """Returns the row's columns from the seconds of each call."""
-        return {
-            "rollout_env_steps_per_second": self._env_steps / seconds["rollout"],
-            "relabel_seconds": seconds["relabel"],
-        }
+        rate = {"rollout_env_steps_per_second": self._env_steps / seconds["rollout"]}
+        return rate | ({"relabel_seconds": seconds["relabel"]} if "relabel" in self.calls else {})
 
 
 class Learning:
-    """PPO and discriminator phases of a default round, without pre-training, to be timed.
+    """The phases of a default round that learn, without pre-training, to be timed.
 
     Args:
-      workload: to train on.
-      each_phase: also time each kind of phase alone.
+      training: of one seed.
 
     """
 
-    def __init__(self, workload: Workload, each_phase: bool) -> None:
-        training = Training(workload)
+    def __init__(self, training: Training) -> None:
         phases = training.updates()
-        self._env_steps, self._compile_seconds = len(phases) * workload.env_steps, training.compile_seconds
+        self._env_steps, self._compile_seconds = len(phases) * training.workload.env_steps, training.compile_seconds
         self.calls = {"train": training.call(*phases)}
-        """Calls by name: a round's updates, and each kind of phase alone."""
-        if each_phase:
-            self.calls |= {
-                "ppo_phase": training.call(Phase.POLICY),
-                "discriminator_phase": training.call(Phase.DISCRIMINATOR),
-                "pretrain_phase": training.call(Phase.PRETRAIN),
-                "evaluation_phase": training.call(Phase.EVALUATE),
-            }
+        """The call by its name."""
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
         """Returns the row's columns from the seconds of each call."""
         return {
             "train_env_steps_per_second": self._env_steps / seconds["train"],
             "train_compile_seconds": self._compile_seconds,
-            **{f"{name}_seconds": seconds[name] for name in self.calls if name != "train"},
         }
 
 
+class PPOPhases:
+    """Each kind of PPO's phases alone, to be timed.
+
+    Args:
+      training: of one seed.
+
+    """
+
+    def __init__(self, training: Training) -> None:
+        self.calls = {
+            "ppo_phase": training.call(Phase.POLICY),
+            "discriminator_phase": training.call(Phase.DISCRIMINATOR),
+            "pretrain_phase": training.call(Phase.PRETRAIN),
+            "evaluation_phase": training.call(Phase.EVALUATE),
+        }
+        """Calls by name."""
+
+    def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        """Returns the row's columns from the seconds of each call."""
+        return {f"{name}_seconds": seconds[name] for name in self.calls}
+
+
 def round_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
-    """Returns the fractions of a round's time, which add up to 1, from a row's measurements.
+    """Returns the fractions of the time of a round of PPO, which add up to 1, from a row's measurements.
 
     A phase is a roll-out, the relabelling of its samples if it needs them, and an update, which is the rest.
     """
-    sizes = ppo_sizes(workload.preset().config)
+    sizes = ppo_sizes(workload.preset.config)
     policy, discriminator = sizes.policy_phases, sizes.discriminator_phases
     stepping = workload.env_steps / row["raw_env_steps_per_second"]
     rolling_out = workload.env_steps / row["rollout_env_steps_per_second"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 
@@ -9,13 +10,20 @@ import hgail_envs
 from hgail_envs.fetch.arm import FetchEnv
 from hgail_jax.defaults import platform_name, task_preset
 from hgail_jax.presets import FEW_UPDATES, Preset
+from hgail_jax.trainer.options import TrainOptions, plan
 
 _QUICK_EPISODE = 4  # steps
+_QUICK: dict[str, dict[str, Any]] = {
+    "ppo": FEW_UPDATES,
+    "td3": {"rollouts": 2, "updates": 2, "batch": 16, "buffer_episodes": 64, "discriminator_batch": 16},
+}
 
 
 def default_preset(task: str) -> Preset:
-    """Returns a task's default preset on this platform."""
-    return task_preset(hgail_envs.find_class(task), platform_name())
+    """Returns the settings that `hgail train` has for a task on this platform, with the task's default learner."""
+    run = plan(TrainOptions(task=task, seeds=1), platform_name())
+    found = task_preset(hgail_envs.find_class(task), platform_name(), learner=run.config.learner.name)
+    return dataclasses.replace(found, config=run.config, hyperparameters=run.hyperparameters)
 
 
 def default_substeps(task: str, platform: str) -> int:
@@ -41,7 +49,8 @@ class Workload:
     @functools.cached_property
     def env(self) -> FetchEnv:
         """The task."""
-        env = hgail_envs.make(self.task, impl=self.impl, substeps=self.substeps, worlds=self.worlds or self.num_envs)
+        physics = {"impl": self.impl, "substeps": self.substeps, "worlds": self.worlds or self.num_envs}
+        env = hgail_envs.make(self.task, **{**self.preset.task_options, **physics})
         assert isinstance(env, FetchEnv)
         if self.quick:
             env.episode_length = _QUICK_EPISODE
@@ -52,10 +61,11 @@ class Workload:
         """Environment steps of one episode in every environment."""
         return self.num_envs * self.env.episode_length
 
+    @functools.cached_property
     def preset(self) -> Preset:
-        """Returns the task's default preset, in roll-outs of `num_envs` episodes."""
+        """The task's default preset, in roll-outs of `num_envs` episodes."""
         preset = default_preset(self.task)
-        quick = FEW_UPDATES if self.quick else {}
+        quick = _QUICK[preset.config.learner.name] if self.quick else {}
         return dataclasses.replace(preset, config=preset.config.replace(num_envs=self.num_envs, **quick))
 
     def actions(self) -> jax.Array:

@@ -45,6 +45,23 @@ def test_the_adapter_refuses_another_autoreset(stable_baselines):
         stable_baselines.GoalVecEnv(GoalVectorEnv(hgail_envs.make("point"), 1))
 
 
+def test_a_test_on_push_counts_the_cubes_that_end_at_their_goals():
+    """Under a policy that keeps still these are the cubes that start there."""
+    from experiments.other_trainers import TEST_ENVS, make_test
+
+    seen = []
+
+    def keep_still(observation):
+        seen.append(observation)
+        return np.zeros((TEST_ENVS, 4), np.float32)
+
+    success = make_test("push", substeps=8)(keep_still)
+    start = np.linalg.norm(seen[0]["observation"][:, 9:12] - seen[0]["desired_goal"][:, :3], axis=-1)
+    assert len(seen) == 50
+    assert success == np.mean(start < 0.05)
+    assert 0.0 < success < 1.0
+
+
 @pytest.mark.slow
 def test_stable_baselines3_learns_reach(stable_baselines):
     from experiments.other_trainers import measure, sb3_sac_her

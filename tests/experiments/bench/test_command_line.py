@@ -57,7 +57,14 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--task", "reach", "point"], "bench: task is 'point'; choose from "),
         (["--time-limit", "0"], "bench: time_limit is 0.0; it must be positive and finite"),
         (["--section", "everything"], "bench: --section"),
-        (["--section", "learners", "--task", "grasp"], "bench: task of learners is 'grasp'; choose from "),
+        (["--section", "learners", "--task", "grasp"], "bench: task of the learner crl is 'grasp'; choose "),
+        (
+            ["--section", "learners", "--learner", "sac"],
+            "bench: learner is 'sac'; choose from hgail, hgail-no-reward, ",
+        ),
+        (["--section", "learners", "--learner"], "bench: --learner names nothing"),
+        (["--section", "seeds", "--learner", "her"], "bench: --learner is for --section learners"),
+        (["--section", "updates"], "bench: updates is of the learner td3; reach has ppo"),
         (["--num-envs"], "bench: --num-envs names nothing"),
         (["--section", "physics", "--run=--seeds=1"], "bench: --run is for --section compile and time-to-success"),
         (["--section", "engine-options"], "bench: engine-options needs warp-lang, which is not installed"),
@@ -105,8 +112,11 @@ def test_reading_options_starts_no_backend():
     "section",
     [
         ["physics", "rollout", "train", "shares"],
+        ["updates", "--task", "push"],
         ["seeds"],
+        ["seeds", "--task", "push"],
         ["devices"],
+        ["devices", "--task", "push"],
         ["compile"],
         ["time-to-success"],
         ["peers"],
@@ -116,7 +126,7 @@ def test_reading_options_starts_no_backend():
 def test_every_section_runs(tmp_path, section):
     path = tmp_path / "bench.json"
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
-    flags += " --xla_force_host_platform_device_count=2" if section == ["devices"] else ""
+    flags += " --xla_force_host_platform_device_count=2" if section[0] == "devices" else ""
     command = [*BENCH, "--quick", "--section", *section, "--out", path]
     subprocess.run(command, check=True, cwd=ROOT, env=os.environ | {"XLA_FLAGS": flags}, timeout=900)
     found = json.loads(path.read_text())["rows"]

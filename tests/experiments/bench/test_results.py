@@ -1,9 +1,11 @@
 """The file of measurements, and how rows are printed."""
 
 import json
+import sys
 
 import pytest
 
+from experiments.bench import whole_runs
 from experiments.bench.results import Results, table
 from experiments.bench.whole_runs import first_success, train
 from tests.support import ELSEWHERE, HERE
@@ -59,11 +61,11 @@ def test_success_counts_from_the_round_in_which_every_seed_has_it():
 
 
 def test_a_run_finds_only_the_programs_that_it_is_given(tmp_path, monkeypatch):
-    def run(command, env, **_):
-        (tmp_path / "summary.json").write_text(json.dumps(env))
-        (tmp_path / "metrics.csv").write_text("")
-
-    monkeypatch.setattr("subprocess.run", run)
+    program = (
+        "import json, os, pathlib, sys; folder = pathlib.Path(sys.argv[-1]); (folder / 'metrics.csv').touch();"
+        "(folder / 'summary.json').write_text(json.dumps(dict(os.environ)))"
+    )
+    monkeypatch.setattr(whole_runs, "_TRAIN", (sys.executable, "-c", program))
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "the user's")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
