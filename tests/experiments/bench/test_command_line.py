@@ -73,8 +73,16 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
 def test_mistakes_are_refused_in_one_line(tmp_path, monkeypatch, capsys, options, reason):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(bench, "measure", lambda options: pytest.fail("it measured"))
     assert refusal(capsys, options).startswith(reason)
     assert not any(tmp_path.iterdir())
+
+
+def test_a_learner_that_can_have_a_task_is_not_refused_for_one_that_cannot(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "measure", lambda options: iter([({"section": "speed", "task": options.task[0]}, HERE)]))
+    path = tmp_path / "bench.json"
+    bench.main(["--section", "learners", "--task", "grasp", "--learner", "hgail", "ppo", "--out", str(path)])
+    assert path.exists()
 
 
 def test_a_file_of_something_else_is_refused_in_one_line(tmp_path, capsys):
