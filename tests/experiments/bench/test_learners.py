@@ -87,7 +87,7 @@ def test_a_learner_that_was_not_tested_in_its_time_is_left_out(monkeypatch, caps
 
 
 def test_settings_tell_which_learners_differ():
-    """Reach's default reward is the goal test alone; push has none on a GPU, and a quarter on a CPU."""
+    """Reach's default reward is the goal test alone; push has none on a GPU, and half of it on a CPU."""
     names = [
         ("reach", "hgail"),
         ("reach", "her"),
@@ -99,7 +99,7 @@ def test_settings_tell_which_learners_differ():
     assert [settings.pop("method") for settings in found] == ["hgail", "her", "hgail", "hgail", "hgail"]
     assert found[0] == found[1]
     assert len({json.dumps(settings) for settings in found}) == 4
-    assert [settings["hyperparameters"]["environment_reward"] for settings in found] == [1.0, 1.0, 0.25, 0.0, 0.0]
+    assert [settings["hyperparameters"]["environment_reward"] for settings in found] == [1.0, 1.0, 0.5, 0.0, 0.0]
     assert [settings["config"]["learner"]["name"] for settings in found] == ["td3"] * 4 + ["ppo"]
 
 
