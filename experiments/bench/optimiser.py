@@ -19,7 +19,7 @@ Layers = list[tuple[jax.Array, ...]]
 
 
 class Learnt(NamedTuple):
-    """What the loop changes; leaves of `critics` have a leading axis over the critics."""
+    """Networks, their targets and optimisers; leaves of `critics` have a leading axis over the critics."""
 
     actor: Layers
     critics: Layers

@@ -57,7 +57,7 @@ class Study:
     figure: int | None = None
     """The paper's number."""
     curves: bool = False
-    """Whether to keep success over steps; a study with a figure does anyway."""
+    """Whether its results have the learning curves; those of a study with a figure always do."""
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
     tuning: bool = False

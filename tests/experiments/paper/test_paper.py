@@ -173,6 +173,14 @@ def test_a_study_s_file_is_what_was_measured(made_once):
         assert {"hgail-jax", "mujoco", "mujoco-mjx", "warp-lang", "jax", "driver"} <= made_by["versions"].keys()
 
 
+@pytest.mark.parametrize(("name", "kept"), [("off-policy", True), ("off-policy-sizes", True), ("parts", False)])
+def test_curves_are_kept_of_studies_that_ask_for_them(name, kept):
+    study, trials = BY_NAME[name], trials_of(BY_NAME[name], "push")
+    results = made(results_of(trials), trials)
+    for row, result in zip(make_rows("push", study, results), results, strict=True):
+        assert row.get("curves") == (result["curves"] if kept else None)
+
+
 def test_settings_are_compared_by_their_seeds(made_once):
     rows = read(made_once / "table3-point.json")
     for index, row in enumerate(rows):
