@@ -1,114 +1,19 @@
 """Default settings of each task, by learner and platform, with the reasons for them."""
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import jax
 
 from hgail_envs import TASKS, GoalEnv
 from hgail_envs.validation import check_name
-from hgail_jax.config import PPO, TD3, Config, Hyperparameters
-from hgail_jax.presets import PRESETS, Preset
+from hgail_jax.config import PPO, Config, Hyperparameters
+from hgail_jax.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, td3
 
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Least number of episodes per seed in a final evaluation, by platform."""
 
-
-_REACH_SUBSTEPS, _OBJECT_SUBSTEPS = {"substeps": 4}, {"substeps": 8}  # a cube's contacts need shorter physics steps
-
-
-def _wide(width: int, layers: int) -> dict[str, Any]:
-    """Returns the hidden layers of all networks."""
-    return {"policy_hidden": (width,) * layers, "discriminator_hidden": (width,) * layers}
-
-
-def _ppo_with_object(
-    num_envs: int, rounds: int, hidden: int | None, evaluate_every: int = 5, **hyperparameters: Any
-) -> Preset:
-    """Returns the settings that the tasks with an object share: BC beside PPO, few and large updates.
-
-    They were chosen on grasp (docs/lab/grasp.md) and kept for the others.
-    """
-    widths = {} if hidden is None else _wide(hidden, layers=2)
-    shared: dict[str, Any] = {
-        "action_std": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
-        "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/grasp.md, what was tried)
-        "policy_learning_rate": 1e-3,
-        "discriminator_learning_rate": 2e-4,  # at 1e-3 it wins against the policy: slide .34 for .56 (slide-deviation)
-    }
-    return Preset(
-        Config(
-            num_envs=num_envs,
-            rounds=rounds,
-            learner=PPO(
-                # four policy phases to one of the discriminator: with as many of either fewer seeds learn grasp
-                policy_phases=4,
-                discriminator_phases=1,
-                # 51,200 samples of 1,024 episodes make minibatches of 3,200; this and the batches below were tried in
-                # no other size
-                minibatches=16,
-                bc_batch=2048,
-                pretrain_policy_batch=1024,
-            ),
-            discriminator_batch=1024,
-            **widths,
-        ),
-        Hyperparameters(**(shared | hyperparameters)),
-        task_options=_OBJECT_SUBSTEPS,
-        evaluate_every=evaluate_every,
-    )
-
-
-# Off-policy each step is used forty times on a GPU, and fifteen on a CPU, whose updates take longer than its physics.
-# Half of 256 environments need a third of the steps for push (docs/lab/off-policy.md).
-_TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
-    "gpu": (
-        {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | _wide(256, layers=3),
-        TD3(),
-    ),
-    "cpu": (
-        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | _wide(128, layers=3),
-        TD3(rollouts=10, updates=192, batch=256),
-    ),
-}
-
-
-def _td3(
-    sizes: Mapping[str, Mapping[str, Any]],
-    task_options: Mapping[str, Any],
-    on_cpu: Mapping[str, Any] | None = None,
-    **hyperparameters: Any,
-) -> dict[str, Preset]:
-    """Returns the settings that tasks share with the learner TD3, by platform, with changes to them.
-
-    Args:
-      sizes: changes to the `Config`, by platform.
-      task_options: see `Preset`.
-      on_cpu: hyperparameters that a CPU has instead.
-      hyperparameters: on either platform.
-
-    """
-    shared: dict[str, Any] = {
-        "p_ht": 0.8,  # without goals pursued the critics never see a goal that is missed: at 1 picking is not learnt
-        "bc_weight": 0.0,
-        "action_std": 0.2,
-        # fewer random actions and less noise on target actions than HER and TD3 have, .3 and .2: pick and place
-        # reaches .95 after 198 k steps instead of 326 k
-        "random_actions": 0.2,
-        "target_noise": 0.1,
-        "policy_learning_rate": 1e-3,  # at half of it push and picking are learnt later
-        "target_rate": 0.02,  # at .01 push learns later, at .05 picking does not learn sooner
-        "discriminator_learning_rate": 1e-3,  # at 3e-4 picking without the goal test has .81 for .93
-        "discriminator_steps": 1,  # a learned goal test, to which the critics add the horizon; see docs/off-policy.md
-    }
-    presets = {}
-    for platform, (usual, learner) in _TD3_SIZES.items():
-        config = Config(learner=learner, layer_norm=True, **usual)  # untried without
-        own = hyperparameters | (dict(on_cpu or {}) if platform == "cpu" else {})
-        presets[platform] = Preset(config.replace(**sizes[platform]), Hyperparameters(**shared | own), task_options)
-    return presets
-
+_REACH_SUBSTEPS = {"substeps": 4}
 
 # The goal test alone, and neither noise on target actions nor many random ones: where a hit or a grasp must be exact,
 # the critics have to tell such actions from those beside them (docs/lab/off-policy.md).
@@ -118,23 +23,30 @@ _GRASP = {
     # Sixteen rounds are enough on a CPU (grasp-hgail-cpu-8: .995, worst .975), with a BC weight of 1. On a GPU runs of
     # 16 rounds leave a seed behind now and then (study grasp-sizes and suite/grasp-smaller-trainings), so 40 stay.
     "ppo": {
-        "cpu": _ppo_with_object(num_envs=512, rounds=16, hidden=256, evaluate_every=2, bc_weight=1.0),
-        "gpu": _ppo_with_object(num_envs=1024, rounds=40, hidden=None, evaluate_every=1),
+        "cpu": ppo_with_object(num_envs=512, rounds=16, hidden=256, evaluate_every=2, bc_weight=1.0),
+        "gpu": ppo_with_object(num_envs=1024, rounds=40, hidden=None, evaluate_every=1),
     },
-    "td3": _td3(
+    "td3": td3(
         {
             "cpu": {"rounds": 20},
             "gpu": {"num_envs": 256, "rounds": 18, "final_learning_rate": 0.1},
         },
-        _OBJECT_SUBSTEPS,
+        OBJECT_SUBSTEPS,
         **_EXACT,
     ),
+}
+
+# Solved samples count in full: holding still at the goal is a skill here, and at .3 half the success is lost (study
+# parts-pick-and-place).
+_PPO_PICKING = {
+    "cpu": ppo_with_object(num_envs=1024, rounds=26, hidden=256),
+    "gpu": ppo_with_object(num_envs=1024, rounds=60, hidden=256),
 }
 
 DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "point": {
         "ppo": {"cpu": Preset(Config(num_envs=64, rounds=6)), "gpu": Preset(Config(num_envs=256, rounds=4))},
-        "td3": _td3({"cpu": {"rounds": 4, "updates": 64}, "gpu": {"rounds": 4}}, {}),
+        "td3": td3({"cpu": {"rounds": 4, "updates": 64}, "gpu": {"rounds": 4}}, {}),
     },
     "reach": {
         "ppo": {
@@ -152,7 +64,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             ),
             "gpu": Preset(Config(num_envs=256, rounds=4), task_options=_REACH_SUBSTEPS),
         },
-        "td3": _td3(
+        "td3": td3(
             {
                 "cpu": {"num_envs": 16, "rounds": 8, "rollouts": 1, "updates": 128},
                 "gpu": {"num_envs": 16, "rounds": 5, "rollouts": 1},
@@ -164,35 +76,45 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     **dict.fromkeys(("grasp", "grasp-position", "grasp-aperture"), _GRASP),
     "push": {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
-        "td3": _td3({"cpu": {"rounds": 9}, "gpu": {"rounds": 8}}, _OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
+        "td3": td3({"cpu": {"rounds": 9}, "gpu": {"rounds": 8}}, OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
         # Networks 256 wide reach .95 in 40 to 55 rounds where those 64 wide take 49 to 102 or never do (suite,
         # networks); their number on a CPU is from docs/lab/suite-settings.md. Solved samples, whose cube is at the goal
         # already, count .3 times: at full weight they take more than half of push's success (study parts-push), and at
         # .1 it is .85 for .93 (suite/push-tuning).
         "ppo": {
-            "cpu": _ppo_with_object(num_envs=512, rounds=80, hidden=256, solved_weight=0.3),
-            "gpu": _ppo_with_object(num_envs=1024, rounds=120, hidden=256, solved_weight=0.3),
+            "cpu": ppo_with_object(num_envs=512, rounds=80, hidden=256, solved_weight=0.3),
+            "gpu": ppo_with_object(num_envs=1024, rounds=120, hidden=256, solved_weight=0.3),
         },
     },
     "pick-and-place": {
         # A quarter of the goal test: without it two seeds had .93 for 1.00 after 326 k steps. On a CPU half.
-        "td3": _td3(
+        "td3": td3(
             {"cpu": {"rounds": 14}, "gpu": {"rounds": 12}},
-            _OBJECT_SUBSTEPS,
+            OBJECT_SUBSTEPS,
             on_cpu={"environment_reward": 0.5},
             environment_reward=0.25,
         ),
-        # Solved samples count in full: holding still at the goal is a skill here, and at .3 half the success is lost
-        # (study parts-pick-and-place).
-        "ppo": {
-            "cpu": _ppo_with_object(num_envs=1024, rounds=26, hidden=256),
-            "gpu": _ppo_with_object(num_envs=1024, rounds=60, hidden=256),
-        },
+        "ppo": _PPO_PICKING,
+    },
+    "stack": {
+        # Target networks that follow slowly decide it: after 781 k steps two seeds had .22 at .02, .85 at .01. A p_ht of
+        # .6 ends at .99, one of .8 at .95. Half a discriminator's reward learns it later, no goal test not at all.
+        "td3": td3(
+            {
+                "cpu": {"rounds": 30, "buffer_episodes": 16384, "final_learning_rate": 0.1},  # untried
+                "gpu": {"rounds": 20, "buffer_episodes": 16384, "final_learning_rate": 0.1},
+            },
+            OBJECT_SUBSTEPS,
+            environment_reward=1.0,
+            target_rate=0.01,
+            p_ht=0.6,
+        ),
+        "ppo": _PPO_PICKING,  # untried
     },
     "slide": {
         # Places that the puck only passes count as achieved: at rest alone fewer targets are hit. Batches of 2,048 and
         # solved samples at .3, most of which are of a puck that lies still, are ahead by .01 to .03 each.
-        "td3": _td3(
+        "td3": td3(
             {
                 "cpu": {"rounds": 80, "buffer_episodes": 16384, "final_learning_rate": 0.1},  # untried
                 "gpu": {
@@ -204,7 +126,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
                     "final_learning_rate": 0.1,
                 },
             },
-            _OBJECT_SUBSTEPS | {"achieved": "passed"},
+            OBJECT_SUBSTEPS | {"achieved": "passed"},
             solved_weight=0.3,
             final_action_std=0.1,
             **_EXACT,
@@ -215,7 +137,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         # rate of 2e-3 was hardly ahead of 1e-3, .58 for .56 (suite/slide-deviation-tuning).
         "ppo": dict.fromkeys(
             ("cpu", "gpu"),
-            _ppo_with_object(
+            ppo_with_object(
                 num_envs=1024,
                 rounds=165,
                 hidden=256,
@@ -230,8 +152,6 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
 }
 """Settings of each task that comes with the package, by learner and platform; the learner that stands first is the
 task's default. A task of one's own brings `GoalEnv.training`."""
-
-DEFAULTS["stack"] = DEFAULTS["pick-and-place"]  # untried there: copied as they are, for a first training
 
 
 def default_learner(task: str) -> str:

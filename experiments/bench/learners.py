@@ -11,7 +11,6 @@ from typing import Any
 from experiments.bench.contrastive import JaxGcrlTask, train_contrastive
 from experiments.bench.whole_runs import made_by, metrics_rows, planned, run_training
 from experiments.bench.workload import default_substeps
-from experiments.other_trainers import Policy, make_test, sb3_sac_her
 from hgail_jax.defaults import platform_name
 
 CRL, SAC_HER = "crl", "sb3-sac-her"
@@ -153,6 +152,8 @@ def sac_her_rows(task: str, quick: bool, time_limit: float) -> Iterator[Row]:
     if platform_name() != "cpu":
         raise ImportError("it is measured on a CPU alone, with JAX_PLATFORMS=cpu")
     import stable_baselines3
+
+    from experiments.other_trainers import Policy, make_test, sb3_sac_her  # Gymnasium comes with it
 
     substeps = default_substeps(task, "cpu")
     test, tests, testing = make_test(task, substeps), _Tests(quick, time_limit), 0.0

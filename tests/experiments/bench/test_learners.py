@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from experiments import other_trainers
 from experiments.bench import __main__ as bench
 from experiments.bench import learners, whole_runs
 from experiments.bench.figures import draw_learners
@@ -146,8 +147,8 @@ def test_stable_baselines_row_has_its_tests_and_the_seconds_between_them(monkeyp
                 return
 
     monkeypatch.setitem(sys.modules, "stable_baselines3", SimpleNamespace(__version__="9"))
-    monkeypatch.setattr(learners, "make_test", make_test)
-    monkeypatch.setattr(learners, "sb3_sac_her", train)
+    monkeypatch.setattr(other_trainers, "make_test", make_test)
+    monkeypatch.setattr(other_trainers, "sb3_sac_her", train)
     monkeypatch.setattr(learners.time, "perf_counter", lambda: now[0])
     (row,) = learners.sac_her_rows("push", False, 900.0)
     assert asked == [("push", 8)] * 2
@@ -161,6 +162,11 @@ def test_stable_baselines_row_has_its_tests_and_the_seconds_between_them(monkeyp
     }
     (row,) = learners.sac_her_rows("push", False, 15.0)
     assert row["env_steps"] == [1000, 2000]
+
+
+def test_own_learners_are_measured_without_gymnasium():
+    code = "import sys; sys.modules['gymnasium'] = None; import experiments.bench.__main__"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_stable_baselines_is_left_to_the_cpu(monkeypatch):
