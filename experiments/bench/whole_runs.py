@@ -156,7 +156,7 @@ def planned(arguments: Sequence[Sequence[str]]) -> list[dict[str, Any]]:
     """
     command = [sys.executable, "-c", _PLAN, json.dumps([list(words) for words in arguments])]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, preexec_fn=_end_with_parent)
-    return json.loads(done.stdout)
+    return json.loads(done.stdout.splitlines()[-1])  # Warp prints lines of its own before it
 
 
 def _end_with_parent() -> None:

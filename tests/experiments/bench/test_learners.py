@@ -164,6 +164,12 @@ def test_stable_baselines_row_has_its_tests_and_the_seconds_between_them(monkeyp
     assert row["env_steps"] == [1000, 2000]
 
 
+def test_settings_are_read_after_what_an_engine_prints(monkeypatch):
+    monkeypatch.setattr(whole_runs, "_PLAN", f"print('Warp 1.14.0 initialized:')\n{whole_runs._PLAN}")
+    (settings,) = whole_runs.planned([["--task", "point", "--method", "ppo"]])
+    assert settings["method"] == "ppo"
+
+
 def test_own_learners_are_measured_without_gymnasium():
     code = "import sys; sys.modules['gymnasium'] = None; import experiments.bench.__main__"
     subprocess.run([sys.executable, "-c", code], check=True)
