@@ -1,6 +1,6 @@
 """Writes the tables about the learner TD3, as Markdown."""
 
-from docs._generate.results import Row, count, fixed, mean, of_seeds, read_json, seconds, trials
+from docs._generate.results import Row, bench_rows, count, fixed, mean, of_seeds, rate, read_json, seconds, trials
 from docs._generate.tables import markdown, reward, steps_told
 
 _RUNS = (
@@ -51,6 +51,24 @@ def _steps_told(curves: Row) -> str:
     """Returns the steps of a seed after which the mean of the seeds was first measured at .95, as a table has it."""
     reached = zip(curves["env_steps"], curves["success"], strict=True)
     return next((count(steps) for steps, success in reached if mean(success) >= 0.95), "never")
+
+
+def off_policy_seeds(task: str) -> str:
+    """Time of a round as seeds are added to the program."""
+    rows = [row for row in bench_rows("seeds") if row["task"] == task]
+    header = ["seeds", "a round", "in rounds of one seed", "env steps per second"]
+    return markdown(
+        header,
+        [
+            [
+                count(row["seeds"]),
+                seconds(row["round_seconds"]),
+                fixed(row["cost_in_rounds_of_one_seed"], 2),
+                rate(row["train_env_steps_per_second"]),
+            ]
+            for row in rows
+        ],
+    )
 
 
 def off_policy_trials(name: str, every: int = 2) -> str:
