@@ -4,7 +4,8 @@ from docs._generate.results import Row, bench_rows, count, fixed, mean, of_seeds
 from docs._generate.tables import markdown, reward, steps_told
 
 _RUNS = (
-    *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3", "grasp-td3"),
+    *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3"),
+    *("stack-td3", "grasp-td3"),
     *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
 )
 _TRIALS = "suite/off-policy"

@@ -172,6 +172,7 @@ _HEADLINE = (  # a run, its task's name, and the methods whose figures stand bes
     ("pick-and-place-td3", "pick and place", ("RHER", "DDPG + HER")),
     ("slide-td3", "slide", ("TQC + HER",)),
     ("slide-hgail", "slide", ("TQC + HER",)),
+    ("stack-td3", "put a cube on another, and let go", ()),
 )
 
 
