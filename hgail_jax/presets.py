@@ -105,16 +105,17 @@ def ppo_with_object(
     )
 
 
-# Off-policy each step is used forty times on a GPU, and fifteen on a CPU, whose updates take longer than its physics.
-# Half of 256 environments need a third of the steps for push (docs/lab/off-policy.md).
+# Off-policy each step is used forty times on a GPU, where half of 256 environments need a third of the steps for push,
+# and twenty times on a CPU. There gradient steps are four fifths of the time, and with a third layer half as slow
+# again: pick and place learns sooner without it (docs/lab/off-policy.md, on two cores).
 _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
     "gpu": (
         {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | _wide(256, layers=3),
         TD3(),
     ),
     "cpu": (
-        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | _wide(128, layers=3),
-        TD3(rollouts=10, updates=192, batch=256),
+        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | _wide(128, layers=2),
+        TD3(rollouts=10, batch=256),
     ),
 }
 

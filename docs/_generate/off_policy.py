@@ -87,6 +87,24 @@ def off_policy_trials(name: str, every: int = 2) -> str:
     )
 
 
+def off_policy_on_two_cores() -> str:
+    """Trials of settings for a CPU, one seed each."""
+    header = ["task", "setting", "env steps", "training", "success in the last three tests"]
+    return markdown(
+        header,
+        [
+            [
+                row["task"],
+                row["setting"],
+                count(row["env_steps"]),
+                seconds(row["seconds"]),
+                ", ".join(fixed(each, 2) for each in row["success_of_the_last_three_tests"]),
+            ]
+            for row in read_json(_TRIALS)["on_two_cores"]["rows"]
+        ],
+    )
+
+
 def _mean_and_worst(point: Row, index: int) -> str:
     if "mean_and_worst" in point:
         average, worst = point["mean_and_worst"][index]
