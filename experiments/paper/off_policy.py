@@ -36,4 +36,17 @@ _SIZES = Study(
     ),
     curves=True,
 )
-OFF_POLICY_STUDIES = (_NUMBERS, _SIZES)
+_REWARDS = Study(
+    "off-policy-rewards",
+    "TD3 by its reward and its goals, beside PPO",
+    (
+        _change("as it is"),
+        _change("no reward: the discriminator alone", environment_reward=0.0),
+        _change("goal test × 0.5", environment_reward=0.5),
+        _change("the goal test alone (HER)", environment_reward=1.0),
+        _change("the task's own goals to learn from", {"training_goals": False}),
+        Setting("PPO", learner="ppo"),
+    ),
+    curves=True,
+)
+OFF_POLICY_STUDIES = (_NUMBERS, _SIZES, _REWARDS)

@@ -11,6 +11,7 @@ from experiments.paper import __main__ as paper
 from experiments.paper import tables, work
 from experiments.paper.programs import group_by_program, make_program, train_program
 from experiments.paper.spread import carry_out
+from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.studies import STUDIES, SWEEP, studies_of
 from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
 from experiments.paper.tables import make_rows, write_markdown
@@ -173,7 +174,7 @@ def test_a_study_s_file_is_what_was_measured(made_once):
         assert {"hgail-jax", "mujoco", "mujoco-mjx", "warp-lang", "jax", "driver"} <= made_by["versions"].keys()
 
 
-@pytest.mark.parametrize(("name", "kept"), [("off-policy", True), ("off-policy-sizes", True), ("parts", False)])
+@pytest.mark.parametrize(("name", "kept"), [*((study.name, True) for study in OFF_POLICY_STUDIES), ("parts", False)])
 def test_curves_are_kept_of_studies_that_ask_for_them(name, kept):
     study, trials = BY_NAME[name], trials_of(BY_NAME[name], "push")
     results = made(results_of(trials), trials)
@@ -391,6 +392,15 @@ def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_ste
         assert len(changed) <= 1
         assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
         assert not changed or trial.setting.name != "as it is"
+
+
+def test_rewards_are_compared_in_one_program_beside_other_goals_and_ppo():
+    trials = trials_of(BY_NAME["off-policy-rewards"], "stack", "gpu")
+    alike, own_goals, ppo = group_by_program(trials)
+    assert [trial.hyperparameters.environment_reward for trial in alike] == [1.0, 0.0, 0.5, 1.0]
+    assert [trial.config.training_goals for trial in (*alike, *own_goals, *ppo)] == [True] * 4 + [False, True]
+    (row,) = ppo
+    assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
 
 
 def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeypatch):
