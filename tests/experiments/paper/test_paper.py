@@ -9,9 +9,9 @@ import pytest
 import hgail_envs
 from experiments.paper import __main__ as paper
 from experiments.paper import tables, work
+from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.programs import group_by_program, make_program, train_program
 from experiments.paper.spread import carry_out
-from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.studies import STUDIES, SWEEP, studies_of
 from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
 from experiments.paper.tables import make_rows, write_markdown
