@@ -26,7 +26,7 @@ _PANELS = {
     "push": "push",
     "pick and place": "pick-and-place",
     "slide": "slide",
-    "grasp, disturbed": "grasp-robust",
+    "stack": "stack",
 }
 """Titles, and the policies below them; a multiple of `_COLUMNS`, so that no panel stays empty."""
 _SECONDS = 10.0

@@ -6,7 +6,7 @@ import { gunzipSync } from "node:zlib";
 
 import loadMujoco from "./vendor/mujoco.js";
 import { Pilot, Policy } from "./policy.js";
-import { EPISODE, Task } from "./task.js";
+import { Task } from "./task.js";
 
 const here = (path) => new URL(path, import.meta.url);
 
@@ -32,7 +32,7 @@ function succeeds(task, pilot, start) {
   begin(task, start);
   pilot.reset();
   let action = null;
-  for (let step = 0; step < EPISODE; step++) task.step((action = pilot.act()));
+  for (let step = 0; step < task.kind.episode; step++) task.step((action = pilot.act()));
   if (!task.kind.liftSteps || !task.achieved()) return task.achieved();
   const [, , before] = task.objectPosition();
   for (let step = 0; step < task.kind.liftSteps; step++) task.step((action = task.liftAction(action)));
@@ -47,17 +47,16 @@ function evaluate(mujoco, { task: name, policy, starts }) {
 function replay(mujoco, { task: name, policy, start, actions, asked }) {
   const task = new Task(mujoco, name);
   begin(task, start);
-  const pilot = new Pilot(policyOf(policy), task), observations = [pilot.observation()];
+  const pilot = new Pilot(policyOf(policy), task), observations = [pilot.observation()], achieved = [];
   for (const action of actions) {
     pilot.remember(action);
     task.step(action);
     observations.push(pilot.observation());
+    achieved.push(task.achieved());
   }
   const { start: gripper, startQpos } = task, answers = asked.map((observation) => pilot.policy.act(observation));
-  return {
-    gripper, qpos: Array.from(startQpos), bounds: task.bounds, observations, answers,
-    achieved: task.achieved(), distance: task.distance(),
-  };
+  const distance = task.distance(), { bounds } = task;
+  return { gripper, qpos: Array.from(startQpos), bounds, observations, answers, achieved, distance };
 }
 
 const mujoco = await open(), command = { evaluate, replay }[process.argv[2]];

@@ -1,7 +1,7 @@
 // The page: an episode's phases, the controls, and the loop that steps and draws.
 import loadMujoco from "./vendor/mujoco.js";
 import { Pilot, Policy } from "./policy.js";
-import { EPISODE, PERIOD, SUBSTEPS, Task, randomNumbers } from "./task.js";
+import { PERIOD, SUBSTEPS, Task, randomNumbers } from "./task.js";
 import { Viewer } from "./viewer.js";
 
 const TIMESTEP = PERIOD / SUBSTEPS;
@@ -9,7 +9,7 @@ const REST = 1; // seconds that the scene stands still after an episode
 const MOST_BEHIND = 0.06; // seconds of simulation in a frame; a slow device falls behind the clock
 const SLOW_MOTION = 0.25;
 const STEP = 0.02; // metres that a key moves the target
-const NUDGE = { cube: 1.1, puck: 0.35 }; // metres per second, after which the object slides 6 cm
+const NUDGE = { cube: 1.1, cube_a: 1.1, puck: 0.35 }; // metres per second, after which the object slides 6 cm
 const PULL = { stiffness: 500, damping: 60, most: 70 }; // of a pointer on an object: N/m, N s/m, N
 const LIMIT = 10; // metres, beyond which the simulation broke down
 const HINTS = {
@@ -18,6 +18,7 @@ const HINTS = {
   push: "Drag the ring over the table: the hand pushes the cube there.",
   "pick-and-place": "Drag the ball up, or its ring over the table: the hand brings the cube.",
   slide: "Drag the ring: the hand shoots the puck there. It does not always succeed.",
+  stack: "Drag the green cube over the table: the hand puts the yellow one on it.",
 };
 
 const find = (id) => document.getElementById(id);
@@ -43,8 +44,8 @@ class Session {
   }
 
   #begin() {
-    this.task.reset(this.random);
-    if (this.held) this.task.moveTarget(this.held);
+    do this.task.reset(this.random);
+    while (this.held && !this.task.moveTarget(this.held)); // until the start leaves room for it
     this.pilot.reset();
     this.#act();
     this.substeps = 0; // of the present action; 0 is between two actions
@@ -58,10 +59,9 @@ class Session {
   }
 
   moveTarget(position) {
-    const isObject = this.task.kind.target === "object";
     this.#finishAction();
     this.held = position;
-    if (isObject && (this.phase === "lifting" || this.phase === "resting")) {
+    if (this.task.targetIsObject && (this.phase === "lifting" || this.phase === "resting")) {
       this.#begin(); // a lift test leaves the arm where no episode takes it
       return;
     }
@@ -74,10 +74,10 @@ class Session {
   nudge() {
     const { task } = this, speed = NUDGE[task.kind.object], angle = 2 * Math.PI * this.random();
     this.#finishAction();
-    task.data.qvel.set([speed * Math.cos(angle), speed * Math.sin(angle)], task.objectVelocityAt);
+    task.data.qvel.set([speed * Math.cos(angle), speed * Math.sin(angle)], task.object.velocityAt);
     if (this.phase === "resting" || this.phase === "lifting") return;
     this.#act();
-    this.follows = task.kind.target === "object";
+    this.follows = task.targetIsObject;
   }
 
   #finishAction() {
@@ -112,7 +112,7 @@ class Session {
 
   #judge() {
     const { task } = this;
-    if (this.phase === "acting" && this.clock === EPISODE) {
+    if (this.phase === "acting" && this.clock === task.kind.episode) {
       if (task.kind.liftSteps && task.achieved()) {
         this.phase = "lifting";
         this.clock = 0;
@@ -178,7 +178,7 @@ class Page {
     find("robust").disabled = !canBeRobust;
     find("robust").checked = this.robust;
     find("nudge").disabled = !kind.object;
-    find("nudge").textContent = `Nudge the ${kind.object ?? "cube"}`;
+    find("nudge").textContent = kind.object === "puck" ? "Nudge the puck" : "Nudge the cube";
     find("hint").textContent = HINTS[name];
     const keys = kind.air || !kind.object ? "arrow keys, Page Up and Page Down" : "arrow keys";
     this.canvas.setAttribute("aria-label", `The Fetch arm at ${name}. ${HINTS[name]} The ${keys} move the target too.`);
@@ -191,9 +191,10 @@ class Page {
 
   #showStatus() {
     const { session } = this, status = find("status"), centimetres = (100 * session.task.distance()).toFixed(1);
+    const testing = session.task.targetIsObject ? "Lifting it, as a test" : "Letting it stand, as a test";
     const words = this.paused ? "Paused" : session.success === false ? "Missed; once more"
-      : session.success && session.reached ? "Success" : session.phase === "lifting" ? "Lifting it, as a test"
-      : session.reached ? (session.task.kind.liftSteps ? "Holding it" : "At the target") : "On its way";
+      : session.success && session.reached ? "Success" : session.phase === "lifting" ? testing
+      : session.reached ? (session.task.targetIsObject ? "Holding it" : "At the target") : "On its way";
     status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
     find("standing").textContent = words;
     find("distance").textContent = `${centimetres} cm from the target`;
@@ -259,7 +260,7 @@ class Page {
       ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1],
     };
     this.canvas.addEventListener("keydown", (event) => {
-      const { task } = this.session, from = task.kind.target === "object" ? task.objectPosition() : task.goal;
+      const from = this.session.task.targetPosition();
       if (event.key === " ") this.setPaused(!this.paused);
       else if (moves[event.key]) {
         const [right, away, up] = moves[event.key], { azimuth } = this.viewer.view, along = [Math.cos(azimuth), Math.sin(azimuth)];
@@ -320,7 +321,7 @@ class Page {
   #drag(touched, pixel) {
     const { task } = this.session;
     if (touched === "object") return this.#pull(pixel);
-    const from = task.kind.target === "object" ? task.objectPosition() : task.goal;
+    const from = task.targetPosition();
     const isLevel = touched === "foot" || (task.kind.object && !task.kind.air);
     const plane = touched === "foot" ? [from[0], from[1], 0.4] : from;
     const position = this.viewer.under(pixel, plane, isLevel);
@@ -332,7 +333,7 @@ class Page {
     const towards = this.viewer.under(pixel, this.session.task.objectPosition(), true);
     if (!towards) return;
     this.session.pull = (task) => {
-      const [x, y] = task.objectPosition(), [u, v] = task.data.qvel.subarray(task.objectVelocityAt);
+      const [x, y] = task.objectPosition(), [u, v] = task.data.qvel.subarray(task.object.velocityAt);
       const force = [PULL.stiffness * (towards[0] - x) - PULL.damping * u, PULL.stiffness * (towards[1] - y) - PULL.damping * v];
       const scale = Math.min(1, PULL.most / (Math.hypot(...force) || 1));
       return [scale * force[0], scale * force[1], 0];
@@ -374,8 +375,9 @@ async function open() {
     setTarget: (position) => page.moveTarget(position),
     status: () => {
       const { session } = page, { phase, success, episodes, successes } = session;
-      const { task } = session, distance = task.distance(), { goal, bounds } = task;
-      return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, frames: page.frames, simulated: page.simulated };
+      const { task } = session, distance = task.distance(), { goal, bounds } = task, object = task.object && task.objectPosition();
+      const { frames, simulated } = page;
+      return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, object, frames, simulated };
     },
     pixel: (position) => page.viewer.project(position),
   };

@@ -164,7 +164,7 @@ export class Viewer {
 
   #placeMark(reached) {
     const { ball, zone, ring, disc, stem } = this.mark, { kind } = this.task, table = 0.4015;
-    const [x, y, z] = kind.target === "object" ? this.task.objectPosition() : this.task.goal;
+    const [x, y, z] = this.task.targetIsObject ? this.task.objectPosition() : this.task.goal;
     const isHigh = !kind.object || Boolean(kind.air);
     for (const part of Object.values(this.mark)) {
       part.material.color.set(reached ? COLOURS.success : COLOURS.target);
@@ -173,7 +173,7 @@ export class Viewer {
     ball.visible = isHigh;
     zone.visible = isHigh;
     stem.visible = isHigh && z > table + 0.03;
-    disc.visible = kind.target !== "object";
+    disc.visible = !kind.carrier; // it would veil a cube
     ball.position.z = zone.position.z = z;
     stem.position.z = (z + table) / 2;
     stem.scale.z = Math.max(0.001, z - table);
@@ -203,15 +203,16 @@ export class Viewer {
   // Returns what a pixel touches: "target", "foot" (of the target, on the table), "object", or null.
   touched(pixel) {
     const { task } = this, near = (position) => Math.hypot(...this.project(position).map((at, axis) => at - pixel[axis]));
-    const isObject = task.kind.target === "object";
     const foot = [task.goal[0], task.goal[1], 0.4];
-    const object = task.kind.object && task.objectPosition();
     this.#aim(pixel);
     const [first] = this.raycaster.intersectObjects(this.meshes);
-    const onObject = object && first?.object.userData.body === task.objectBody;
-    if (isObject) return onObject || near(object) < TOUCH_RADIUS ? "target" : null;
+    const isOn = (object) => object && first?.object.userData.body === object.body;
+    if (task.carrier) {
+      if (!task.targetIsObject && isOn(task.object)) return "object";
+      return isOn(task.carrier) || near(task.targetPosition()) < TOUCH_RADIUS ? "target" : null;
+    }
     if (this.mark.ball.visible && near(task.goal) < TOUCH_RADIUS) return "target";
-    if (onObject) return "object";
+    if (isOn(task.object)) return "object";
     if (near(foot) < TOUCH_RADIUS) return this.mark.ball.visible ? "foot" : "target";
     return null;
   }
