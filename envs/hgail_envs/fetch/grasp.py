@@ -9,7 +9,10 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.validation import check_name
 
+CUBES = ("at-start", "tracked")
+"""Values of `cube`."""
 CUBE_WIDTH = 0.05
 """Metres along each edge."""
 WIDEST_GAP = 0.1
@@ -60,7 +63,17 @@ class Grasp(FetchEnv):
     within 8 mm, and in twelve further steps straight up, with the gripper command held, the cube rises by more than
     5 cm. `achieved` of the metrics is without that test. Distances are between gripper and cube after the last step.
 
-    See `FetchEnv` for the arguments.
+    A policy is told where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
+    does not know. With `cube="tracked"` goals with holding 1 are where the cube now is, so that it can try again.
+
+    See `FetchEnv` for the other arguments.
+
+    Args:
+      cube: `"at-start"` or `"tracked"`, where the cube is in the goals of an episode.
+
+    Raises:
+      ValueError: an unknown option.
+
     """
 
     feature_size = 8
@@ -77,7 +90,11 @@ class Grasp(FetchEnv):
         "closed": controllers.closed,
     }
 
-    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+    def __init__(
+        self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, cube: str = CUBES[0]
+    ) -> None:
+        check_name("cube", cube, CUBES)
+        self.cube = cube
         super().__init__(impl, substeps, worlds)
         self._cube_qpos = int(self.model.joint("cube").qposadr[0])
         self._cube_qvel = int(self.model.joint("cube").dofadr[0])
@@ -114,6 +131,13 @@ class Grasp(FetchEnv):
         elsewhere = jnp.append(self.random_position(position_rng), 0.0)
         away = training_goals & jax.random.bernoulli(kind_rng)
         return jnp.where(away, elsewhere, self.sample_goal(goal_rng, physics))
+
+    def current_goal(self, plan: jax.Array, physics: FetchPhysics, step: jax.Array | int) -> jax.Array:
+        """Returns the plan, a goal, or where the cube is if it is tracked and to be held; see `GoalEnv`."""
+        if self.cube == "at-start":
+            return plan
+        at_cube = self.sample_goal(jax.random.key(0), physics)  # it draws nothing
+        return jnp.where(self.goal_kind(plan) == 1, at_cube, plan)
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         return (goal[..., 3] > 0.5).astype(jnp.int32)
@@ -158,6 +182,9 @@ class GraspPosition(Grasp):
     goal_size = 3
     goal_kinds = 1
 
+    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+        super().__init__(impl, substeps, worlds)
+
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return physics.gripper_position
 
@@ -188,6 +215,9 @@ class GraspAperture(Grasp):
 
     _ABOVE = 0.1  # metres
     _DESCEND, _CLOSE = 18, 36  # steps at which the plan's next stage begins
+
+    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+        super().__init__(impl, substeps, worlds)
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return jnp.append(physics.gripper_position, self.gap(physics))

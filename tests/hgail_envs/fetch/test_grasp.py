@@ -148,3 +148,45 @@ def test_moving_the_target_puts_the_cube_down(task):
     np.testing.assert_allclose(moved.info["desired_goal"], goal, atol=1e-6)
     np.testing.assert_allclose(moved.obs[8:], goal, atol=1e-6)
     assert moved.obs[7] == 0.0  # nothing is held
+
+
+@jax.jit
+def pushed(state):
+    """Returns the states after a push of the cube, 8 cm along x, and a step."""
+    moved = state.pipeline_state.qpos.at[:, ENV._cube_qpos].add(0.08)
+    return jax.vmap(ENV.step)(
+        state.replace(pipeline_state=state.pipeline_state.replace(qpos=moved)), jnp.zeros((BATCH, 4))
+    )
+
+
+def test_a_tracked_cube_is_the_goal_wherever_it_is(start):
+    after, tracked = pushed(start), hgail_envs.make("grasp", substeps=8, cube="tracked")
+    elsewhere = jnp.array([1.0, 0.7, 0.6, 0.0])
+    for index in range(3):
+        state = at(after, index)
+        told, plan = state.info["desired_goal"], at(start, index).info["plan"]
+        np.testing.assert_array_equal(told, plan)
+        np.testing.assert_array_equal(tracked.current_goal(plan, state.pipeline_state, 1), [*cube(state), 1.0])
+        np.testing.assert_array_equal(tracked.current_goal(elsewhere, state.pipeline_state, 1), elsewhere)
+        assert cube(state)[0] > told[0] + 0.07
+
+
+def test_a_hand_that_tracks_the_cube_tries_again(start):
+    """The scripted hand goes where the goal is: to the place where the cube was, or to the cube."""
+    tracked = hgail_envs.make("grasp", substeps=8, cube="tracked")
+
+    def grasped(env, state):
+        state = jax.lax.fori_loop(0, STEPS, lambda _, now: jax.vmap(env.step)(now, controllers.grasp(now.obs)), state)
+        return holding(state)
+
+    after = pushed(start)
+    assert not grasped(ENV, after).any()
+    assert grasped(tracked, after).mean() > 0.9
+
+
+def test_other_tasks_of_grasping_have_no_tracked_cube():
+    for task in ("grasp-position", "grasp-aperture"):
+        with pytest.raises(ValueError, match="has no option 'cube'"):
+            hgail_envs.make(task, cube="tracked")
+    with pytest.raises(ValueError, match="'seen'; choose from at-start, tracked"):
+        hgail_envs.make("grasp", cube="seen")
