@@ -111,6 +111,20 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         ),
         "ppo": _PPO_PICKING,  # untried
     },
+    "tower": {
+        # Untried: stack's, with more rounds for a task of two placements, and as many steps in the buffer.
+        "td3": td3(
+            {
+                "cpu": {"rounds": 60, "buffer_episodes": 8192, "final_learning_rate": 0.1},
+                "gpu": {"rounds": 60, "buffer_episodes": 8192, "final_learning_rate": 0.1},
+            },
+            OBJECT_SUBSTEPS,
+            environment_reward=1.0,
+            target_rate=0.01,
+            p_ht=0.6,
+        ),
+        "ppo": _PPO_PICKING,  # untried
+    },
     "slide": {
         # Places that the puck only passes count as achieved: at rest alone fewer targets are hit. Batches of 2,048 and
         # solved samples at .3, most of which are of a puck that lies still, are ahead by .01 to .03 each.

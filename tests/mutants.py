@@ -32,8 +32,9 @@ ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in (
 PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 GOALS = "tests/hgail_envs/test_goals.py"
-MODEL, GRASP, OBJECTS, OBJECT_PARITY, STACK = (
-    f"tests/hgail_envs/fetch/test_{name}.py" for name in ("model", "grasp", "objects", "object_parity", "stack")
+MODEL, GRASP, OBJECTS, OBJECT_PARITY, STACK, TOWER = (
+    f"tests/hgail_envs/fetch/test_{name}.py"
+    for name in ("model", "grasp", "objects", "object_parity", "stack", "tower")
 )
 
 TESTS = {
@@ -59,7 +60,10 @@ TESTS = {
     "envs/hgail_envs/fetch/objects": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/fetch/push": [OBJECTS],
     "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
+    "envs/hgail_envs/fetch/cubes": [STACK, TOWER],
     "envs/hgail_envs/fetch/stack": [STACK],
+    "envs/hgail_envs/fetch/tower": [TOWER],
+    "envs/hgail_envs/fetch/tower_goals": [TOWER],
 }
 """What is run for a module, the quickest first."""
 

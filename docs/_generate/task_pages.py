@@ -25,7 +25,8 @@ _RUNS = {
     "slide": "slide-td3",
     "stack": "stack-td3",
 }
-_GOAL_TESTS = {"grasp": ", and held", "stack": "; of a cube to be left, 0.025 m in the plane and 0.01 m in height"}
+_TO_BE_LEFT = "; of a cube to be left, 0.025 m in the plane and 0.01 m in height"
+_GOAL_TESTS = {"grasp": ", and held", "stack": _TO_BE_LEFT, "tower": _TO_BE_LEFT}
 _NOT_ON = {"slide": ("jax",), "point": ("warp", "c")}
 _ENGINES = ("warp", "c", "jax")
 _PANEL = (300, 225)  # width and height, pixels

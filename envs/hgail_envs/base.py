@@ -121,6 +121,13 @@ class GoalEnv(Env):
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
         """Draws the desired goal of an evaluation episode that starts in `physics`, `[goal_size]`."""
 
+    def training_start(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
+        """Returns the start of an episode, given that of `reset_physics`, `physics`; by default the same.
+
+        A task may start episodes with `training_goals`, a flag that may be traced, at a later stage; no others.
+        """
+        return physics
+
     def plan_goals(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
         """Draws the plan of an episode's goals, which starts in `physics`; by default one goal of `sample_goal`.
 
@@ -219,12 +226,8 @@ class GoalEnv(Env):
     def vary_start(self, rng: jax.Array, physics: Any, shift: float, opening: jax.Array | float) -> Any:
         """Returns a start with another posture of the robot; a randomisation of `posture` or `hand_opening` needs it.
 
-        Args:
-          rng: a PRNG key.
-          physics: from `reset_physics`.
-          shift: largest displacement of the gripper along each axis, metres.
-          opening: largest opening of the hand, as a fraction of its widest.
-
+        The gripper is displaced by at most `shift` along each axis, metres; `opening` is the largest opening of the
+        hand, as a fraction of its widest.
         """
         raise NotImplementedError
 
@@ -235,11 +238,8 @@ class GoalEnv(Env):
     def curriculum(self, progress: jax.Array | float) -> "GoalEnv":
         """Returns the task that training uses at this progress, e.g. an easier one at first; by default this one.
 
-        Its sizes, observations and goals must mean the same as this one's.
-
-        Args:
-          progress: fraction of the rounds that is done, `[]`, which may be traced. At 1 the task is this one.
-
+        Its sizes, observations and goals must mean the same as this one's. `progress`, `[]`, is the fraction of the
+        rounds that is done and may be traced; at 1 the task is this one.
         """
         return self
 
@@ -249,8 +249,8 @@ class GoalEnv(Env):
 
     def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
         """Starts an episode with an evaluation goal, or with training goals; the flag may be traced."""
-        physics_rng, goal_rng = jax.random.split(rng)
-        physics = self.reset_physics(physics_rng)
+        physics_rng, goal_rng = jax.random.split(rng)  # as fold_in makes them of 0 and 1
+        physics = self.training_start(jax.random.fold_in(rng, 2), self.reset_physics(physics_rng), training_goals)
         plan = self.plan_goals(goal_rng, physics, training_goals)
         return self._make_state(physics, plan, jnp.zeros((), jnp.int32), {})
 

@@ -56,6 +56,11 @@ _OF_CUBES = (
     *(Quantity(f"target is cube {cube}'s", "0 or 1", "") for cube in "AB"),
     Quantity("cube A is to be left at the target", "0 or 1", ""),
 )
+_ROLES = ("top", "middle", "base")
+_OF_TOWER = (
+    *(Quantity(f"target is the {role} cube's", "0 or 1", "") for role in _ROLES),
+    Quantity("the cube is to be left at the target", "0 or 1", ""),
+)
 
 
 def _object(name: str) -> tuple[Quantity, ...]:
@@ -88,6 +93,12 @@ _FEATURES = {
     "pick-and-place": (*_GRIPPER, *_object("cube"), *_HAND),
     "slide": (*_GRIPPER, *_object("puck")),
     "stack": (*_GRIPPER, *_object("cube A"), _GAP, _HOLDS_A, *_object("cube B")),
+    "tower": (
+        *_GRIPPER,
+        *(quantity for role in _ROLES for quantity in _object(f"{role} cube")),
+        _GAP,
+        Quantity("hand holds a cube", "0 or 1", ""),
+    ),
 }
 _OFFICIAL = {"push": "cube", "pick-and-place": "cube", "slide": "puck"}
 _GOALS = {
@@ -100,6 +111,7 @@ _GOALS = {
     "pick-and-place": _OF_OBJECT,
     "slide": _OF_OBJECT,
     "stack": (*_TARGET, *_OF_CUBES),
+    "tower": (*_TARGET, *_OF_TOWER),
 }
 _ARM = _vector("gripper displacement", "1 is about 0.033 m")
 _HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 drives the fingers to their stops", "hand")

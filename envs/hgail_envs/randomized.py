@@ -84,7 +84,11 @@ class RandomizedEnv(GoalEnv):
         )
         physics = self._draw_noise(physics)
         physics = physics.replace(noise_before=physics.noise)  # nothing has moved, so no velocity has an error
-        first = jnp.concatenate([jnp.zeros(task.action_size), self._observed_features(physics)])
+        return self._with_first_history(physics)
+
+    def _with_first_history(self, physics: RandomizedPhysics) -> RandomizedPhysics:
+        """Returns a start whose history is the start itself, time and again."""
+        first = jnp.concatenate([jnp.zeros(self.action_size), self._observed_features(physics)])
         return physics.replace(history=jnp.broadcast_to(first, physics.history.shape))
 
     def _factors(self, uniforms: jax.Array) -> ModelFactors:
@@ -157,6 +161,13 @@ class RandomizedEnv(GoalEnv):
     def sample_goal(self, rng: jax.Array, physics: RandomizedPhysics) -> jax.Array:
         """Draws the true goal, `[goal_size]`, without the sensors' error."""
         return self.task.sample_goal(rng, physics.true)
+
+    def training_start(
+        self, rng: jax.Array, physics: RandomizedPhysics, training_goals: jax.Array | bool
+    ) -> RandomizedPhysics:
+        """Returns the task's own start, randomised; see `GoalEnv`."""
+        true = self.task.training_start(rng, physics.true, training_goals)
+        return self._with_first_history(physics.replace(true=true))
 
     def plan_goals(self, rng: jax.Array, physics: RandomizedPhysics, training_goals: jax.Array | bool) -> Any:
         """Draws the plan of the true goals; see `GoalEnv`."""

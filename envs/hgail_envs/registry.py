@@ -15,6 +15,7 @@ TASKS = {
     "pick-and-place": "hgail_envs.fetch.pick_and_place:PickAndPlace",
     "slide": "hgail_envs.fetch.slide:Slide",
     "stack": "hgail_envs.fetch.stack:Stack",
+    "tower": "hgail_envs.fetch.tower:Tower",
     "grasp-position": "hgail_envs.fetch.grasp:GraspPosition",
     "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
 }
@@ -26,7 +27,7 @@ GYMNASIUM_IDS = {
 }
 """Gymnasium's identifiers of the tasks, e.g. `hgail_envs/FetchPush-v0`."""
 
-EPISODE_STEPS = dict.fromkeys(TASKS, 50) | {"stack": 100}
+EPISODE_STEPS = dict.fromkeys(TASKS, 50) | {"stack": 100, "tower": 200}
 """Steps in an episode of each task: the time limit that `gymnasium.make` sets."""
 
 

@@ -100,6 +100,27 @@ def test_an_episode_pursues_its_plan(training_goals):
         jax.tree.map(np.testing.assert_array_equal, state.info["plan"], plan)
 
 
+@pytest.mark.parametrize("training_goals", [False, True, np.array(True)])
+def test_training_episodes_alone_may_start_elsewhere(training_goals):
+    """With randomness of their own: neither the other starts nor the goals change."""
+
+    class Further(Walk):
+        def training_start(self, rng, physics, training_goals):
+            return physics + jnp.where(training_goals, 5.0 + jax.random.uniform(rng), 0.0) * jnp.array([1.0, 0.0])
+
+    key = jax.random.key(3)
+    plain, further = Walk().reset(key, training_goals), Further().reset(key, training_goals)
+    jax.tree.map(np.testing.assert_array_equal, plain.info["plan"], further.info["plan"])
+    moved = further.obs - plain.obs
+    if not training_goals:
+        np.testing.assert_array_equal(moved, np.zeros(3))
+    else:
+        assert 5.0 < moved[0] < 6.0
+        drawn = moved[0] - 5.0
+        assert all(abs(drawn - number % 1) > 1e-3 for number in (plain.obs[0], plain.info["plan"]["goal"][0]))
+        np.testing.assert_allclose(moved, [moved[0], 0.0, moved[0]], rtol=1e-5)
+
+
 def test_what_a_step_finds_in_a_state_it_keeps():
     env = Walk()
     state = env.reset(jax.random.key(0))
@@ -140,6 +161,7 @@ def test_defaults_of_a_task():
     assert env.already_solved(jnp.zeros((3, 2, 2)), goals).shape == (3, 2)
     key, goal = jax.random.key(1), jnp.array([7.0])
     for training_goals in (False, True):
+        np.testing.assert_array_equal(env.training_start(key, goal, training_goals), goal)
         np.testing.assert_array_equal(GoalEnv.plan_goals(env, key, 0, training_goals), env.sample_goal(key, 0))
     np.testing.assert_array_equal(GoalEnv.current_goal(env, goal, jnp.ones(2), 3), goal)
     assert {name: dict(chosen.config) for name, chosen in env.training.items()} == {

@@ -15,6 +15,7 @@ OBSERVATIONS = [(task, "compact") for task in hgail_envs.TASKS if task != "point
 OBSERVATIONS += [(task, "official") for task in ("push", "pick-and-place", "slide")]
 
 THINGS = {"cube": "cube", "puck": "puck", "cube_a": "cube A", "cube_b": "cube B"}
+ROLES = ("top", "middle", "base")
 
 
 def vector(name, values):
@@ -36,8 +37,10 @@ def measured(env, state, target):
     for side, finger in zip(("right", "left"), fingers, strict=True):
         found |= {f"position of the {side} finger": finger.qpos[0]}
         found |= {f"velocity of the {side} finger": finger.qvel[0] * 0.04}
-    bodies = {model.body(index).name for index in range(model.nbody)}
-    for body, thing in THINGS.items():
+    bodies, things = {model.body(index).name for index in range(model.nbody)}, THINGS
+    if "cube_c" in bodies:  # which of the tower's cubes has which role differs
+        things = {f"cube_{'abc'[cube]}": f"{role} cube" for role, cube in zip(ROLES, physics.order, strict=True)}
+    for body, thing in things.items():
         if body not in bodies:
             continue
         centre, joint = data.body(body).xpos, data.joint(body)
@@ -81,6 +84,9 @@ def test_each_number_is_what_its_name_says(task, observation):
         "target is cube A's",
         "target is cube B's",
         "cube A is to be left at the target",
+        "hand holds a cube",
+        *(f"target is the {role} cube's" for role in ROLES),
+        "the cube is to be left at the target",
     }
     assert len(described.action) == env.action_size
     assert all(quantity.frame in (*FRAMES, "") for group in described for quantity in group)

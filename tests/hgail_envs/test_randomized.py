@@ -39,6 +39,23 @@ def starts(**sizes):
     return jax.jit(jax.vmap(RandomizedEnv(Point(), Randomization(**sizes)).reset))(KEYS)
 
 
+def test_training_episodes_start_where_the_task_s_own_do():
+    """And the history is of that start."""
+
+    class Further(Point):
+        def training_start(self, rng, physics, training_goals):
+            return physics + jnp.where(training_goals, 1.0 + jax.random.uniform(rng, (3,)), 0.0)
+
+    env = RandomizedEnv(Further(), Randomization(history=2, robot_offset=0.01))
+    for training_goals in (False, True):
+        state = env.reset(jax.random.key(0), training_goals)
+        true, seen = np.asarray(state.pipeline_state.true), np.asarray(state.obs)
+        assert (true > 1.0).all() if training_goals else (true == 0.0).all()
+        np.testing.assert_allclose(seen[12:15], true + state.pipeline_state.errors().robot, atol=1e-6)
+        for earlier in (seen[0:6], seen[6:12]):
+            np.testing.assert_allclose(earlier, [0, 0, 0, *seen[12:15]], atol=1e-6)
+
+
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_an_action_comes_as_many_steps_late_as_the_delay(delay):
     states = follow(RandomizedEnv(Point(), Randomization(delay=(delay, delay))))

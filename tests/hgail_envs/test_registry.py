@@ -55,6 +55,7 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
         "pick-and-place": (21, 4, 4),
         "slide": (19, 4, 4),
         "stack": (32, 6, 4),
+        "tower": (42, 7, 4),
     }
 
 

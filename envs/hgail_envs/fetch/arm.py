@@ -141,16 +141,16 @@ class FetchEnv(GoalEnv):
         offset = jax.random.uniform(rng, (3,), minval=-_ROAM, maxval=_ROAM)
         return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
 
-    def random_place(self, rng: jax.Array, width: float, other: jax.Array | None = None) -> jax.Array:
+    def random_place(self, rng: jax.Array, width: float, *others: jax.Array) -> jax.Array:
         """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near.
 
-        Nor is it too near to `other`, `[2]`, the place of another object.
+        Nor is it too near to `others`, each `[2]`, the places of other objects.
         """
         # Rejection sampling in fixed time: the first of many candidates that is far enough.
         offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
         places = self.initial_gripper_position[None, :2] + offsets
         far = jnp.linalg.norm(offsets, axis=-1) >= LEAST_DISTANCE
-        if other is not None:
+        for other in others:
             far &= jnp.linalg.norm(places - other[None], axis=-1) >= LEAST_DISTANCE
         return places[jnp.argmax(far)]
 

@@ -28,6 +28,7 @@ _STACKED = 0.008  # metres between their centres in the plane, within which it i
 _LYING, _PRESSING_DOWN = 0.0515, 0.045  # metres above that centre, at which it lies there; and to which it is lowered
 _WIDE = 0.08  # metres between the fingers, from which the hand withdraws
 _CLEAR_OF_TOWER = 0.1  # metres above the cube's centre, to which it withdraws
+_PASSING_TOWER = 0.56  # metres of the gripper, over a tower of two, whose top is at 0.5
 _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
 
 
@@ -68,6 +69,23 @@ def pick_and_place(observation: jax.Array) -> jax.Array:
 
 def stack(observation: jax.Array) -> jax.Array:
     """Grasps cube A from above, carries it over cube B, lowers it, lets go of it and rises."""
+    return _put_on(observation, _PASSING_HEIGHT, 0.0)
+
+
+def tower(observation: jax.Array) -> jax.Array:
+    """Does as `stack` does with the cube that the goal names and the one that it is to lie on; passes above both."""
+    middle = observation[..., 39:40] > 0.5
+    first, second = observation[..., 6:24], observation[..., 15:33]  # top and middle cube, middle and base cube
+    cubes = jnp.where(middle, second, first)
+    stacking = [observation[..., :6], cubes[..., :9], observation[..., 33:35], cubes[..., 9:]]
+    return _put_on(jnp.concatenate(stacking, axis=-1), _PASSING_TOWER, _PASSING_TOWER - 0.01)
+
+
+def _put_on(observation: jax.Array, passing: float, clear: float) -> jax.Array:
+    """Puts cube A of an observation of stack on cube B.
+
+    On its way to A the hand rises to the height `passing`, and moves in the plane while it is above `clear`, metres.
+    """
     height, apart, gap = observation[..., 2:3], observation[..., 6:9], observation[..., 15:16]
     way = observation[..., 20:23] - observation[..., 9:12]  # from cube A's centre to cube B's
     aside, above = jnp.linalg.norm(way[..., :2], axis=-1, keepdims=True), -way[..., 2:]
@@ -76,8 +94,9 @@ def stack(observation: jax.Array) -> jax.Array:
     lies = (aside <= _CENTRED) & (above > 0.0) & (above <= _LYING)
 
     over = jnp.linalg.norm(apart[..., :2], axis=-1, keepdims=True) <= _CENTRED
-    down = jnp.where(over, _GAIN * apart[..., 2:], _GAIN * jnp.maximum(_PASSING_HEIGHT - height, 0.0))
-    approach = jnp.concatenate([_GAIN * apart[..., :2], down], axis=-1)
+    down = jnp.where(over, _GAIN * apart[..., 2:], _GAIN * jnp.maximum(passing - height, 0.0))
+    comes = jnp.where(over | (height >= clear), _GAIN * apart[..., :2], 0.0)
+    approach = jnp.concatenate([comes, down], axis=-1)
 
     centred = aside <= _STACKED
     across = jnp.where((above >= _CARRYING - 0.01) | centred, _GAIN * way[..., :2], 0.0)

@@ -10,21 +10,11 @@ from flax import struct
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
+from hgail_envs.fetch.cubes import is_in_place, is_left
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.objects import ObjectPhysics
 from hgail_envs.fetch.pick_and_place import PickAndPlace
 from hgail_envs.variation import ModelFactors
-
-MOST_ASIDE = 0.025
-"""Largest distance in the plane of a cube from its place on another, metres."""
-MOST_HIGH = 0.01
-"""Largest difference in height of a cube from its place on another, metres."""
-LEAST_AWAY = 0.05
-"""Least distance between the gripper and a cube that it has let go of, metres."""
-LEAST_GAP = 0.08
-"""Least distance between the fingers of an open hand, metres."""
-AT_REST = 0.05
-"""Largest speed of a cube that lies where it was left, metres per second."""
 
 _OF_GRIPPER, _OF_A, _OF_B = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)  # whose position it is: a goal's numbers 3 and 4
 _MOVED = 0.01  # metres from its start, beyond which a cube's position may be the achieved goal
@@ -137,7 +127,7 @@ class Stack(PickAndPlace):
 
     def is_on_b(self, physics: StackPhysics) -> jax.Array:
         """Returns whether cube A is in its place on cube B, held or not: a boolean `[]`."""
-        return _is_in_place(self.object_position(physics) - self.place_on_b(physics))
+        return is_in_place(self.object_position(physics) - self.place_on_b(physics))
 
     def reset_physics(self, rng: jax.Array) -> StackPhysics:
         a_rng, b_rng = jax.random.split(rng)
@@ -168,7 +158,7 @@ class Stack(PickAndPlace):
         a_moved = jnp.linalg.norm(a - physics.object_start) > _MOVED
         b_moved = jnp.linalg.norm(b - physics.b_start) > _MOVED
         of_others = jnp.where(b_moved, _goal(b, _OF_B), _goal(gripper, _OF_GRIPPER))
-        left = _is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
+        left = is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
         return jnp.where(a_moved, _goal(a, _OF_A, left), of_others)
 
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
@@ -232,7 +222,7 @@ class Stack(PickAndPlace):
         """Returns whether positions, `[..., 3]`, are near enough to goals, `[..., goal_size]`: booleans `[...]`."""
         apart = position - goal[..., :3]
         near = jnp.linalg.norm(apart, axis=-1) <= self.success_threshold
-        return jnp.where(goal[..., 5] > 0.5, _is_in_place(apart), near)
+        return jnp.where(goal[..., 5] > 0.5, is_in_place(apart), near)
 
     def lift_test_action(self, action: jax.Array) -> jax.Array:
         return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open
@@ -270,25 +260,7 @@ def _position_of(features: jax.Array, goal: jax.Array) -> jax.Array:
     return jnp.where(_is_a(goal)[..., None], a, jnp.where(_is_b(goal)[..., None], b, gripper))
 
 
-def _is_left(apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
-    """Returns whether cube A rests where the hand has let go of it: booleans `[...]`.
-
-    Args:
-      apart: `[..., 3]`: the cube's position less the gripper's, metres.
-      velocity: `[..., 3]`: the cube's, metres per action.
-      gap: `[...]`: between the fingers, metres.
-
-    """
-    away = (jnp.linalg.norm(apart, axis=-1) >= LEAST_AWAY) & (gap >= LEAST_GAP)
-    return away & (jnp.linalg.norm(velocity, axis=-1) <= AT_REST * CONTROL_PERIOD)
-
-
 def _is_left_as_wanted(features: jax.Array, goal: jax.Array) -> jax.Array:
     """Returns whether cube A is left, or not, as its goals, `[..., 6]`, want it; others want nothing."""
-    left = _is_left(features[..., 6:9], features[..., 12:15], features[..., 15])
+    left = is_left(features[..., 6:9], features[..., 12:15], features[..., 15])
     return ~_is_a(goal) | (left == (goal[..., 5] > 0.5))
-
-
-def _is_in_place(apart: jax.Array) -> jax.Array:
-    """Returns whether a cube `apart`, `[..., 3]`, from its place on another one is on it: booleans `[...]`."""
-    return (jnp.linalg.norm(apart[..., :2], axis=-1) <= MOST_ASIDE) & (jnp.abs(apart[..., 2]) <= MOST_HIGH)

@@ -45,7 +45,7 @@ def test_an_action_is_mujoco_s_own_steps_to_the_bit():
     assert np.abs(expected[0] - states[0]).max() > 0.05
 
 
-@pytest.mark.parametrize("task", ["reach", "push", "pick-and-place", "slide", "stack"])
+@pytest.mark.parametrize("task", ["reach", "push", "pick-and-place", "slide", "stack", "tower"])
 def test_the_scene_of_each_task_is_stepped_as_by_hand(task, monkeypatch):
     """Along an episode that goes for the object, one environment, nothing compiled."""
     env = hgail_envs.make(task, impl="c", substeps=5)

@@ -28,7 +28,7 @@ def test_mjx_s_promotions_are_allowed_where_others_are_not():
 
 def test_buffers_hold_what_mjx_jax_allots():
     """MJX-JAX has a row for whatever could be in contact, with four points for a pair of boxes instead of eight."""
-    for task in ("reach", "grasp", "push", "stack"):
+    for task in ("reach", "grasp", "push", "stack", "tower"):
         env = hgail_envs.make(task, impl="jax")
         sizes = buffer_sizes(load_scene(f"fetch/{task}"), worlds=3)
         physics = jax.eval_shape(env.reset, jax.random.key(0)).pipeline_state

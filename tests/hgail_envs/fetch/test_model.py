@@ -29,7 +29,7 @@ KEYS = jax.random.split(jax.random.key(0), 300)
 def edited(model, factors):
     """Returns a model with mass, inertia, size and friction edited, and what derives from them worked out by MuJoCo."""
     model = copy.copy(model)
-    for name in {"cube", "cube_a", "cube_b"} & {model.body(index).name for index in range(model.nbody)}:
+    for name in {"cube", "cube_a", "cube_b", "cube_c"} & {model.body(index).name for index in range(model.nbody)}:
         body, geom = model.body(name), model.geom(name)
         body.mass *= factors.object_mass
         body.inertia *= factors.object_mass * factors.object_size**2
@@ -57,7 +57,7 @@ def step_by_hand(model, qpos, qvel, control, substeps):
     return data.qpos, data.qvel
 
 
-@pytest.mark.parametrize("scene", ["grasp", "stack"])
+@pytest.mark.parametrize("scene", ["grasp", "stack", "tower"])
 def test_what_derives_from_masses_is_what_mujoco_derives(scene):
     """All of the model's numbers, changed or not; the fingers' part in the arm's inverse weights is left out."""
     model = load_scene(f"fetch/{scene}")
@@ -163,7 +163,7 @@ def test_slow_fingers_take_as_much_longer():
     assert gaps[0.5, 0.5] == pytest.approx(gaps[0.5, 1.0], rel=0.1)
 
 
-@pytest.mark.parametrize("task", ["grasp", "push", "stack"])
+@pytest.mark.parametrize("task", ["grasp", "push", "stack", "tower"])
 def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     env = hgail_envs.make(task, impl="c", substeps=8)
     physics = jax.jit(jax.vmap(env.reset_physics))(KEYS)
@@ -180,7 +180,7 @@ def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     assert gaps.max() < 0.01 if task == "push" else (gaps.min() < 0.01 and gaps.max() > 0.09)
 
 
-@pytest.mark.parametrize("task", ["pick-and-place", "stack"])
+@pytest.mark.parametrize("task", ["pick-and-place", "stack", "tower"])
 def test_sensors_err_by_what_they_are_told(task):
     env = hgail_envs.make(task, impl="c", substeps=8)
     randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
@@ -188,13 +188,15 @@ def test_sensors_err_by_what_they_are_told(task):
     physics, errors = state.pipeline_state, state.pipeline_state.errors()
     plain, seen = np.asarray(env.features(physics.true)), np.asarray(state.info["observation"])
     of_object = [errors.object - errors.robot, errors.object, errors.object_motion]
-    expected = [errors.robot, errors.robot_motion, *of_object, np.zeros(2), *(of_object if task == "stack" else ())]
+    of_objects = {"pick-and-place": (*of_object, np.zeros(2)), "stack": (*of_object, np.zeros(2), *of_object)}
+    of_objects["tower"] = (*of_object, *of_object, *of_object, np.zeros(2))
+    expected = [errors.robot, errors.robot_motion, *of_objects[task]]
     np.testing.assert_allclose(seen - plain, np.concatenate(expected), atol=1e-6)
     assert np.abs(errors.robot).max() > 1e-3
     assert np.abs(errors.robot_motion).max() > 1e-4
 
 
-@pytest.mark.parametrize("task", ["reach", "grasp", "push", "pick-and-place", "slide", "stack"])
+@pytest.mark.parametrize("task", ["reach", "grasp", "push", "pick-and-place", "slide", "stack", "tower"])
 def test_the_full_level_suits_all_fetch_tasks(task):
     env = RandomizedEnv(hgail_envs.make(task, impl="c", substeps=4), LEVELS["full-history"])
 
@@ -219,7 +221,7 @@ def test_a_field_that_an_engine_cannot_vary_is_refused():
             engine.step(state, control.replace(model={name: jnp.zeros(3)}))
 
 
-@pytest.mark.parametrize("scene", ["grasp", "push", "slide", "reach", "stack"])
+@pytest.mark.parametrize("scene", ["grasp", "push", "slide", "reach", "stack", "tower"])
 def test_warp_has_all_fields_for_each_world(scene):
     """By MJX's own table of what its implementation on Warp may be given a batch of."""
     types = pytest.importorskip("mujoco.mjx.warp.types")

@@ -1,0 +1,292 @@
+"""A tower of three cubes, put on one another in an order that differs from episode to episode."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.fetch import controllers, tower_goals
+from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
+from hgail_envs.fetch.cubes import is_in_place, is_left
+from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
+from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, TOP, TowerPlan, goal_of
+from hgail_envs.variation import ModelFactors
+
+MOST_SHIFT = 0.05
+"""Largest distance of the base cube from its start after a success, metres."""
+
+_RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
+_ON_TABLE = 0.425  # metres, of a cube's centre
+_MOVED = 0.01  # metres from its start, beyond which a cube's position may be the achieved goal
+_AT_HAND = 0.15  # metres between gripper and cube, within which this holds for the cubes of other stages
+_AT_GOAL = 0.03  # metres between cube and goal, within which the goal is already solved
+_PADS = 2 * CUBES  # number of the first sensors, of the pads' contacts with each cube
+_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
+_BEGUN = 0.5  # fraction of them that start with the middle cube on the base
+_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
+_OVER = 0.02  # metres in the plane from its place, within which a relay lowers a cube
+_ABOVE = 0.05  # metres above its place, to which a relay first brings a cube
+
+
+class TowerPhysics(FetchPhysics, kw_only=True):
+    """`FetchPhysics`, the order of the cubes, their starts, and whether the first placement is done."""
+
+    order: jax.Array
+    """`[3]` integers: which of the scene's cubes a, b and c is the top, the middle and the base."""
+    starts: jax.Array
+    """`[3, 3]`: starts of the top, the middle and the base, metres."""
+    placed: jax.Array
+    """`[]` boolean: whether the middle cube was left in its place on the base, and has not come out of it since."""
+
+
+class Tower(FetchEnv):
+    """A tower of three: put the middle cube on the base, and the top cube on it, and withdraw the hand.
+
+    | index | quantity | unit |
+    |---|---|---|
+    | 0:3 | gripper position | m |
+    | 3:6 | gripper velocity × 0.04 s | m |
+    | 6:9 | top cube's position less gripper position | m |
+    | 9:12 | top cube's position | m |
+    | 12:15 | top cube's velocity × 0.04 s | m |
+    | 15:24 | the same of the middle cube | m |
+    | 24:33 | the same of the base cube | m |
+    | 33 | gap between the fingers | m |
+    | 34 | holding: both pads touch one of the cubes, and the gap is its width within 8 mm | 0 or 1 |
+    | 35:38 | target position | m |
+    | 38:41 | whether the target is the top's, the middle's, the base's; if none's, it is the gripper's | 0 or 1 |
+    | 41 | whether the cube is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
+
+    Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
+    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers.
+
+    A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
+    the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
+    2.5 cm in the plane and 1 cm in height, any other goal within 5 cm.
+
+    The goal names one placement after the other: the middle cube left on the base, and as soon as it was left there and
+    as long as it stays there, the top cube left on the middle. The place is where the cube below now is.
+
+    The achieved goal of a state is the position of the present placement's cube, and whether it is left, once it is
+    more than 1 cm from its start; else of another cube that has moved so far and is within 15 cm of the gripper; else
+    the gripper's. The middle cube is left on the base only when the next placement begins: so hindsight sees it there
+    until the hand goes on, and then, before it moves the top cube, the hand.
+
+    A scripted hand takes 75 to 89 steps, the first placement 37 to 44 of them. Episodes have two hundred: with a noise
+    of .1 on its actions, as of a policy that explores, the same hand reaches half of the goals in a hundred steps, nine
+    tenths in a hundred and fifty, and nearly all in two hundred.
+
+    An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
+    0.10 m away from it and from the other cubes. Half the training episodes start with the middle cube on the base, so
+    that the second placement is learnt beside the first. That is a distribution of starts and shows no action: it is no
+    demonstration. Evaluation episodes never start so.
+
+    Success is strict, and includes a test that the tower stands. After the last step the middle cube is in its place on
+    the base and the top cube on the middle, within 2.5 cm in the plane and 1 cm in height each, and both pairs touch;
+    the top cube is left, and the base within 5 cm of its start. After twelve further steps, in which the hand keeps
+    still and open, cubes and contacts still are so. `achieved` of the metrics is without that test. Distances are
+    between the top cube and its place in the tower, two cubes above the base, after the last step.
+
+    Half the training episodes are relays, whose goal depends on the state alone: the gripper at the placement's cube
+    while it is more than 4 cm from it, then the cube 5 cm above its place until it is within 2 cm of it in the plane,
+    then in its place, and once it is there, left there. In an eighth the goal is the gripper or one of the cubes at a
+    random place, cubes on the table. The rest have the evaluation's goals.
+
+    See `FetchEnv` for the arguments.
+    """
+
+    episode_length = 200
+    feature_size = 35
+    goal_size = 7
+    goal_kinds = 7
+    lift_test_steps = 12
+
+    scene = "fetch/tower"
+    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.tower}
+
+    def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
+        order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
+        arm = vars(super().place(qpos, qvel))
+        return self._with_stage(TowerPhysics(**arm, order=order, starts=starts, placed=jnp.zeros((), bool)))
+
+    def cube_positions(self, physics: TowerPhysics) -> jax.Array:
+        """Returns the centres of the top, the middle and the base cube, `[3, 3]`, metres, world frame."""
+        return physics.qpos[self._scene_model.object_qpos][physics.order]
+
+    def cube_velocities(self, physics: TowerPhysics) -> jax.Array:
+        """Returns their velocities × 0.04 s, `[3, 3]`, metres."""
+        return physics.qvel[self._scene_model.object_qvel][physics.order] * CONTROL_PERIOD
+
+    def places(self, physics: TowerPhysics) -> jax.Array:
+        """Returns the places of the top cube on the middle and of the middle on the base, where they now are, `[2, 3]`.
+
+        Metres, world frame.
+        """
+        return self.cube_positions(physics)[1:].at[:, 2].add(CUBE_WIDTH * self.object_factor(physics))
+
+    def are_in_place(self, physics: TowerPhysics) -> jax.Array:
+        """Returns whether the top cube is on the middle, and the middle on the base, held or not: booleans `[2]`."""
+        return is_in_place(self.cube_positions(physics)[:BASE] - self.places(physics))
+
+    def are_left(self, physics: TowerPhysics) -> jax.Array:
+        """Returns of each cube whether it rests where the hand has let go of it: booleans `[3]`."""
+        apart = self.cube_positions(physics) - physics.gripper_position
+        return is_left(apart, self.cube_velocities(physics), self.gap(physics))
+
+    def holding(self, physics: TowerPhysics) -> jax.Array:
+        """Returns whether both pads touch one of the cubes and stand as far apart as it is wide, a boolean `[]`."""
+        touching = (physics.sensordata[:_PADS].reshape(CUBES, 2) > 0).all(axis=1).any()
+        return is_held(touching, self.gap(physics), CUBE_WIDTH * self.object_factor(physics))
+
+    def touching(self, physics: TowerPhysics) -> jax.Array:
+        """Returns whether the top cube touches the middle, and the middle the base: booleans `[2]`."""
+        # The sensors are of cubes a and b, a and c, b and c: in the order of the sums of their numbers, from 1.
+        pair = physics.order[:BASE] + physics.order[MIDDLE:] - 1
+        return physics.sensordata[_PADS + pair] > 0
+
+    def reset_physics(self, rng: jax.Array) -> TowerPhysics:
+        order_rng, *place_rngs = jax.random.split(rng, 1 + CUBES)
+        physics: Any = super().reset_physics(rng)  # the arm's, which draws nothing: the key is used once
+        physics = physics.replace(order=jax.random.permutation(order_rng, CUBES))
+        places: list[jax.Array] = []
+        for role, place_rng in enumerate(place_rngs):
+            places.append(self.random_place(place_rng, _RANGE, *places))
+            physics = self._put(physics, role, jnp.append(places[-1], _ON_TABLE))
+        return physics
+
+    def training_start(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
+        tower = self._put(physics, MIDDLE, self.places(physics)[MIDDLE]).replace(placed=jnp.ones((), bool))
+        return _choose(training_goals & jax.random.bernoulli(rng, _BEGUN), tower, physics)
+
+    def _put(self, physics: Any, role: int, position: jax.Array) -> Any:
+        """Returns the physics with a cube at `position`, `[3]`, upright and at rest, as at the start of an episode."""
+        cube, model = physics.order[role], self._scene_model
+        pose, velocity = jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]).at[:3].set(position), jnp.zeros(6)
+        return physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (jnp.asarray(model.object_qpos)[cube, 0],)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, velocity, (jnp.asarray(model.object_qvel)[cube, 0],)),
+            sensordata=physics.sensordata.at[_PADS:].set(0.0),
+            starts=physics.starts.at[role].set(position),
+        )
+
+    def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
+        varied: Any = super().vary_model(physics, factors)
+        return varied.replace(starts=self.cube_positions(varied))
+
+    def step_physics(self, physics: TowerPhysics, action: jax.Array) -> TowerPhysics:
+        return self._with_stage(self._move(physics, action[:3], action[3]))
+
+    def _with_stage(self, physics: TowerPhysics) -> TowerPhysics:
+        """Returns the physics with `placed` brought up to date."""
+        stays = physics.placed | self.are_left(physics)[MIDDLE]
+        return physics.replace(placed=self.are_in_place(physics)[MIDDLE] & stays)
+
+    def features(self, physics: TowerPhysics) -> jax.Array:
+        gripper, cubes = physics.gripper_position, self.cube_positions(physics)
+        of_cubes = jnp.concatenate([cubes - gripper, cubes, self.cube_velocities(physics)], axis=1)
+        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
+        return jnp.concatenate([gripper, physics.gripper_velocity, of_cubes.reshape(-1), hand])
+
+    def achieved_goal(self, physics: TowerPhysics) -> jax.Array:
+        cubes, left = self.cube_positions(physics), self.are_left(physics)
+        present = jnp.arange(CUBES) == _role(physics)
+        at_hand = jnp.linalg.norm(cubes - physics.gripper_position, axis=1) <= _AT_HAND
+        told = (jnp.linalg.norm(cubes - physics.starts, axis=1) > _MOVED) & (present | at_hand)
+        chosen = jnp.argmax(jnp.where(told, 1 + present, 0))
+        of_cube = goal_of(cubes[chosen], chosen, left[chosen])
+        return jnp.where(told.any(), of_cube, goal_of(physics.gripper_position))
+
+    def sample_goal(self, rng: jax.Array, physics: TowerPhysics) -> jax.Array:
+        return self.placement(physics)
+
+    def placement(self, physics: TowerPhysics) -> jax.Array:
+        """Returns the goal of the present placement, `[goal_size]`."""
+        role = _role(physics)
+        return goal_of(self.places(physics)[role], role, left=True)
+
+    def plan_goals(self, rng: jax.Array, physics: TowerPhysics, training_goals: jax.Array | bool) -> TowerPlan:
+        kind_rng, whose_rng, position_rng = jax.random.split(rng, 3)
+        kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
+        whose = jax.random.randint(whose_rng, (), 0, CUBES + 1)
+        anywhere = self.random_position(position_rng)
+        position = jnp.where(whose < CUBES, anywhere.at[2].set(_ON_TABLE), anywhere)
+        return TowerPlan(
+            goal=goal_of(position, whose),
+            elsewhere=(kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE),
+            relay=kind < _RELAYS,
+        )
+
+    def current_goal(self, plan: TowerPlan, physics: TowerPhysics, step: jax.Array | int) -> jax.Array:
+        pursued = jnp.where(plan.relay, self._stage(physics), self.placement(physics))
+        return jnp.where(plan.elsewhere, plan.goal, pursued)
+
+    def _stage(self, physics: TowerPhysics) -> jax.Array:
+        """Returns the goal of a relay, `[goal_size]`, by the state alone: a cube that slips is taken again."""
+        role = _role(physics)
+        cube, place = self.cube_positions(physics)[role], self.places(physics)[role]
+        away = jnp.linalg.norm(physics.gripper_position - cube) > _AT_CUBE
+        over = jnp.linalg.norm((cube - place)[:2]) <= _OVER
+        brought = jnp.where(over, place, place.at[2].add(_ABOVE))
+        before = jnp.where(away, goal_of(cube), goal_of(brought, role))
+        return jnp.where(self.are_in_place(physics)[role], goal_of(place, role, left=True), before)
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        """Puts the base down below `position`, and the middle on it if it was left there; see `GoalEnv`."""
+        physics = state.pipeline_state
+        moved = self._put(physics, BASE, jnp.asarray(position).at[2].set(_ON_TABLE))
+        moved = _choose(physics.placed, self._put(moved, MIDDLE, self.places(moved)[MIDDLE]), moved)
+        return self._advance(state, moved, state.info["plan"], state.info["step"])
+
+    def goal_kind(self, goal: jax.Array) -> jax.Array:
+        """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
+
+        Those of a cube that is left are one higher. The base counts as on the table wherever it is.
+        """
+        return tower_goals.goal_kind(goal)
+
+    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+        alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
+        return tower_goals.is_at(achieved[..., :3], desired, self.success_threshold) & alike
+
+    def reached(self, physics: TowerPhysics, desired: jax.Array) -> jax.Array:
+        return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
+
+    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+        """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
+        at_goal = tower_goals.is_at(tower_goals.position_of(features, goal), goal, self.success_threshold)
+        return at_goal & tower_goals.is_left_as_wanted(features, goal)
+
+    def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        """Returns whether goals are a cube's and within 3 cm of its present position, and it is left as wanted."""
+        distance = jnp.linalg.norm(tower_goals.position_of(features, goal) - goal[..., :3], axis=-1)
+        return ~tower_goals.is_of_gripper(goal) & (distance <= _AT_GOAL) & tower_goals.is_left_as_wanted(features, goal)
+
+    def lift_test_action(self, action: jax.Array) -> jax.Array:
+        return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open
+
+    def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
+        last = end.pipeline_state
+        achieved = self.are_left(last)[TOP] & self.stands(last)
+        success = achieved & self.stands(lifted.pipeline_state)
+        cubes = self.cube_positions(last)
+        place = cubes[BASE].at[2].add(2 * CUBE_WIDTH * self.object_factor(last))
+        return self.measure(cubes[TOP], place).replace(
+            success=success.astype(jnp.float32), achieved=achieved.astype(jnp.float32)
+        )
+
+    def stands(self, physics: TowerPhysics) -> jax.Array:
+        """Returns whether the tower stands where the base started, wherever the hand is: a boolean `[]`."""
+        shift = jnp.linalg.norm(self.cube_positions(physics)[BASE] - physics.starts[BASE])
+        return (self.are_in_place(physics) & self.touching(physics)).all() & (shift <= MOST_SHIFT)
+
+
+def _role(physics: TowerPhysics) -> jax.Array:
+    """Returns the role of the cube of the present placement, `[]`."""
+    return jnp.where(physics.placed, TOP, MIDDLE)
+
+
+def _choose(condition: jax.Array, one: Any, other: Any) -> Any:
+    """Returns one of two physics of the same structure."""
+    return jax.tree.map(lambda first, second: jnp.where(condition, first, second), one, other)
