@@ -122,9 +122,9 @@ class GoalEnv(Env):
         """Draws the desired goal of an evaluation episode that starts in `physics`, `[goal_size]`."""
 
     def training_start(self, rng: jax.Array, physics: Any, training_goals: jax.Array | bool) -> Any:
-        """Returns the start of an episode, given that of `reset_physics`, `physics`; by default the same.
+        """Returns the physics at the start of an episode; by default `physics`, which `reset_physics` returned.
 
-        A task may start episodes with `training_goals`, a flag that may be traced, at a later stage; no others.
+        An episode with `training_goals`, a flag that may be traced, may start at a later stage; any other starts there.
         """
         return physics
 
@@ -249,7 +249,7 @@ class GoalEnv(Env):
 
     def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
         """Starts an episode with an evaluation goal, or with training goals; the flag may be traced."""
-        physics_rng, goal_rng = jax.random.split(rng)  # as fold_in makes them of 0 and 1
+        physics_rng, goal_rng = jax.random.split(rng)  # fold_in makes the same of 0 and 1, and a third key of 2
         physics = self.training_start(jax.random.fold_in(rng, 2), self.reset_physics(physics_rng), training_goals)
         plan = self.plan_goals(goal_rng, physics, training_goals)
         return self._make_state(physics, plan, jnp.zeros((), jnp.int32), {})
