@@ -110,8 +110,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         ),
         "ppo": _PPO_PICKING,
     },
-    # Untried: PPO on either; tower, whose buffer has half as many episodes, each twice as long; and stack on a CPU, where
-    # one seed with networks of three layers ended at .89 after as many rounds.
+    # Untried: PPO on either; tower, whose buffer has half as many episodes, each twice as long; and two layers on a CPU
+    # for stack, where one seed with three ended at .89 after as many rounds.
     "stack": {"td3": _stacking({"cpu": 30, "gpu": 20}, buffer_episodes=16384), "ppo": _PPO_PICKING},
     "tower": {"td3": _stacking({"cpu": 60, "gpu": 60}, buffer_episodes=8192), "ppo": _PPO_PICKING},
     "slide": {
