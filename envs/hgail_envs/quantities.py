@@ -100,7 +100,12 @@ _FEATURES = {
         Quantity("hand holds a cube", "0 or 1", ""),
     ),
 }
-_OFFICIAL = {"push": "cube", "pick-and-place": "cube", "slide": "puck"}
+_OTHER_FEATURES = {
+    "grasp": {"tracked": (*_GRIPPER, *_HAND, *_vector("cube position less gripper position"))},
+    "push": {"official": _official("cube")},
+    "pick-and-place": {"official": _official("cube")},
+    "slide": {"official": _official("puck")},
+}
 _GOALS = {
     "point": _TARGET,
     "reach": _TARGET,
@@ -124,7 +129,8 @@ def describe(task: str, observation: str = "compact", history: int = 0, sizes: S
 
     Args:
       task: a name in `hgail_envs.TASKS`, or `"module:Class"`.
-      observation: `"compact"` or `"official"`, see `hgail_envs.fetch.objects.ObjectEnv`.
+      observation: `"compact"`, or of some tasks `"official"`, see `hgail_envs.fetch.objects.ObjectEnv`, or `"tracked"`,
+        see `hgail_envs.fetch.grasp.Grasp`.
       history: past actions and observations before the present observation, see `Randomization.history`.
       sizes: of features without history, goal and action, for a task of one's own; empty are those of its class.
 
@@ -135,10 +141,9 @@ def describe(task: str, observation: str = "compact", history: int = 0, sizes: S
 
     """
     if task in TASKS:
-        check_name(
-            f"observation of {task}", observation, ("compact", "official") if task in _OFFICIAL else ("compact",)
-        )
-        features = _official(_OFFICIAL[task]) if observation == "official" else _FEATURES[task]
+        by_name = {"compact": _FEATURES[task]} | _OTHER_FEATURES.get(task, {})
+        check_name(f"observation of {task}", observation, by_name)
+        features = by_name[observation]
         goal = _GOALS[task]
         hand = _BLOCKED if task in _BLOCKS_FINGERS else _HAND_COMMAND
         action = _vector("displacement", "1 is 0.03 m") if task == "point" else (*_ARM, hand)

@@ -123,7 +123,8 @@ def check_described(policy: MeanPolicy) -> Description:
     row = policy.action_size * history
     sizes = ((policy.observation_size - policy.goal_size - row) // (1 + history), policy.goal_size, policy.action_size)
     of_package = policy.task in TASKS
-    observation = str(policy.task_options.get("observation", "compact"))
+    tracked = policy.task_options.get("cube") == "tracked"
+    observation = str(policy.task_options.get("observation", "tracked" if tracked else "compact"))
     described = describe(policy.task, observation, history, () if of_package else sizes)
     if len(described.features) + len(described.goal) != policy.observation_size:
         raise ValueError(

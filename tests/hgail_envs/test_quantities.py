@@ -13,6 +13,7 @@ from hgail_envs.randomized import randomize
 
 OBSERVATIONS = [(task, "compact") for task in hgail_envs.TASKS if task != "point"]
 OBSERVATIONS += [(task, "official") for task in ("push", "pick-and-place", "slide")]
+OBSERVATIONS += [("grasp", "tracked")]
 
 THINGS = {"cube": "cube", "puck": "puck", "cube_a": "cube A", "cube_b": "cube B"}
 ROLES = ("top", "middle", "base")
@@ -54,7 +55,7 @@ def measured(env, state, target):
 
 @pytest.mark.parametrize(("task", "observation"), OBSERVATIONS)
 def test_each_number_is_what_its_name_says(task, observation):
-    options = {} if observation == "compact" else {"observation": observation}
+    options = {"compact": {}, "tracked": {"cube": "tracked"}}.get(observation, {"observation": observation})
     env = hgail_envs.make(task, impl="c", substeps=4, **options)
     described = describe(task, observation)
     step = jax.jit(env.step)

@@ -1,5 +1,6 @@
 """Grasping a cube from the table, with three meanings of a goal."""
 
+import functools
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -13,6 +14,8 @@ from hgail_envs.validation import check_name
 
 CUBES = ("at-start", "tracked")
 """Values of `cube`."""
+TRACKED_SIZE = 11
+"""Numbers of a tracked cube's observation without the goal."""
 CUBE_WIDTH = 0.05
 """Metres along each edge."""
 WIDEST_GAP = 0.1
@@ -51,8 +54,9 @@ class Grasp(FetchEnv):
     | 8:11 | target position | m |
     | 11 | whether to hold the cube there | 0 or 1 |
 
-    The first eleven without 6 and 7 are the paper's observation. Its goal is a position alone, independent of the hand:
-    see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so that
+    With `cube="tracked"` the target has indices 11 to 14, and 8 to 10 are the cube's position less the gripper's,
+    metres. The first eleven without 6 and 7 are the paper's observation. Its goal is a position alone, independent of
+    the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so that
     the expert samples of a goal with holding 1 are real grasps.
 
     An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
@@ -64,12 +68,13 @@ class Grasp(FetchEnv):
     5 cm. `achieved` of the metrics is without that test. Distances are between gripper and cube after the last step.
 
     A policy is told where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
-    does not know. With `cube="tracked"` goals with holding 1 are where the cube now is, so that it can try again.
+    does not know. With `cube="tracked"` it is told at each step where the cube is, in the observation and as the goal
+    with holding 1, so that it can try again.
 
     See `FetchEnv` for the other arguments.
 
     Args:
-      cube: `"at-start"` or `"tracked"`, where the cube is in the goals of an episode.
+      cube: `"at-start"` or `"tracked"`, what a policy is told of the cube.
 
     Raises:
       ValueError: an unknown option.
@@ -95,6 +100,11 @@ class Grasp(FetchEnv):
     ) -> None:
         check_name("cube", cube, CUBES)
         self.cube = cube
+        if cube == "tracked":
+            self.feature_size = TRACKED_SIZE
+            self.controllers = {  # type: ignore[misc]
+                name: functools.partial(_act_untold, act) for name, act in self.controllers.items()
+            }
         super().__init__(impl, substeps, worlds)
         self._cube_qpos = int(self.model.joint("cube").qposadr[0])
         self._cube_qvel = int(self.model.joint("cube").dofadr[0])
@@ -118,7 +128,9 @@ class Grasp(FetchEnv):
 
     def features(self, physics: FetchPhysics) -> jax.Array:
         hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
-        return jnp.concatenate([physics.gripper_position, physics.gripper_velocity, hand])
+        gripper = physics.gripper_position
+        cube = self.cube_position(physics) - gripper if self.cube == "tracked" else jnp.zeros(0)
+        return jnp.concatenate([gripper, physics.gripper_velocity, hand, cube])
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return jnp.append(physics.gripper_position, self.holding(physics).astype(jnp.float32))
@@ -170,6 +182,11 @@ class Grasp(FetchEnv):
         return self.measure(last.gripper_position, self.cube_position(last)).replace(
             success=(held & (rise > LEAST_RISE)).astype(jnp.float32), achieved=held.astype(jnp.float32)
         )
+
+
+def _act_untold(controller: Controller, observation: jax.Array) -> jax.Array:
+    """Returns a controller's action on a tracked cube's observation, of which it reads all but the cube's position."""
+    return controller(jnp.concatenate([observation[..., : Grasp.feature_size], observation[..., TRACKED_SIZE:]], -1))
 
 
 class GraspPosition(Grasp):

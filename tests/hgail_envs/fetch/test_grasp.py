@@ -171,12 +171,22 @@ def test_a_tracked_cube_is_the_goal_wherever_it_is(start):
         assert cube(state)[0] > told[0] + 0.07
 
 
+def test_a_tracked_cube_is_observed_whatever_the_goal_is(start):
+    after, tracked = pushed(start), hgail_envs.make("grasp", substeps=8, cube="tracked")
+    features = np.asarray(jax.vmap(tracked.features)(after.pipeline_state))
+    np.testing.assert_array_equal(features[:, :8], after.info["observation"])
+    np.testing.assert_allclose(features[:, 8:], cube(after) - features[:, :3], atol=1e-6)
+    assert tracked.observation_size == ENV.observation_size + 3
+
+
 def test_a_hand_that_tracks_the_cube_tries_again(start):
     """The scripted hand goes where the goal is: to the place where the cube was, or to the cube."""
     tracked = hgail_envs.make("grasp", substeps=8, cube="tracked")
 
     def grasped(env, state):
-        state = jax.lax.fori_loop(0, STEPS, lambda _, now: jax.vmap(env.step)(now, controllers.grasp(now.obs)), state)
+        act, step = env.controllers["from-above"], jax.vmap(env.step)
+        still = jnp.zeros((BATCH, 4))
+        state = jax.lax.fori_loop(0, STEPS, lambda _, now: step(now, act(now.obs)), step(state, still))
         return holding(state)
 
     after = pushed(start)
