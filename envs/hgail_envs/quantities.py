@@ -57,6 +57,7 @@ _OF_CUBES = (
     Quantity("cube A is to be left at the target", "0 or 1", ""),
 )
 _ROLES = ("top", "middle", "base")
+_OF_GOAL = ("target's cube", "cube to be under it", "third cube")
 _OF_TOWER = (
     *(Quantity(f"target is the {role} cube's", "0 or 1", "") for role in _ROLES),
     Quantity("the cube is to be left at the target", "0 or 1", ""),
@@ -95,7 +96,7 @@ _FEATURES = {
     "stack": (*_GRIPPER, *_object("cube A"), _GAP, _HOLDS_A, *_object("cube B")),
     "tower": (
         *_GRIPPER,
-        *(quantity for role in _ROLES for quantity in _object(f"{role} cube")),
+        *(quantity for cube in _OF_GOAL for quantity in _object(cube)),
         _GAP,
         Quantity("hand holds a cube", "0 or 1", ""),
     ),

@@ -17,6 +17,7 @@ OBSERVATIONS += [("grasp", "tracked")]
 
 THINGS = {"cube": "cube", "puck": "puck", "cube_a": "cube A", "cube_b": "cube B"}
 ROLES = ("top", "middle", "base")
+TURNED = ("target's cube", "cube to be under it", "third cube")
 
 
 def vector(name, values):
@@ -40,7 +41,9 @@ def measured(env, state, target):
         found |= {f"velocity of the {side} finger": finger.qvel[0] * 0.04}
     bodies, things = {model.body(index).name for index in range(model.nbody)}, THINGS
     if "cube_c" in bodies:  # which of the tower's cubes has which role differs
-        things = {f"cube_{'abc'[cube]}": f"{role} cube" for role, cube in zip(ROLES, physics.order, strict=True)}
+        first = int(np.argmax(state.info["desired_goal"][3:6]))
+        turned = np.roll(physics.order, -first)
+        things = {f"cube_{'abc'[cube]}": name for name, cube in zip(TURNED, turned, strict=True)}
     for body, thing in things.items():
         if body not in bodies:
             continue
@@ -69,7 +72,7 @@ def test_each_number_is_what_its_name_says(task, observation):
         thrown = physics.qvel.at[objects + np.arange(6)].set(velocity + np.arange(len(objects))[:, None])
         physics = physics.replace(qvel=thrown)
         state = state.replace(pipeline_state=physics)
-    seen = np.concatenate([env.features(physics), state.info["desired_goal"]])
+    seen = np.asarray(env.goal_observation(env.features(physics), state.info["desired_goal"]))
     names = [quantity.name for quantity in (*described.features, *described.goal)]
     assert len(names) == len(set(names)) == env.observation_size
     known = measured(env, state, np.asarray(state.info["desired_goal"])[:3])

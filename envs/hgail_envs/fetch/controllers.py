@@ -74,10 +74,8 @@ def stack(observation: jax.Array) -> jax.Array:
 
 def tower(observation: jax.Array) -> jax.Array:
     """Does as `stack` does with the cube that the goal names and the one that it is to lie on; passes above both."""
-    middle = observation[..., 39:40] > 0.5
-    first, second = observation[..., 6:24], observation[..., 15:33]  # top and middle cube, middle and base cube
-    cubes = jnp.where(middle, second, first)
-    stacking = [observation[..., :6], cubes[..., :9], observation[..., 33:35], cubes[..., 9:]]
+    first, second = observation[..., 6:15], observation[..., 15:24]
+    stacking = [observation[..., :6], first, observation[..., 33:35], second]
     return _put_on(jnp.concatenate(stacking, axis=-1), _PASSING_TOWER, _PASSING_TOWER - 0.01)
 
 

@@ -56,8 +56,8 @@ class Grasp(FetchEnv):
 
     With `cube="tracked"` the target has indices 11 to 14, and 8 to 10 are the cube's position less the gripper's,
     metres. The first eleven without 6 and 7 are the paper's observation. Its goal is a position alone, independent of
-    the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so that
-    the expert samples of a goal with holding 1 are real grasps.
+    the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so
+    that the expert samples of a goal with holding 1 are real grasps.
 
     An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
     the gripper in x and y and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are

@@ -48,11 +48,11 @@ class Tower(FetchEnv):
     |---|---|---|
     | 0:3 | gripper position | m |
     | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | top cube's position less gripper position | m |
-    | 9:12 | top cube's position | m |
-    | 12:15 | top cube's velocity × 0.04 s | m |
-    | 15:24 | the same of the middle cube | m |
-    | 24:33 | the same of the base cube | m |
+    | 6:9 | position of the target's cube less gripper position | m |
+    | 9:12 | that cube's position | m |
+    | 12:15 | that cube's velocity × 0.04 s | m |
+    | 15:24 | the same of the cube that it is to lie on | m |
+    | 24:33 | the same of the third cube | m |
     | 33 | gap between the fingers | m |
     | 34 | holding: both pads touch one of the cubes, and the gap is its width within 8 mm | 0 or 1 |
     | 35:38 | target position | m |
@@ -60,7 +60,9 @@ class Tower(FetchEnv):
     | 41 | whether the cube is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
 
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
-    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers.
+    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers. That turns
+    with the goal: top, middle, base if the target is the top's or the gripper's, else from the middle or the base on.
+    So one placement looks to the policy like the other. The features, without a goal, have the top first.
 
     A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
     the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
@@ -188,6 +190,9 @@ class Tower(FetchEnv):
         of_cubes = jnp.concatenate([cubes - gripper, cubes, self.cube_velocities(physics)], axis=1)
         hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
         return jnp.concatenate([gripper, physics.gripper_velocity, of_cubes.reshape(-1), hand])
+
+    def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
+        return super().goal_observation(tower_goals.pursued_first(features, goal), goal)
 
     def achieved_goal(self, physics: TowerPhysics) -> jax.Array:
         cubes, left = self.cube_positions(physics), self.are_left(physics)

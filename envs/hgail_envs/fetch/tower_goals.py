@@ -68,6 +68,17 @@ def is_left_as_wanted(features: jax.Array, goal: jax.Array) -> jax.Array:
     return is_of_gripper(goal) | (left == (goal[..., 6] > 0.5))
 
 
+def pursued_first(features: jax.Array, goal: jax.Array) -> jax.Array:
+    """Returns features, `[..., 35]`, with the cube of their goals first, then the one that it is to lie on.
+
+    So one placement looks like the other. The order is the roles', turned; goals of the gripper leave it as it is.
+    """
+    cubes = features[..., 6:33].reshape(*features.shape[:-1], CUBES, 9)
+    turned = (jnp.argmax(goal[..., 3:6], axis=-1)[..., None] + jnp.arange(CUBES)) % CUBES
+    cubes = jnp.take_along_axis(cubes, turned[..., None], axis=-2).reshape(*features.shape[:-1], -1)
+    return jnp.concatenate([features[..., :6], cubes, features[..., 33:]], axis=-1)
+
+
 def _of_cube(features: jax.Array, goal: jax.Array) -> jax.Array:
     """Returns the numbers, `[..., 9]`, in features of the cube whose goals are, of any if they are the gripper's."""
     cubes = features[..., 6:33].reshape(*features.shape[:-1], CUBES, 9)

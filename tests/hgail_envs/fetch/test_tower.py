@@ -324,7 +324,8 @@ def test_a_start_of_other_sizes_has_the_middle_on_the_base_too():
     assert 4 < len(rise) < 16
     np.testing.assert_allclose(rise[:, :2], 0.0, atol=1e-6)
     np.testing.assert_allclose(rise[:, 2], width[np.asarray(physics.placed)], atol=1e-6)
-    np.testing.assert_allclose(state.obs[:, 4:39], state.obs[:, 39:74], atol=1e-6)  # the history is the start's
+    seen = state.info["observation"]
+    np.testing.assert_allclose(seen[:, 4:39], seen[:, 39:74], atol=1e-6)  # the history is the start's
 
 
 def test_the_observation_has_the_cubes_by_role(episodes):
@@ -348,7 +349,21 @@ def test_the_observation_has_the_cubes_by_role(episodes):
         expected += [gap[:, None], held[:, None]]
         np.testing.assert_allclose(seen[:, episode], np.concatenate(expected, axis=1), atol=1e-6)
     assert 0.1 < seen[..., 34].mean() < 0.9
-    np.testing.assert_array_equal(episodes.obs, np.concatenate([seen, episodes.info["desired_goal"]], axis=-1))
+
+
+@pytest.mark.parametrize(
+    ("whose", "order"),
+    [((0, 0, 0), (0, 1, 2)), ((1, 0, 0), (0, 1, 2)), ((0, 1, 0), (1, 2, 0)), ((0, 0, 1), (2, 0, 1))],
+    ids=["gripper", "top", "middle", "base"],
+)
+def test_the_policy_sees_the_cube_of_the_goal_first(episodes, whose, order):
+    """Then the one that it is to lie on, and then the third."""
+    features, goals = episodes.info["observation"], episodes.info["desired_goal"].copy()
+    np.testing.assert_array_equal(episodes.obs, ENV.goal_observation(features, goals))
+    goals[..., 3:6] = whose
+    cubes = [features[..., 6 + 9 * role : 15 + 9 * role] for role in order]
+    expected = np.concatenate([features[..., :6], *cubes, features[..., 33:], goals], axis=-1)
+    np.testing.assert_array_equal(ENV.goal_observation(features, goals), expected)
 
 
 @pytest.mark.parametrize(
