@@ -227,7 +227,7 @@ class GoalEnv(Env):
         """Returns a start with another posture of the robot; a randomisation of `posture` or `hand_opening` needs it.
 
         The gripper is displaced by at most `shift` along each axis, metres; `opening` is the largest opening of the
-        hand, as a fraction of its widest.
+        hand, as a fraction of its widest in the varied model.
         """
         raise NotImplementedError
 

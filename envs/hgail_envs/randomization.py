@@ -12,6 +12,7 @@ Range = tuple[float, float]
 
 MOST_DELAY = 50
 """Largest delay, steps: an episode of the Fetch tasks."""
+_LATER = ("hand_width", "pad_size")  # sizes that runs and policy files of earlier releases lack
 _OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # of fields, in policy files of earlier releases
 
 
@@ -66,6 +67,10 @@ class Randomization:
     """Factor on the force of the fingers' servos."""
     finger_speed: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the speed of the fingers."""
+    hand_width: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
+    """Factor on the widest gap between the fingers; a narrow hand is still wider than the object, see the task."""
+    pad_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
+    """Factor on the width and the height of the fingers' pads."""
     posture: float = field(
         default=0.0, metadata=_limits(0, 0.15, ramps=False)
     )  # the goals of reach are as far from the start
@@ -104,9 +109,14 @@ class Randomization:
         """Returns no randomisation, for observations of the same size."""
         return type(self)(history=self.history)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the sizes by their names, those of `_LATER` only where they are not nominal, as in older runs."""
+        sizes = dataclasses.asdict(self)
+        return {name: value for name, value in sizes.items() if name not in _LATER or value != (1.0, 1.0)}
+
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Rebuilds a randomisation from `dataclasses.asdict` as JSON, also with an earlier release's names.
+        """Rebuilds a randomisation from `as_dict` as JSON, also with an earlier release's names.
 
         Raises:
           ValueError: there is no such field, or it cannot have such a value.
@@ -161,6 +171,8 @@ _MILD = Randomization(
     object_size=(0.95, 1.05),
     finger_force=(0.8, 1.2),
     finger_speed=(0.6, 1.1),
+    hand_width=(0.85, 1.05),
+    pad_size=(0.85, 1.15),
     posture=0.02,
     hand_opening=1.0,
     ramp=0.5,
@@ -175,7 +187,9 @@ _FULL = dataclasses.replace(
     object_mass=(0.25, 1.5),
     object_size=(0.85, 1.4),
     finger_force=(0.5, 1.3),
-    finger_speed=(0.3, 1.2),
+    finger_speed=(0.2, 1.5),
+    hand_width=(0.7, 1.1),
+    pad_size=(0.7, 1.3),
     posture=0.04,
 )
 
@@ -186,4 +200,9 @@ LEVELS: dict[str, Randomization] = {
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
 }
-"""Randomisations by name, as on the command line."""
+"""Randomisations by name, as on the command line.
+
+The hands of `full` include those of the arms in `experiments/transfer`: a Robotiq 2F-85 opens to 0.85 of the Fetch's
+100 mm and takes as many actions as the Fetch's fingers at 0.23 to 0.78 of their speed if an action lasts 40 ms, and at
+0.83 to 0.95 if it lasts 160 ms; a Franka's hand opens to 0.8, at 0.45 to 0.78 and 0.89 to 1.04.
+"""

@@ -69,10 +69,10 @@ class RandomizedEnv(GoalEnv):
         task_rng, start_rng, drawn_rng, offset_rng, noise_rng = jax.random.split(rng, 5)
         uniforms = jax.random.uniform(drawn_rng, (3 + len(MODEL_FACTORS),))  # one draw compiles the fastest
         true = task.reset_physics(task_rng)
-        if sizes.varies_start:
-            true = task.vary_start(start_rng, true, sizes.posture, self._sizes["hand_opening"])
         if sizes.varies_model:
             true = task.vary_model(true, self._factors(uniforms[3:]))
+        if sizes.varies_start:  # after the model, as far as whose hand opens
+            true = task.vary_start(start_rng, true, sizes.posture, self._sizes["hand_opening"])
         physics = RandomizedPhysics(
             true=true,
             drawn=self._drawn(uniforms[:3], jax.random.normal(offset_rng, (3, 3))),

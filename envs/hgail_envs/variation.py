@@ -27,6 +27,10 @@ class ModelFactors(struct.PyTreeNode):
     """Factor on the force of the fingers' servos, whose speed stays the same."""
     finger_speed: jax.Array | float = 1.0
     """Factor on the speed of the fingers, whose force stays the same."""
+    hand_width: jax.Array | float = 1.0
+    """Factor on the widest gap between the fingers."""
+    pad_size: jax.Array | float = 1.0
+    """Factor on the width and the height of the fingers' pads; their thickness and their lower ends stay the same."""
 
 
 class SensorErrors(struct.PyTreeNode):

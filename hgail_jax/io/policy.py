@@ -159,7 +159,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "layers": len(policy.layers),
         "activation": _LAYER_NORM_RELU if len(policy.layers[0]) > 2 else _TANH,
         "squash": policy.squash,
-        "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
+        "randomization": {} if policy.randomization == Randomization() else policy.randomization.as_dict(),
         "task_options": policy.task_options,
         "versions": policy.versions,
     }

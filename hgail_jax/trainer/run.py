@@ -56,7 +56,7 @@ class Run:
     def _randomization(self) -> dict[str, Any]:
         """Returns the sizes of the randomisation; nothing if there is none, as older runs have it."""
         randomization = getattr(self.env, "randomization", None)
-        return {} if randomization is None else {"randomization": dataclasses.asdict(randomization)}
+        return {} if randomization is None else {"randomization": randomization.as_dict()}
 
     def program(self) -> Program:
         """Returns the program to compile."""

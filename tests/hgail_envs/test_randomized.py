@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -258,12 +259,23 @@ def test_sizes_out_of_range_are_refused(name, value, allowed):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_randomisation_comes_back_from_json(level):
-    content = json.loads(json.dumps(dataclasses.asdict(LEVELS[level])))
+    content = json.loads(json.dumps(LEVELS[level].as_dict()))
     assert Randomization.from_json(content) == LEVELS[level]
     content |= {"growth": content.pop("ramp"), "sag": content.pop("z_bias")}  # as older files have it
     assert Randomization.from_json(content) == LEVELS[level]
     with pytest.raises(ValueError, match="a randomisation has no field 'wind'"):
         Randomization.from_json({"wind": 1.0})
+
+
+def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
+    """As the published robust policies and their runs have it; and what is written of it again is the same."""
+    folder = Path(__file__).parents[2] / "experiments" / "results" / "runs" / "grasp-hgail-robust"
+    content = json.loads((folder / "config.json").read_text())["physics"]["randomization"]
+    older = Randomization.from_json(content)
+    assert older.hand_width == older.pad_size == (1.0, 1.0)
+    assert older != LEVELS["full-history"]
+    assert json.loads(json.dumps(older.as_dict())) == content
+    assert {"hand_width", "pad_size"} <= set(LEVELS["full"].as_dict())
 
 
 def test_nominal_is_no_randomisation_with_the_same_history():

@@ -92,6 +92,8 @@ class FetchEnv(GoalEnv):
     """Position of the robot along x, metres."""
     start_height: float = 0.2
     """Nominal height of the gripper's start above the table, metres."""
+    least_widest_gap: float = 0.0
+    """Metres to which the hand must be able to open in this task, however wide the object is."""
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= REFERENCE_SUBSTEPS):
@@ -158,6 +160,10 @@ class FetchEnv(GoalEnv):
         """Returns the distance between the fingers, `[]`, metres."""
         return physics.qpos[self._finger_qpos].sum()
 
+    def widest_gap(self, physics: FetchPhysics) -> jax.Array | float:
+        """Returns the widest distance between the fingers, `[]`, metres."""
+        return self._scene_model.widest_gap(physics.factors)
+
     def object_factor(self, physics: FetchPhysics) -> jax.Array | float:
         """Returns the factor on the size of the objects, `[]`."""
         return 1.0 if physics.factors is None else physics.factors.object_size
@@ -179,12 +185,10 @@ class FetchEnv(GoalEnv):
         )
 
     def vary_model(self, physics: FetchPhysics, factors: ModelFactors) -> FetchPhysics:
-        """Scales the model, and sets objects of another height on the table; see `GoalEnv`."""
-        qpos = physics.qpos
-        if self._scene_model.has_object:
-            rise = self._scene_model.object_half_heights * (factors.object_size - 1.0)
-            qpos = qpos.at[self._scene_model.object_qpos[:, 2]].add(rise)
-        return physics.replace(qpos=qpos, factors=factors)
+        """Scales the model, with room for objects in a narrow hand, and sets them on the table; see `SceneModel`."""
+        model = self._scene_model
+        qpos = model.on_table(physics.qpos, factors.object_size)
+        return physics.replace(qpos=qpos, factors=model.with_room(factors, self.least_widest_gap))
 
     def vary_start(self, rng: jax.Array, physics: PhysicsT, shift: float, opening: jax.Array | float) -> PhysicsT:
         """Draws a posture at least `LEAST_DISTANCE` from all objects, and opens a hand with servos; see `GoalEnv`."""
@@ -200,8 +204,7 @@ class FetchEnv(GoalEnv):
         qpos = jnp.where(model.of_arm_qpos, postures.qpos[chosen], physics.qpos)
         qvel = jnp.where(model.of_arm_qvel, postures.qvel[chosen], physics.qvel)
         if self.model.nu:
-            widest = self.model.jnt_range[self._fingers, 1]
-            qpos = qpos.at[self._finger_qpos].set(widest * opening * opened)
+            qpos = qpos.at[self._finger_qpos].set(self.widest_gap(physics) / 2 * opening * opened)
         return self._with_gripper(physics.replace(qpos=qpos, qvel=qvel))
 
     def _postures(self, shift: float) -> FetchPhysics:

@@ -13,6 +13,8 @@ LEAST_AWAY = 0.05
 """Least distance between the gripper and a cube that it has let go of, metres."""
 LEAST_GAP = 0.08
 """Least distance between the fingers of an open hand, metres."""
+LEAST_WIDEST_GAP = 0.085
+"""Widest distance between the fingers of the narrowest hand, metres: a little more than an open hand must have."""
 AT_REST = 0.05
 """Largest speed of a cube that lies where it was left, metres per second."""
 

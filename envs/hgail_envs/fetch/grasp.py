@@ -245,18 +245,19 @@ class GraspAperture(Grasp):
     def plan_goals(self, rng: jax.Array, physics: FetchPhysics, training_goals: jax.Array | bool) -> jax.Array:
         """Returns the goals of the plan's stages, `[3, goal_size]`; the training goals are one random goal thrice."""
         position_rng, gap_rng = jax.random.split(rng)
-        anywhere = jnp.append(self.random_position(position_rng), jax.random.uniform(gap_rng, maxval=WIDEST_GAP))
+        gap = jax.random.uniform(gap_rng, maxval=self.widest_gap(physics))
+        anywhere = jnp.append(self.random_position(position_rng), gap)
         return jnp.where(training_goals, anywhere, self._test_plan(physics))
 
     def current_goal(self, plan: jax.Array, physics: FetchPhysics, step: jax.Array | int) -> jax.Array:
         return plan[jnp.sum(step >= jnp.array([self._DESCEND, self._CLOSE]))]
 
     def _test_plan(self, physics: FetchPhysics) -> jax.Array:
-        x, y, _ = self.cube_position(physics)
+        (x, y, _), widest = self.cube_position(physics), self.widest_gap(physics)
         return jnp.array(
             [
-                [x, y, _CUBE_HEIGHT + self._ABOVE, WIDEST_GAP],
-                [x, y, _CUBE_HEIGHT, WIDEST_GAP],
+                [x, y, _CUBE_HEIGHT + self._ABOVE, widest],
+                [x, y, _CUBE_HEIGHT, widest],
                 [x, y, _CUBE_HEIGHT, 0.0],
             ]
         )

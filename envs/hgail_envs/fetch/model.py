@@ -1,4 +1,4 @@
-"""Fields of a Fetch scene's model with scaled friction, object or fingers."""
+"""Fields of a Fetch scene's model with scaled friction, object, fingers or pads."""
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,11 @@ from hgail_envs.variation import ModelFactors
 
 FINGERS = ("right_finger", "left_finger")
 """Names of the fingers' joints and actuators, as their positions are ordered in an observation."""
+ROOM = 0.01
+"""Least difference between the widest gap of a narrow hand and the objects' width, metres."""
+
+_PADS = ("right_pad", "left_pad")
+_HEIGHT, _WIDTH = 0, 2  # axes of a pad, along the first of which the gripper points downward; it closes along the other
 
 
 class SceneModel:
@@ -30,8 +35,35 @@ class SceneModel:
         self.object_qpos, self.object_qvel = first_qpos + np.arange(3), self._dofs[:, :3]  # [objects, 3]
         self.of_arm_qpos, self.of_arm_qvel = np.ones(model.nq, bool), np.ones(model.nv, bool)
         self.of_arm_qpos[first_qpos + np.arange(7)] = self.of_arm_qvel[self._dofs] = False
+        self._object_width = 2.0 * model.geom_size[self._geoms, 0].max(initial=0.0)
+        self._pads = np.array([model.geom(name).id for name in _PADS])
+        self._fingers = np.array([model.joint(name).id for name in FINGERS])
+        self._widest = model.jnt_range[self._fingers, 1].sum()
         are_cylinders = model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else boxes
         self.object_half_heights = model.geom_size[self._geoms, np.where(are_cylinders, 1, 2)].astype(np.float32)
+
+    def widest_gap(self, factors: ModelFactors | None) -> jax.Array | float:
+        """Returns the widest gap between the fingers, `[]`, metres; None is the scene's own model."""
+        return self._widest if factors is None else self._widest * factors.hand_width
+
+    def with_room(self, factors: ModelFactors, least: float) -> ModelFactors:
+        """Returns factors under which a narrow hand opens to `ROOM` more than the objects' width, and to `least`.
+
+        It opens no wider for that than the scene's own, which may be too narrow for the largest objects.
+
+        Args:
+          factors: as they were drawn.
+          least: metres.
+
+        """
+        needed = jnp.maximum(self._object_width * factors.object_size + ROOM, least) / self._widest
+        return factors.replace(hand_width=jnp.maximum(factors.hand_width, jnp.minimum(needed, 1.0)))
+
+    def on_table(self, qpos: jax.Array, size: jax.Array | float) -> jax.Array:
+        """Returns joint positions, `[nq]`, with objects `size` times as high standing where the nominal ones stood."""
+        if not self.has_object:
+            return qpos
+        return qpos.at[self.object_qpos[:, 2]].add(self.object_half_heights * (size - 1.0))
 
     def fields(self, factors: ModelFactors) -> dict[str, jax.Array]:
         """Returns the fields that differ, whole arrays by their names in `mujoco.MjModel`.
@@ -42,8 +74,10 @@ class SceneModel:
         fields = {"pair_friction": jnp.asarray(self._model.pair_friction) * factors.friction}
         if self.has_object:
             fields |= self._object_fields(factors.object_mass, factors.object_size)
+        fields |= self._pad_fields(factors.pad_size, fields)
         if self._model.nu:
             fields |= self._finger_fields(factors.finger_force, factors.finger_speed, fields)
+            fields["jnt_range"] = self._field("jnt_range").at[self._fingers, 1].multiply(factors.hand_width)
         return fields
 
     def _object_fields(self, mass: jax.Array | float, size: jax.Array | float) -> dict[str, jax.Array]:
@@ -63,6 +97,24 @@ class SceneModel:
         fields = {name: self._field(name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
         subtrees = self._field("body_subtreemass").at[bodies].add(heavier).at[0].add(heavier.sum())  # 0 is the world's
         return fields | {"body_subtreemass": subtrees}
+
+    def _pad_fields(self, size: jax.Array | float, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Returns the fields that differ for pads `size` times as wide and high, which end where they did.
+
+        So the gripper comes as low as before.
+        """
+        pads, axes = self._pads, np.array([_HEIGHT, _WIDTH])
+        of_pads = (pads[:, None], axes)
+        shorter = self._model.geom_size[pads, _HEIGHT].astype(np.float32) * (1.0 - size)
+        sizes = others.get("geom_size", self._field("geom_size")).at[of_pads].multiply(size)
+        radii = others.get("geom_rbound", self._field("geom_rbound"))
+        boxes = others.get("geom_aabb", self._field("geom_aabb"))  # centres, then half sizes
+        return {
+            "geom_size": sizes,
+            "geom_rbound": radii.at[pads].set(jnp.linalg.norm(sizes[pads], axis=-1)),
+            "geom_aabb": boxes.at[pads[:, None], 3 + axes].multiply(size),
+            "geom_pos": self._field("geom_pos").at[pads, _HEIGHT].add(shorter),
+        }
 
     def _finger_fields(
         self, force: jax.Array | float, speed: jax.Array | float, others: dict[str, jax.Array]

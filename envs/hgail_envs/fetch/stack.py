@@ -10,7 +10,7 @@ from flax import struct
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.fetch.cubes import is_in_place, is_left
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.objects import ObjectPhysics
 from hgail_envs.fetch.pick_and_place import PickAndPlace
@@ -97,6 +97,7 @@ class Stack(PickAndPlace):
     object_range = 0.15
 
     scene = "fetch/stack"
+    least_widest_gap = LEAST_WIDEST_GAP
     reference = None
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.stack}
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import is_in_place, is_left
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, TOP, TowerPlan, goal_of
 from hgail_envs.variation import ModelFactors
@@ -106,6 +106,7 @@ class Tower(FetchEnv):
     lift_test_steps = 12
 
     scene = "fetch/tower"
+    least_widest_gap = LEAST_WIDEST_GAP
     controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.tower}
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:

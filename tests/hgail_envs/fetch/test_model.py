@@ -15,14 +15,24 @@ from hgail_envs.fetch.arm import LEAST_DISTANCE
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.model import SceneModel
 from hgail_envs.randomization import LEVELS, Randomization
-from hgail_envs.randomized import RandomizedEnv
+from hgail_envs.randomized import RandomizedEnv, randomize
 from hgail_envs.scenes import load_scene
 from hgail_envs.variation import ModelFactors
+from hgail_jax.play.recording import run_controller
 from tests.hgail_envs.engines.scene import MODEL, PERIOD, engine_control, engine_state, random_states
 
-FACTORS = ModelFactors(friction=0.3, object_mass=0.5, object_size=0.9, finger_force=0.6, finger_speed=0.5)
+FACTORS = ModelFactors(
+    friction=0.3,
+    object_mass=0.5,
+    object_size=0.9,
+    finger_force=0.6,
+    finger_speed=0.5,
+    hand_width=0.8,
+    pad_size=1.3,
+)
 NOT_IN_A_STEP = ("light_poscom0", "actuator_acc0", "dof_M0", "dof_length")
 FINGERS = ("right_finger", "left_finger")
+PADS = ("right_pad", "left_pad")
 KEYS = jax.random.split(jax.random.key(0), 300)
 
 
@@ -44,6 +54,14 @@ def edited(model, factors):
         joint.damping *= factors.finger_force / factors.finger_speed
         servo.gainprm *= factors.finger_force
         servo.biasprm *= factors.finger_force
+        joint.range[1] *= factors.hand_width
+    for name in PADS:
+        pad = model.geom(name)
+        end = pad.pos[0] + pad.size[0]
+        pad.size *= [factors.pad_size, 1.0, factors.pad_size]
+        pad.pos[0] = end - pad.size[0]
+        model.geom_rbound[pad.id] = np.linalg.norm(pad.size)
+        model.geom_aabb[pad.id, 3:] = pad.size
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 
@@ -161,6 +179,116 @@ def test_slow_fingers_take_as_much_longer():
     assert 0.01 < gaps[1.0, 1.0] < 0.09
     assert gaps[0.5, 1.0] == pytest.approx(gaps[1.0, 1.0], rel=0.1)
     assert gaps[0.5, 0.5] == pytest.approx(gaps[0.5, 1.0], rel=0.1)
+
+
+@pytest.mark.parametrize("impl", ["c", pytest.param("jax", marks=pytest.mark.slow)])
+def test_a_narrow_hand_opens_as_far_as_c_mujoco_opens_one_that_is_made_so(impl):
+    """Under a command to open, against the compiled scene with another range of the joints."""
+    env, narrow = hgail_envs.make("grasp", impl=impl, substeps=8), 0.7
+    step = jax.jit(env.step_physics)
+    start = env.reset_physics(jax.random.key(0))
+    physics = env.vary_model(start, ModelFactors(hand_width=jnp.float32(narrow), finger_speed=jnp.float32(0.5)))
+    model = edited(load_scene("fetch/grasp"), ModelFactors(hand_width=narrow, finger_speed=0.5))
+    model.opt.timestep = env.control_period / env.substeps
+    data, fingers = mujoco.MjData(model), env._finger_qpos
+    data.qpos, data.qvel = start.qpos, start.qvel
+    for _ in range(10):
+        control = env.control(physics, jnp.zeros(3), jnp.ones(()))
+        data.ctrl, data.mocap_pos, data.mocap_quat = data.qpos[fingers] + 1.0, control.mocap_pos, control.mocap_quat
+        mujoco.mj_step(model, data, nstep=env.substeps)
+        physics = step(physics, jnp.array([0.0, 0.0, 0.0, 1.0]))
+        assert float(env.gap(physics)) == pytest.approx(data.qpos[fingers].sum(), abs=1e-3)
+    assert float(env.gap(physics)) == pytest.approx(0.07, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("task", "width", "size", "widest"),
+    [
+        ("grasp", 0.7, 1.0, 0.07),
+        ("grasp", 0.7, 1.4, 0.08),  # 10 mm more than the cube
+        ("grasp", 1.1, 1.4, 0.11),
+        ("grasp", 1.0, 2.6, 0.1),  # which has no room in the scene's own hand either
+        ("grasp", 0.7, 2.6, 0.1),
+        ("push", 0.7, 1.4, 0.08),
+        ("reach", 0.7, 1.4, 0.07),
+        ("stack", 0.7, 1.0, 0.085),  # else it would never count as open
+        ("tower", 0.7, 1.0, 0.085),
+        ("tower", 0.9, 1.0, 0.09),
+    ],
+)
+def test_a_narrow_hand_has_room_for_the_object(task, width, size, widest):
+    env = hgail_envs.make(task, impl="c", substeps=8)
+    factors = ModelFactors(hand_width=jnp.float32(width), object_size=jnp.float32(size))
+    varied = env.vary_model(env.reset_physics(jax.random.key(0)), factors)
+    assert float(env.widest_gap(varied)) == pytest.approx(widest, abs=1e-6)
+    fields = SceneModel(env.model).fields(varied.factors)
+    if env.model.nu:  # else the fingers stay closed
+        reach = sum(float(fields["jnt_range"][env.model.joint(name).id, 1]) for name in FINGERS)
+        assert reach == pytest.approx(widest, abs=1e-6)
+    opened = jax.vmap(lambda key: env.vary_start(key, varied, 0.02, 1.0))(KEYS)
+    gaps = np.asarray(jax.vmap(env.gap)(opened))
+    assert gaps.max() <= widest + 1e-6
+    assert not env.model.nu or gaps.max() > 0.95 * widest
+
+
+def test_a_start_is_within_the_hand_of_its_own_episode():
+    env = RandomizedEnv(
+        hgail_envs.make("grasp", impl="c", substeps=8),
+        Randomization(hand_width=(0.7, 1.1), object_size=(0.85, 1.4), hand_opening=1.0),
+    )
+    physics = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.true
+    gaps, widest = np.asarray(jax.vmap(env.task.gap)(physics)), 0.1 * np.asarray(physics.factors.hand_width)
+    np.testing.assert_array_less(gaps, widest + 1e-6)
+    assert (gaps / widest).max() > 0.95
+    assert widest.min() < 0.08
+    assert widest.max() > 0.105
+    np.testing.assert_array_less(CUBE_WIDTH * np.asarray(physics.factors.object_size) + 0.0099, widest)
+
+
+@pytest.mark.parametrize("size", [0.7, 1.3])
+def test_pads_of_any_size_end_at_the_same_height(size):
+    """The gripper is pressed down on the table: it stops where it does with its own pads."""
+    env, heights = hgail_envs.make("grasp", impl="c", substeps=8), []
+    step, start = jax.jit(env.step_physics), env.reset_physics(jax.random.key(0))
+    start = start.replace(qpos=start.qpos.at[env._cube_qpos].add(0.5))
+    for factor in (1.0, size):
+        physics = env.vary_model(start, ModelFactors(pad_size=jnp.float32(factor)))
+        for _ in range(20):
+            physics = step(physics, jnp.array([0.0, 0.0, -1.0, -1.0]))
+        heights.append(float(physics.gripper_position[2]))
+    assert heights[0] == pytest.approx(0.4185, abs=0.005)
+    assert heights[1] == pytest.approx(heights[0], abs=1e-3)
+
+
+def test_only_a_wide_pad_touches_a_cube_beside_it():
+    """Closed over a cube off the pads' middle: pads of 27 mm pass it, pads of 35 mm take it."""
+    env = hgail_envs.make("grasp", impl="c", substeps=8)
+    step, start, touched = jax.jit(env.step_physics), env.reset_physics(jax.random.key(0)), {}
+    cube = start.gripper_position + jnp.array([CUBE_WIDTH / 2 + 0.0155, 0.0, 0.0])
+    start = start.replace(qpos=start.qpos.at[13:16].set(cube).at[env._finger_qpos].set(0.024))
+    for size in (1.0, 1.3):
+        physics = step(
+            env.vary_model(start, ModelFactors(pad_size=jnp.float32(size))), jnp.array([0.0, 0.0, 0.0, -1.0])
+        )
+        touched[size] = bool((physics.sensordata > 0).any())
+    assert touched == {1.0: False, 1.3: True}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        Randomization(hand_width=(0.7, 0.7), object_size=(1.4, 1.4)),
+        Randomization(hand_width=(0.7, 0.7), pad_size=(0.7, 0.7), finger_speed=(0.2, 0.2)),
+        Randomization(hand_width=(1.1, 1.1), pad_size=(1.3, 1.3), finger_speed=(1.5, 1.5)),
+    ],
+)
+def test_a_scripted_hand_of_the_full_level_grasps(sizes):
+    """The script knows where the cube is, and nothing is late."""
+    env = randomize(hgail_envs.make("grasp", impl="c", substeps=8), sizes)
+    success = run_controller(env, "from-above", 256, seed=0).outcome.success
+    print(f"{np.asarray(success).mean():.3f}")
+    assert np.asarray(success).mean() > 0.95
 
 
 @pytest.mark.parametrize("task", ["grasp", "push", "stack", "tower"])

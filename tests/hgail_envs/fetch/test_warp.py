@@ -65,6 +65,8 @@ def test_a_model_for_each_world_scores_as_on_c_mujoco():
         object_size=(0.8, 2.6),
         finger_force=(0.3, 1.0),
         finger_speed=(0.05, 1.0),
+        hand_width=(0.7, 1.1),
+        pad_size=(0.7, 1.3),
     )
 
     def outcomes(impl):

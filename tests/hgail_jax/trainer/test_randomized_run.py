@@ -52,6 +52,18 @@ def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
     assert "run is complete" in capsys.readouterr().out
 
 
+def test_a_run_of_an_earlier_release_goes_on_under_the_same_sizes_alone(monkeypatch, capsys):
+    """Its files name no size that came later, and it is another run only where such a size is not nominal."""
+    run.main([*SIZES, "--randomize", "small"])
+    there = json.loads((Path("run") / "config.json").read_text())["physics"]["randomization"]
+    assert not {"hand_width", "pad_size"} & set(there)
+    run.main([*SIZES[:-2], "--resume", "run", "--randomize", "small"])
+    assert "run is complete" in capsys.readouterr().out
+    monkeypatch.setattr(Point, "vary_model", lambda self, physics, factors: physics)
+    monkeypatch.setitem(LEVELS, "narrow", dataclasses.replace(SMALL, hand_width=(0.7, 1.1)))
+    assert "physics.randomization.hand_width is absent there and [0.7, 1.1] here" in resume("narrow", capsys)
+
+
 def test_a_plain_run_is_what_it_was():
     plain = Trainer(task="point", seeds=2, num_envs=4, iterations=1)
     assert set(plain.run.identity()["physics"]) == {"impl", "substeps"}
