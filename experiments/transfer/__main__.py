@@ -10,7 +10,7 @@ import tyro
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
-from experiments.transfer.policies import find_policies, load_policies
+from experiments.transfer.policies import find_policies, load_policies, robot_options
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import parts
@@ -63,7 +63,7 @@ class Options:
     policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "FILE")] = (
         None
     )
-    """The policy's file."""
+    """The policy's file, or `script` for the task's scripted controller."""
     episodes: int = 200
     """Number of episodes of each row or point."""
     seed: int = 0
@@ -185,7 +185,7 @@ def _run(options: Options) -> None:
     policies = load_policies(task, options.policy)
     check_source(source, task)
     given = dict(parse_option("robot", option) for option in options.robot_options)
-    robot = make_robot(options.to or "gymnasium", task, **{**policies[0].task_options, **given})
+    robot = make_robot(options.to or "gymnasium", task, **{**robot_options(policies[0]), **given})
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
     with contextlib.ExitStack() as stack:
         if source != EXACT:

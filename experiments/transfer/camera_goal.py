@@ -1,17 +1,21 @@
-"""Target positions from cameras, as a `Localiser` estimates them at the start of an episode."""
+"""Target positions from cameras, as a `Localiser` estimates them."""
 
 import contextlib
+import itertools
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from experiments.localisation.keypoint_network import load_detector
-from experiments.localisation.localiser import TILTED, Localiser, Noise, overhead
+from experiments.localisation.localiser import TILTED, Localiser, Noise, TargetNotSeenError, overhead
 from experiments.paths import WEIGHTS
-from experiments.transfer.conditions import Estimate
+from experiments.transfer.conditions import Estimate, Look
 from experiments.transfer.robots.base import Robot
 from hgail_envs.vision.rgbd import open_renderer
+
+LOOK_EVERY = 5
+"""Steps from one look at a tracked cube to the next: pictures of an arm cost more than its physics."""
 
 
 def check_rendering() -> None:
@@ -22,15 +26,27 @@ def check_rendering() -> None:
 def camera_estimate(robot: Robot, localiser: Localiser) -> Estimate:
     """Returns the estimate that a localiser makes of the target in a robot's scene.
 
-    It uses the true position only to place the red ball that makes a goal of reach visible. The estimate raises
-    `TargetNotSeenError` if no camera sees the target.
+    It uses the true position only to place the red ball that makes a goal of reach visible. A tracked cube is looked at
+    every `LOOK_EVERY` steps, each time with new noise; in between, and if no camera sees it, its last estimate stays.
+    The first look raises `TargetNotSeenError` if no camera sees the target: a robot that waits would never see it.
     """
 
-    def estimate(position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        marker = position - robot.offset if robot.task == "reach" else None
-        return localiser(robot.model, robot.data, rng, marker) + robot.offset
+    def begin(rng: np.random.Generator) -> Look:
+        steps, seen_at = itertools.count(), list[np.ndarray]()
 
-    return estimate
+        def look(position: np.ndarray) -> np.ndarray:
+            if next(steps) % LOOK_EVERY == 0:
+                marker = position - robot.offset if robot.task == "reach" else None
+                try:
+                    seen_at.append(localiser(robot.model, robot.data, rng, marker) + robot.offset)
+                except TargetNotSeenError:
+                    if not seen_at:
+                        raise
+            return seen_at[-1]
+
+        return look
+
+    return begin
 
 
 def overhead_estimate(

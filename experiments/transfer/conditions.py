@@ -7,9 +7,11 @@ import numpy as np
 
 MeanAction = Callable[[np.ndarray], np.ndarray]
 """A policy's mean action, `[4]`, for an observation of the task that it was trained on, `[observation_size]`."""
-Estimate = Callable[[np.ndarray, np.random.Generator], np.ndarray]
-"""Estimate of the target's position, `[3]`, from the true one, `[3]`, and a generator; metres, in the policy's frame.
-An episode calls it once, at its start."""
+Look = Callable[[np.ndarray], np.ndarray]
+"""Estimate of the target's position, `[3]`, from the true one, `[3]`; metres, in the policy's frame. An episode looks
+once, at its start, or, if its policy tracks the cube, at each step."""
+Estimate = Callable[[np.random.Generator], Look]
+"""Begins an episode's looks, with the generator of their errors."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,9 +23,10 @@ class NoisyEstimate:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Metres, the same in every episode."""
 
-    def __call__(self, position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Returns the estimate, `[3]`, of a position, `[3]`."""
-        return position + np.asarray(self.offset) + self.noise * rng.standard_normal(3)
+    def __call__(self, rng: np.random.Generator) -> Look:
+        """Draws an episode's error, and returns its look."""
+        error = np.asarray(self.offset) + self.noise * rng.standard_normal(3)
+        return lambda position: position + error
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,16 +43,14 @@ def _run(
 ) -> EpisodeMetrics:
     """Runs the episode in the robot's present model; see `run_episode`."""
     task = find_class(robot.task)
-    believed = conditions.estimate(robot.target(), rng)
-    goal = np.append(believed, np.ones(task.goal_size - len(believed)))  # 1: the cube is to be held there
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
-    sensors = Sensors(rng, conditions)
-    history = History(robot, policy, sensors)
+    sensors = Sensors(robot, policy, rng, conditions)
+    history = History(policy)
     watch()
     for _ in range(task.episode_length):
-        seen = sensors.features(robot)
-        action = policy(np.concatenate([*history.rows, seen, sensors.goal(goal)]).astype(np.float32))
+        seen, goal = sensors.observe()
+        action = policy(np.concatenate([*history.before(seen), seen, goal]).astype(np.float32))
         history.add(np.clip(action, -1.0, 1.0), seen)
         pending.append(np.clip(action, -1.0, 1.0) * factors)
         action = pending.popleft()

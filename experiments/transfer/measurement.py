@@ -13,13 +13,13 @@ import numpy as np
 from scipy import stats
 
 from experiments.localisation.localiser import TargetNotSeenError
-from experiments.transfer.conditions import Conditions
+from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.goal_sources import GOAL_SOURCES
+from experiments.transfer.policies import load
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics
-from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.terminal.status import progress_bar
 
 Measured = dict[str, float | None]
@@ -30,7 +30,7 @@ _PART = 20  # episodes of a point that a process runs at a time
 
 def measure(
     robot: Robot,
-    policies: Sequence[MeanPolicy],
+    policies: Sequence[MeanAction],
     indices: Sequence[int],
     seed: int,
     conditions: Conditions,
@@ -94,7 +94,7 @@ class Point:
     """Name of the robot in `ROBOTS`."""
     task: str
     policies: tuple[Path, ...]
-    """Files of the policies."""
+    """Files of the policies, or `SCRIPT`."""
     conditions: Conditions = Conditions()  # noqa: RUF009  (frozen)
     goal_source: str | None = None
     """Name in `GOAL_SOURCES` of the target's estimate; None is that of the conditions."""
@@ -106,7 +106,7 @@ class Point:
     def measure(self, indices: Sequence[int], seed: int) -> EpisodeMetrics:
         """Runs some of its episodes; see `measure`."""
         robot = make_robot(self.to, self.task, **self.options)
-        policies, conditions = [load_policy(path) for path in self.policies], self.conditions
+        policies, conditions = [load(path, self.task) for path in self.policies], self.conditions
         with contextlib.ExitStack() as stack:
             if self.goal_source:
                 estimate = GOAL_SOURCES[self.goal_source](robot, stack)

@@ -6,40 +6,53 @@ import numpy as np
 
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.robots.base import Robot
+from hgail_envs import find_class
 from hgail_envs.randomization import Randomization
 
 
+def tracks_cube(policy: MeanAction) -> bool:
+    """Returns whether a policy is told at each step where the cube is; see `hgail_envs.fetch.grasp.Grasp`."""
+    return getattr(policy, "task_options", {}).get("cube") == "tracked"
+
+
 class Sensors:
-    """The errors of an episode's sensors.
+    """The sensors of an episode, with their errors.
 
     Args:
+      robot: at the start of the episode.
+      policy: with `task_options`, if it has any.
       rng: source of the errors; exact sensors draw none.
       conditions: with the errors' sizes.
 
     """
 
-    def __init__(self, rng: np.random.Generator, conditions: Conditions) -> None:
-        self._rng, self._conditions = rng, conditions
+    def __init__(self, robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions) -> None:
+        self._robot, self._rng, self._conditions = robot, rng, conditions
+        self._look = conditions.estimate(rng)
+        self._tracks = tracks_cube(policy)
+        self._target = None if self._tracks else self._look(robot.target())
+        self._goal_size = find_class(robot.task).goal_size
         self._offset = self._draw(conditions.robot_offset)
         self._noise: np.ndarray | None = None
 
-    def features(self, robot: Robot) -> np.ndarray:
-        """Returns the robot's features with errors of the gripper's position.
+    def observe(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns features and goal at a step, `[feature_size]` and `[goal_size]`.
 
-        The errors enter the position, `0:3`, the displacement in the last action, `3:6`, and, in a task with an object,
-        its position relative to the gripper, `6:9`.
+        The errors of the gripper enter its position, `0:3`, the displacement in the last action, `3:6`, and, in a task
+        with an object, the object's position relative to the gripper, `6:9`, or `8:11` of a tracked cube. A tracked
+        cube is the goal, and is seen there and in the features with the same error.
         """
-        seen, noise = robot.features().copy(), self._draw(self._conditions.robot_noise)
-        seen[:3] += self._offset + noise
-        seen[3:6] += 0.0 if self._noise is None else noise - self._noise
-        if len(seen) > 8:  # 6:9 is the object's position less the gripper's
-            seen[6:9] -= self._offset + noise
+        features, noise = self._robot.features().copy(), self._draw(self._conditions.robot_noise)
+        features[:3] += self._offset + noise
+        features[3:6] += 0.0 if self._noise is None else noise - self._noise
+        if len(features) > 8:  # 6:9 is the object's position less the gripper's
+            features[6:9] -= self._offset + noise
         self._noise = noise
-        return seen
-
-    def goal(self, goal: np.ndarray) -> np.ndarray:
-        """Returns a goal, `[3]` or more, with the noise of one step."""
-        return goal + np.append(self._draw(self._conditions.goal_noise), np.zeros(len(goal) - 3))
+        target = self._look(self._robot.target()) if self._target is None else self._target
+        target = target + self._draw(self._conditions.goal_noise)
+        if self._tracks:
+            features = np.append(features, target - features[:3])
+        return features, np.append(target, np.ones(self._goal_size - 3))  # 1: the cube is to be held there
 
     def _draw(self, deviation: float) -> np.ndarray:
         return deviation * self._rng.standard_normal(3) if deviation else np.zeros(3)
@@ -49,18 +62,21 @@ class History:
     """The last actions and the features before each, as in `RandomizedEnv`.
 
     Args:
-      robot: at the start of an episode.
       policy: with the length of the history in its `randomization`, if it has one.
-      sensors: of the first features.
 
     """
 
-    def __init__(self, robot: Robot, policy: MeanAction, sensors: Sensors) -> None:
+    def __init__(self, policy: MeanAction) -> None:
         count = getattr(policy, "randomization", Randomization()).history
-        first = [np.concatenate([np.zeros(4), sensors.features(robot)])] * count if count else []
-        self.rows = collections.deque(first, maxlen=count)
-        """Newest first, each an action and features."""
+        self._rows: collections.deque[np.ndarray] = collections.deque(maxlen=count)
+        self._count = count
+
+    def before(self, seen: np.ndarray) -> list[np.ndarray]:
+        """Returns the rows before features, newest first, each an action and features; at first they repeat these."""
+        if not self._rows:
+            self._rows.extend([np.append(np.zeros(4), seen)] * self._count)
+        return list(self._rows)
 
     def add(self, action: np.ndarray, seen: np.ndarray) -> None:
         """Adds an action and the features that it answered."""
-        self.rows.appendleft(np.concatenate([action, seen]))
+        self._rows.appendleft(np.concatenate([action, seen]))

@@ -2,8 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
 
 from experiments.paths import RESULTS
+from experiments.transfer.tasks import TASKS
+from hgail_envs import find_class
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import MeanPolicy, load_policy
 
@@ -11,8 +17,33 @@ PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""
 RUNS = {PLAIN: "{task}-hgail", "robust": "{task}-hgail-robust"}
 """Folders of the runs that made the repository's policies, by label."""
+SCRIPT = "script"
+"""Label of the scripted controllers, and what stands for a policy's file."""
+SCRIPTED_TASKS = ("grasp", "pick-and-place")
+"""Tasks of table 4 with a row of their scripted controller."""
 Policies = Mapping[str, Mapping[str, Sequence[Path]]]
 """Files of policies by label and then by task."""
+
+
+class Script:
+    """The first scripted controller of a task as a policy, which tells what a robot's hand allows.
+
+    In grasp it is told where the cube is at the start: told at each step, it chases a cube that its fingers push, and
+    picks fewer.
+
+    Args:
+      task: a name in `hgail_envs.TASKS`, of a task with controllers.
+
+    """
+
+    def __init__(self, task: str) -> None:
+        self.task = task
+        self.task_options: dict[str, Any] = {}
+        self._act = jax.jit(next(iter(find_class(task).controllers.values())))
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Returns an action, `[action_size]`, for an observation, `[observation_size]`."""
+        return np.asarray(self._act(observation))
 
 
 def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
@@ -22,15 +53,30 @@ def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
     return of_run or sorted((assets_directory() / "policies").glob(f"{run.replace('-hgail', '')}.npz"))
 
 
-def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy]:
-    """Loads one policy, or all plain ones of the repository for a task.
+def load(path: Path, task: str) -> MeanPolicy | Script:
+    """Loads a policy, or a task's `SCRIPT`."""
+    return Script(task) if path == Path(SCRIPT) else load_policy(path)
+
+
+def robot_options(policy: MeanPolicy | Script) -> dict[str, Any]:
+    """Returns the task options that a policy was trained with and its robot needs to know: all but `cube`."""
+    return {name: value for name, value in policy.task_options.items() if name != "cube"}
+
+
+def table_policies() -> Policies:
+    """Returns the policies of table 4: the repository's, and scripts."""
+    return {**find_policies(tuple(TASKS)), SCRIPT: {task: [Path(SCRIPT)] for task in SCRIPTED_TASKS}}
+
+
+def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy | Script]:
+    """Loads one policy, `SCRIPT`, or all plain ones of the repository for a task.
 
     Raises:
       ValueError: no policy is found, or a file is not a policy of the task.
       OSError: a file cannot be read.
 
     """
-    policies = [load_policy(path) for path in ([path] if path else policy_paths(task))]
+    policies = [load(path, task) for path in ([path] if path else policy_paths(task))]
     if not policies:
         raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
     for policy in policies:
@@ -65,8 +111,8 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
             raise ValueError(f"there is no policy in {path}")
         for file in files:
             policy = load_policy(file)
-            if policy.task_options:
-                given = ", ".join(f"{name}={value}" for name, value in policy.task_options.items())
+            if options := robot_options(policy):
+                given = ", ".join(f"{name}={value}" for name, value in options.items())
                 raise ValueError(f"{file} was trained with task options {given}; curves are of tasks as they are alone")
             found.setdefault(label, {}).setdefault(policy.task, []).append(file)
     return {label: files for label, files in found.items() if files}

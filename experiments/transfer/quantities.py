@@ -134,6 +134,11 @@ QUANTITIES = {
     "finger speed": Quantity(
         "speed of the fingers, times the model's", (0.25, *_FACTORS), sizes=_twice("finger_speed"), tasks=_WITH_OBJECT
     ),
+    "posture": Quantity(
+        "displacement of the gripper's start (m, at most, along each axis)",
+        (0.0, 0.02, 0.04, 0.08, 0.12),
+        sizes=lambda metres: {"posture": metres},
+    ),
     "hand opening": Quantity(
         "opening of the hand at the start at most, share of the widest",
         (0.0, 0.25, 0.5, 0.75, 1.0),

@@ -10,7 +10,7 @@ from experiments.transfer.camera_goal import check_rendering
 from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.goal_sources import EXACT
 from experiments.transfer.measurement import measure_rows
-from experiments.transfer.policies import Policies, find_policies, load_policies
+from experiments.transfer.policies import Policies, load_policies, table_policies
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.studies import table
 from experiments.transfer.sweeps import FETCH, axes, fetch_points, fetch_rows, measured_pairs, robot_name, robot_points
@@ -49,7 +49,7 @@ def write_table(
     path = folder / "table4.json"
     if set(sources) - {EXACT}:
         check_rendering()
-    points = list(table(sources, robots, tasks, find_policies(tuple(TASKS))))
+    points = list(table(sources, robots, tasks, table_policies()))
     measured = [_part(point.labels["stage"], ROBOTS[point.to].name, point.task) for point in points]
     rows, made_by = _kept(path, lambda row: _part(row["stage"], row["robot"], row["task"]) not in measured)
     made_by |= dict.fromkeys(measured, _made_by(episodes, seed))

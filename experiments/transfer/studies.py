@@ -2,15 +2,17 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from experiments.transfer.goal_sources import EXACT, stage
 from experiments.transfer.measurement import Point
-from experiments.transfer.policies import Policies
+from experiments.transfer.policies import Policies, load
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.tasks import TASKS
 from hgail_envs.fetch.arm import CONTROL_PERIOD
+from hgail_envs.fetch.grasp import CUBES
 
 
 def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], policies: Policies) -> Iterator[Point]:
@@ -24,7 +26,8 @@ def table(sources: Iterable[str], robots: Sequence[str], tasks: Sequence[str], p
             for options in ROBOTS[to].variants(task) if source == EXACT else [{}]:
                 for label, files in policies.items():
                     if task in files:
-                        labels = _table_labels(make_robot(to, task, **options), source) | {"policy": label}
+                        labels = _table_labels(make_robot(to, task, **options), source)
+                        labels |= {"policy": label, "cube": _cube(files[task][0], task)}
                         yield Point(to, task, tuple(files[task]), options=options, goal_source=source, labels=labels)
 
 
@@ -35,6 +38,11 @@ def parts(source: str, robots: Iterable[str], tasks: Iterable[str]) -> list[tupl
         for to, task in itertools.product(robots, tasks)
         if task in ROBOTS[to].tasks and task in TASKS and (source == EXACT or TASKS[task].seen_by_cameras)
     ]
+
+
+def _cube(policy: Path, task: str) -> str | None:
+    """Returns what a policy of grasp is told of the cube, a name in `CUBES`; None of another task."""
+    return load(policy, task).task_options.get("cube", CUBES[0]) if task == "grasp" else None
 
 
 def _table_labels(robot: Robot, source: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
+from hgail_envs.randomization import Randomization
 from hgail_jax import save_policy
 from hgail_jax.io.policy import MeanPolicy
 
@@ -48,6 +49,7 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--sweep", "--workers", "0"], "workers is 0; it must be at least 1"),
         (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
         (["--sweep", "--policies", "full=none.npz"], "there is no file or folder none.npz"),
+        (["--sweep", "--policies", "a=script"], "there is no file or folder script"),
         (["--sweep", "--policies", "full=."], "there is no policy in ."),
         (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
         (["--sweep", "--goal-source", "camera"], "--goal-source does not go with"),
@@ -93,6 +95,35 @@ def test_one_run(capsys):
     # Wilson for 2 of 2 by its formula: from n / (n + z²) to 1
     assert f"success 1.000 (95 % interval {2 / (2 + 1.959964**2):.3f} to 1.000)" in printed
     assert "2 episodes, 1 policy\n" in printed
+
+
+def test_one_run_of_the_script(capsys):
+    transfer.main(["--to", "gymnasium", "--task", "grasp", "--episodes", "2", "--policy", "script"])
+    assert "success 1.000" in capsys.readouterr().out
+
+
+def test_a_policy_that_tracks_the_cube_runs_on_a_robot_that_knows_no_such_option(tmp_path, capsys):
+    """Which it reads eleven features of, two more times with an action in its history, and the goal."""
+    size = 2 * (4 + 11) + 11 + 4
+    layers = ((np.zeros((size, 4), np.float32), np.zeros(4, np.float32)),)
+    history, options = Randomization(history=2), {"cube": "tracked"}
+    policy = MeanPolicy(
+        "grasp",
+        4,
+        np.zeros(size, np.float32),
+        np.ones(size, np.float32),
+        layers,
+        randomization=history,
+        task_options=options,
+    )
+    save_policy(tmp_path / "p.npz", policy)
+    transfer.main(["--to", "gymnasium", "--task", "grasp", "--episodes", "2", "--policy", str(tmp_path / "p.npz")])
+    assert "success 0.000" in capsys.readouterr().out
+    save_policy(tmp_path / "p.npz", dataclasses.replace(policy, task_options={}))
+    with pytest.raises(SystemExit) as exit_info:
+        transfer.main(["--to", "gymnasium", "--task", "grasp", "--policy", str(tmp_path / "p.npz")])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err.endswith("transfer: an observation of grasp has 45 numbers\n")
 
 
 def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatch):

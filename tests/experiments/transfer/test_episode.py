@@ -48,6 +48,18 @@ def to_the_goal(observation):
     return np.append(20 * (observation[-3:] - observation[:3]), 0.7)
 
 
+class Watcher:
+    """Stands still, or rises with `up`; notes what it is shown. It was trained with a cube that is told so."""
+
+    def __init__(self, cube, history=0, up=0.0):
+        self.task_options, self.randomization = {"cube": cube}, Randomization(history=history)
+        self.seen, self.up = [], up
+
+    def __call__(self, observation):
+        self.seen.append(observation)
+        return np.array([0.0, 0.0, self.up, 0.5])
+
+
 def run(robot, policy=to_the_goal, **conditions):
     return run_episode(robot, policy, np.random.default_rng(0), Conditions(**conditions))
 
@@ -71,20 +83,20 @@ def test_it_goes_where_the_target_is_believed_and_is_judged_by_where_it_is(offse
     assert outcome.success == float(np.linalg.norm(offset) <= 0.05)
 
 
-def test_the_target_is_estimated_once():
+@pytest.mark.parametrize(("cube", "looks"), [("at-start", 1), ("tracked", 50)])
+def test_the_target_is_looked_at_once_and_a_tracked_cube_at_each_step(cube, looks):
     asked = []
 
-    def estimate(position, rng):
-        asked.append(position)
-        return position + rng.normal(size=3)
+    def begin(rng):
+        return lambda position: asked.append(position) or position + rng.normal(size=3)
 
-    run(Dot(), estimate=estimate)
-    assert len(asked) == 1
+    run(Dot("grasp"), Watcher(cube), estimate=begin)
+    assert len(asked) == looks
 
 
 def test_noise_has_the_standard_deviation_asked_for():
     estimate, rng = NoisyEstimate(noise=0.02, offset=(0.0, 0.0, 0.1)), np.random.default_rng(0)
-    errors = np.stack([estimate(np.zeros(3), rng) for _ in range(4000)])
+    errors = np.stack([estimate(rng)(np.zeros(3)) for _ in range(4000)])
     np.testing.assert_allclose(errors.mean(0), [0.0, 0.0, 0.1], atol=1.5e-3)
     np.testing.assert_allclose(errors.std(0), 0.02, atol=1e-3)
 
@@ -171,6 +183,57 @@ def test_a_policy_is_shown_the_history_that_it_was_trained_with():
     np.testing.assert_allclose(shown[2:, 10:20], np.hstack([actions[:-2], now[:-2]]), atol=1e-6)
     np.testing.assert_allclose(shown[1, 10:20], start, atol=1e-6)
     assert np.ptp(now[:, 0]) > 0.1
+
+
+def watched(history=0, up=0.0, **conditions):
+    """Returns what a policy that tracks the cube is shown, and where gripper and cube were."""
+    robot, policy = Dot("grasp"), Watcher("tracked", history, up)
+    places = []
+    run_episode(robot, policy, np.random.default_rng(0), Conditions(**conditions), lambda: places.append(where(robot)))
+    return np.array(policy.seen), *np.array(places[:50]).transpose(1, 0, 2)
+
+
+def where(robot):
+    return robot.position, robot.goal
+
+
+def test_a_policy_that_tracks_the_cube_is_shown_where_it_is_at_each_step():
+    """The cube rises with the hand: features 8 to 10 are it less the gripper, 11 to 13 the goal, 14 holding."""
+    seen, gripper, cube = watched(up=0.5)
+    assert seen.shape == (50, 15)
+    assert np.ptp(cube[:, 2]) > 0.5
+    np.testing.assert_allclose(seen[:, :3], gripper, atol=1e-6)
+    np.testing.assert_allclose(seen[:, 8:11], cube - gripper, atol=1e-6)
+    np.testing.assert_allclose(seen[:, 11:], np.column_stack([cube, np.ones(50)]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "changes"), [("estimate", False), ("goal_noise", True)])
+def test_a_tracked_cube_has_one_error_in_goal_and_features(size, changes):
+    """Once per episode or anew at each step."""
+    seen, gripper, cube = watched(up=0.5, **{size: NoisyEstimate(noise=0.02) if size == "estimate" else 0.02})
+    error = seen[:, 11:14] - cube
+    np.testing.assert_allclose(seen[:, 8:11] + gripper - cube, error, atol=1e-6)
+    assert 0.005 < np.abs(error).mean() < 0.05
+    assert (np.ptp(error, axis=0) > 0.01).all() == changes
+    assert changes or np.ptp(error, axis=0).max() < 1e-6
+
+
+def test_a_gripper_that_is_seen_elsewhere_sees_a_tracked_cube_elsewhere():
+    """Only relative to itself: the camera that sees the cube does not see the gripper."""
+    seen, gripper, cube = watched(robot_offset=0.02)
+    error = seen[:, :3] - gripper
+    assert np.abs(error).max() > 5e-3
+    np.testing.assert_allclose(seen[:, 8:11], cube - gripper - error, atol=1e-6)
+    np.testing.assert_allclose(seen[:, 11:14], cube, atol=1e-6)
+
+
+def test_the_history_has_where_a_tracked_cube_was():
+    seen, _, _ = watched(history=2, up=0.5, goal_noise=0.02)
+    assert seen.shape == (50, 2 * (4 + 11) + 11 + 4)
+    now = seen[:, 30:41]
+    np.testing.assert_array_equal(seen[0, :30], np.tile(np.append(np.zeros(4), now[0]), 2))
+    np.testing.assert_array_equal(seen[1:, 4:15], now[:-1])
+    np.testing.assert_array_equal(seen[2:, 19:30], now[:-2])
 
 
 def test_starts_depend_on_seed_and_number_alone():

@@ -14,8 +14,11 @@ REACH = tuple(policy_paths("reach"))
 
 
 def test_a_target_that_is_never_seen_has_no_distance():
-    def blind(position, rng):
-        raise TargetNotSeenError
+    def blind(rng):
+        def look(position):
+            raise TargetNotSeenError
+
+        return look
 
     robot, finished = make_robot("gymnasium", "reach"), []
     outcomes = measure(robot, load_policies("reach"), range(2), 0, Conditions(blind), lambda: finished.append(1))

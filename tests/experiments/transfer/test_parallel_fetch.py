@@ -10,7 +10,7 @@ import hgail_envs
 from experiments.transfer.parallel_fetch import ParallelFetch
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.rollout import rollout
 
 
@@ -45,8 +45,36 @@ def test_a_grasp_is_a_success_by_its_lift_test(grasp_policy):
     assert plain.success.mean() >= 0.75  # a cube that is not lifted is none
 
 
+def linear(task, weights, **more):
+    """Returns a policy whose action is a linear function of the observation."""
+    size = len(weights)
+    layers = ((np.asarray(weights, np.float32), np.zeros(4, np.float32)),)
+    return MeanPolicy(task, 4, np.zeros(size, np.float32), np.ones(size, np.float32), layers, **more)
+
+
+def test_a_tracked_cube_is_seen_with_the_goal_s_error():
+    """The hand moves by what the cube in the features is away from the goal, which no error must part."""
+    weights = np.zeros((15, 4))
+    weights[[8, 9, 10, 0, 1, 2, 11, 12, 13], [0, 1, 2] * 3] = np.repeat([20.0, 20.0, -20.0], 3)
+    fetch = ParallelFetch("grasp", [linear("grasp", weights, task_options={"cube": "tracked"})], episodes=3, seed=0)
+    still = fetch.outcomes()
+    assert still.distance_l2.min() > 0.1
+    for sizes in ({"goal_offset": 0.05}, {"goal_noise": 0.05}):
+        np.testing.assert_allclose(fetch.outcomes(**sizes).distance_l2, still.distance_l2, atol=2e-3)
+
+
+def test_a_posture_moves_the_start():
+    """By as much as it says and no further: a hand that stands still is then elsewhere, beside the same cube."""
+    fetch = ParallelFetch("grasp", [linear("grasp", np.zeros((12, 4)))], episodes=8, seed=0)
+    nominal, moved = fetch.outcomes(), fetch.outcomes(posture=0.04)
+    apart = np.abs(moved.distance_l1 - nominal.distance_l1)
+    assert apart.mean() > 0.005
+    assert apart.max() < 3 * 0.04 + 5e-3
+    np.testing.assert_array_equal(fetch.outcomes().distance_l1, nominal.distance_l1)
+
+
 def test_a_size_that_the_program_is_not_made_for_is_refused(shipped_policy):
     fetch = ParallelFetch("reach", [load_policy(shipped_policy)], episodes=1, seed=0)
-    for name in ("posture", "history", "ramp"):
+    for name in ("history", "ramp"):
         with pytest.raises(ValueError, match=f"a point cannot have '{name}'; it may have delay, step_size"):
             fetch.outcomes(**{name: 1})

@@ -23,7 +23,7 @@ def test_every_quantity_is_varied_from_its_nominal_value(quantity):
 @pytest.mark.parametrize(("axis", "moved"), [("x", [0.03, 0, 0]), ("y", [0, 0.03, 0]), ("z", [0, 0, 0.03])])
 def test_an_offset_moves_its_own_axis(axis, moved):
     estimate = QUANTITIES[f"offset {axis}"].conditions(0.03).estimate
-    np.testing.assert_allclose(estimate(np.zeros(3), np.random.default_rng(0)), moved)
+    np.testing.assert_allclose(estimate(np.random.default_rng(0))(np.zeros(3)), moved)
 
 
 def test_delay_and_stride_are_conditions_of_actions():

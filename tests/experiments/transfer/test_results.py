@@ -12,7 +12,7 @@ import pytest
 
 from experiments.localisation.localiser import CALIBRATED, TargetNotSeenError
 from experiments.transfer import __main__ as transfer
-from experiments.transfer import camera_goal, results
+from experiments.transfer import camera_goal, policies, results
 from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.policies import RUNS, find_policies
@@ -21,6 +21,7 @@ from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from hgail_jax.io.policy import load_policy, save_policy
 
 
 def read(folder, name="table4"):
@@ -32,6 +33,7 @@ def read(folder, name="table4"):
 @pytest.fixture(autouse=True)
 def plain_alone(monkeypatch):
     monkeypatch.delitem(RUNS, "robust")
+    monkeypatch.setattr(policies, "SCRIPTED_TASKS", ())
 
 
 def measure_table(folder, source):
@@ -48,23 +50,38 @@ def test_the_table(tmp_path, monkeypatch):
             monkeypatch.delitem(GOAL_SOURCES, source)
     monkeypatch.setitem(GOAL_SOURCES, "second", lambda robot, stack: NoisyEstimate())
     plain = find_policies(("reach", "grasp", "pick-and-place"))["plain"]
-    both = {"plain": plain, "other": {"grasp": plain["grasp"][:1]}}
-    monkeypatch.setattr(results, "find_policies", lambda tasks: both)
+    save_policy(tmp_path / "seen.npz", tracking(load_policy(plain["grasp"][0])))
+    both = {"plain": plain, "other": {"grasp": [tmp_path / "seen.npz"]}}
+    monkeypatch.setattr(policies, "find_policies", lambda tasks: both)
+    monkeypatch.setattr(policies, "SCRIPTED_TASKS", ("grasp",))
     transfer.main(["--table", "4", "--workers", "1", "--episodes", "2", "--out", str(tmp_path)])
     rows, made_by = read(tmp_path)
-    seen = [("reach", "plain"), ("grasp", "plain"), ("grasp", "other")]
-    assert [(row["stage"], row["task"], row["policy"]) for row in rows] == [
-        *[("exact goal", *row) for row in [*seen, ("pick-and-place", "plain")]],
+    of_grasp = [("grasp", "plain", "at-start"), ("grasp", "other", "tracked"), ("grasp", "script", "at-start")]
+    seen = [("reach", "plain", None), *of_grasp]
+    assert [(row["stage"], row["task"], row["policy"], row["cube"]) for row in rows] == [
+        *[("exact goal", *row) for row in [*seen, ("pick-and-place", "plain", None)]],
         *[("second goal", *row) for row in seen],
     ]
     assert all(row["episodes"] == 2 and 0 <= row["success_low"] <= row["success_rate"] for row in rows)
-    assert [row["distance_l2"] for row in rows[:3]] == [row["distance_l2"] for row in rows[4:]]
+    assert [row["distance_l2"] for row in rows[:4]] == [row["distance_l2"] for row in rows[5:]]
     assert {row["paper_success"] for row in rows if row["task"] == "pick-and-place"} == {None}
     assert set(made_by) == {f"{row['stage']}: {row['robot']}: {row['task']}" for row in rows}
     of_grasp = made_by[f"second goal: {GymnasiumFetch.name}: grasp"]
     assert of_grasp == made_by[f"exact goal: {GymnasiumFetch.name}: pick-and-place"]
     assert of_grasp["episodes"] == 2
     assert {"mujoco", "gymnasium-robotics"} <= of_grasp["versions"].keys()
+
+
+def tracking(policy):
+    """Returns a policy with three more numbers in its observation, which it ignores: the cube less the gripper."""
+    (weights, *rest), *others = policy.layers
+    return dataclasses.replace(
+        policy,
+        mean=np.insert(policy.mean, [8] * 3, 0.0),
+        std=np.insert(policy.std, [8] * 3, 1.0),
+        layers=((np.insert(weights, [8] * 3, 0.0, axis=0), *rest), *others),
+        task_options={"cube": "tracked"},
+    )
 
 
 @pytest.fixture
@@ -95,7 +112,7 @@ def test_the_camera_s_rows_join_the_exact_goal_s(tmp_path, monkeypatch, half_bli
     """Episodes whose target is not seen have failed; the others go as with the exact goal. A second time replaces."""
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)
-    monkeypatch.setattr(results, "find_policies", lambda tasks: find_policies(("reach", "grasp")))
+    monkeypatch.setattr(policies, "find_policies", lambda tasks: find_policies(("reach", "grasp")))
     for source in ("exact", "camera", "camera"):
         measure_table(tmp_path, source)
     rows, made_by = read(tmp_path)
