@@ -85,8 +85,8 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
 def parse_option(owner: str, option: str) -> tuple[str, bool | int | float | str]:
     """Splits an option that is written as name=value, its value a number, true, false or a word.
 
-    >>> parse_option("task", "gain=0.5"), parse_option("task", "observation=official")
-    (('gain', 0.5), ('observation', 'official'))
+    >>> parse_option("task", "gain=0.5"), parse_option("task", "achieved=at-rest")
+    (('gain', 0.5), ('achieved', 'at-rest'))
     >>> parse_option("robot", "gain")
     Traceback (most recent call last):
     ValueError: robot option 'gain' is not name=value with a number, true, false or a word
@@ -95,7 +95,7 @@ def parse_option(owner: str, option: str) -> tuple[str, bool | int | float | str
     try:
         value = json.loads(text)
     except json.JSONDecodeError:
-        value = text if text.isidentifier() else None
+        value = text if text.replace("-", "_").isidentifier() else None
     if not isinstance(value, bool | int | float | str):
         raise ValueError(f"{owner} option {option!r} is not name=value with a number, true, false or a word")
     return name, value

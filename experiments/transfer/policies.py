@@ -59,8 +59,11 @@ def load(path: Path, task: str) -> MeanPolicy | Script:
 
 
 def robot_options(policy: MeanPolicy | Script) -> dict[str, Any]:
-    """Returns the task options that a policy was trained with and its robot needs to know: all but `cube`."""
-    return {name: value for name, value in policy.task_options.items() if name != "cube"}
+    """Returns the task options that a policy was trained with and its robot needs to know.
+
+    `Sensors` sees to `cube`, and `achieved` is of goals in training alone.
+    """
+    return {name: value for name, value in policy.task_options.items() if name not in ("cube", "achieved")}
 
 
 def table_policies() -> Policies:

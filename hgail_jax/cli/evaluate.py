@@ -120,9 +120,9 @@ def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple
     measures: list[Measure] = []
     for policy in policies:
         make_task(policy, task, "none")  # refuses a policy that does not fit
-        observation = {name: value for name, value in policy.task_options.items() if name == "observation"}
+        observed = {name: value for name, value in policy.task_options.items() if name in ("observation", "cube")}
         try:
-            reference = ReferenceFetch(task, **observation)
+            reference = ReferenceFetch(task, **observed)
         except ModuleNotFoundError as error:
             raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
         measures.append(functools.partial(_run_in_reference, reference, policy, options))

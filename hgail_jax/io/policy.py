@@ -8,7 +8,7 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "action": {"size": 4, "low": -1.0, "high": 1.0},          # the mean action is clipped to this
      "layers": 3, "activation": "tanh", "squash": false,       # between the layers; whether tanh stands after the last
      "randomization": {},                                      # of its training: fields of `Randomization`
-     "task_options": {},                                       # of the task's class, as --task-options gave them
+     "task_options": {},                                       # of the task's class, in training
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
 Where `randomization` has a `history`, the features begin with so many actions and observations; see `RandomizedEnv`.

@@ -150,7 +150,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
-    task_options = dict(_parse_task_option(option) for option in options.task_options)
+    defaults = {name: value for name, value in preset.task_options.items() if name not in _PHYSICS}
+    task_options = defaults | dict(_parse_task_option(option) for option in options.task_options)
     worlds = options.seeds * preset.config.num_envs // mesh.size
     env = _make(options, preset.task_options, worlds, task_options)
     if options.task not in hgail_envs.TASKS:  # those have tests
@@ -249,7 +250,7 @@ def _find(task: str) -> type[hgail_envs.GoalEnv]:
 
 
 def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> hgail_envs.GoalEnv:
-    """Makes the task; `defaults` are the options that it is trained with unless others are given."""
+    """Makes the task; `defaults` have the physics that it is trained with unless other is given."""
     accepted = hgail_envs.accepted_options(options.task)
     given = {"impl": options.impl, "worlds": worlds} | defaults
     if options.substeps is not None:
@@ -259,7 +260,7 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     try:
         return hgail_envs.make(
-            options.task, **{name: given[name] for name in accepted if name in given}, **task_options
+            options.task, **{name: given[name] for name in accepted if name in given} | task_options
         )
     except ValueError:
         raise

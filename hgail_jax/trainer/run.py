@@ -22,7 +22,7 @@ class Run:
     first_seed: int
     env: hgail_envs.GoalEnv
     task_options: dict[str, Any]
-    """Options of the task's class, as given."""
+    """Options of the task's class but those of its physics, as given or by default."""
     config: Config
     hyperparameters: Hyperparameters
     evaluation_episodes: int

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.base import EpisodeMetrics
-from hgail_envs.fetch.grasp import LEAST_RISE, is_held
+from hgail_envs.fetch.grasp import CUBES, LEAST_RISE, is_held
 from hgail_envs.fetch.objects import OBSERVATIONS
 from hgail_envs.registry import accepted_options, find_class
 from hgail_envs.validation import MOST_SEED, check_name
@@ -55,7 +55,7 @@ class ReferenceFetch:
     |---|---|---|
     | gripper position | 0:3 | 0:3 |
     | gripper velocity × 0.04 s | 5:8 | 20:23 |
-    | object position less gripper position, object position | not seen | 6:9, 3:6; not seen in grasp |
+    | object position less gripper position, object position | not seen | 6:9, 3:6; in grasp 6:9 of a tracked cube |
     | object velocity × 0.04 s | not seen | the sum of 14:17 and 20:23; not seen in grasp |
     | gap between the fingers | not seen | the sum of 9:11; not seen in push and slide |
     | holding | not seen | `hgail_envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
@@ -67,19 +67,22 @@ class ReferenceFetch:
       task: one of `TASKS`.
       observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
         numbers (`hgail_envs.fetch.objects.ObjectEnv.official_features`).
+      cube: of grasp, `"at-start"` or `"tracked"`, see `hgail_envs.fetch.grasp.Grasp`.
 
     Raises:
-      ValueError: the task has no reference, or no such observation.
+      ValueError: the task has no reference, or no such option.
       ImportError: the extra `compare` is not installed.
 
     """
 
-    def __init__(self, task: str, observation: str = "compact") -> None:
+    def __init__(self, task: str, observation: str = "compact", cube: str = CUBES[0]) -> None:
         check_name("task of the reference", task, TASKS)
+        check_name("cube", cube, CUBES if task == "grasp" else CUBES[:1])
         has_object_in_sight = "observation" in accepted_options(task)
         check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])
         self.task = task
         self._official = observation == "official"
+        self.tracks_cube = cube == "tracked"
         env: Any = make_reference(str(find_class(task).reference), disable_env_checker=True).unwrapped
         import gymnasium  # here, so that the class can be read without its extra
 
@@ -93,7 +96,7 @@ class ReferenceFetch:
         self._env.reset(seed=int(rng.integers(MOST_SEED + 1)))
 
     def features(self) -> np.ndarray:
-        """Returns the features of the task's class in `hgail_envs`, with the same `observation`."""
+        """Returns the features of the task's class in `hgail_envs`, with the same options."""
         seen = self._observation()
         if self._official:
             return seen
@@ -102,7 +105,7 @@ class ReferenceFetch:
         gap = seen[9:11].sum()
         arm, hand = np.concatenate([seen[:3], seen[20:23]]), [gap, is_held(self._touching(), gap)]
         if self.task == "grasp":
-            return np.concatenate([arm, hand])
+            return np.concatenate([arm, hand, seen[6:9] if self.tracks_cube else []])
         thing = np.concatenate([seen[6:9], seen[3:6], seen[14:17] + seen[20:23]])
         return np.concatenate([arm, thing, hand if self.task == "pick-and-place" else []])
 
@@ -152,11 +155,12 @@ def reference_episode(
     """
     task = find_class(reference.task)
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
-    goal = np.append(reference.target(), np.ones(task.goal_size - 3))  # 1: the object's position, or to be held
+    told, ones = reference.target(), np.ones(task.goal_size - 3)  # 1: the object's position, or to be held
     rows = collections.deque([np.concatenate([np.zeros(4), reference.features()])] * history, maxlen=history)
     for _ in range(task.episode_length):
         seen = reference.features()
-        action = np.clip(policy(np.concatenate([*rows, seen, goal]).astype(np.float32)), -1.0, 1.0)
+        told = reference.target() if reference.tracks_cube else told
+        action = np.clip(policy(np.concatenate([*rows, seen, told, ones]).astype(np.float32)), -1.0, 1.0)
         rows.appendleft(np.concatenate([action, seen]))
         reference.step(action)
     position, target = reference.carried(), reference.target()

@@ -8,7 +8,7 @@ import pytest
 
 import hgail_envs
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.reference import make_reference
+from hgail_envs.fetch.reference import ReferenceFetch, make_reference, reference_episode
 
 BATCH = 16
 STEPS = 100
@@ -192,6 +192,25 @@ def test_a_hand_that_tracks_the_cube_tries_again(start):
     after = pushed(start)
     assert not grasped(ENV, after).any()
     assert grasped(tracked, after).mean() > 0.9
+
+
+def test_the_reference_tells_where_a_tracked_cube_is():
+    """A closed hand pushes the cube away; what it is told follows, and agrees with the environment's own state."""
+    reference, told = ReferenceFetch("grasp", cube="tracked"), []
+
+    def policy(observation):
+        told.append(observation)
+        cubes.append(reference.data.body("object0").xpos.copy())
+        return np.asarray(controllers.closed(np.delete(observation, slice(8, 11))))
+
+    cubes = []
+    reference_episode(reference, policy, 0, seed=1, index=0)
+    told = np.array(told)
+    assert told.shape[1] == 15 and np.linalg.norm(cubes[-1] - cubes[0]) > 0.02
+    np.testing.assert_allclose(told[:, 11:14], cubes, atol=1e-6)
+    np.testing.assert_allclose(told[:, 8:11], told[:, 11:14] - told[:, :3], atol=1e-6)
+    with pytest.raises(ValueError, match="cube is 'tracked'; choose from at-start"):
+        ReferenceFetch("push", cube="tracked")
 
 
 def test_other_tasks_of_grasping_have_no_tracked_cube():

@@ -253,6 +253,22 @@ def test_every_option_is_handed_on():
         assert name == "randomize" or found(plain) != value, name
 
 
+@pytest.mark.parametrize(
+    ("task", "learner", "given", "expected"),
+    [
+        ("slide", "td3", (), {"achieved": "passed"}),
+        ("slide", "td3", ("achieved=at-rest",), {"achieved": "at-rest"}),
+        ("grasp", "td3", (), {"cube": "tracked"}),
+        ("grasp", "td3", ("cube=at-start",), {"cube": "at-start"}),
+        ("grasp", "ppo", (), {}),
+    ],
+)
+def test_a_run_knows_the_options_that_its_task_has_by_default(task, learner, given, expected):
+    run = plan(TrainOptions(task=task, learner=learner, task_options=given), "cpu")
+    assert run.task_options == expected
+    assert {name: getattr(run.env, name) for name in expected} == expected
+
+
 def test_options_of_several_processes_are_handed_on(in_folder, capsys, monkeypatch):
     joined = []
 
