@@ -29,12 +29,17 @@ _PPO_GRASP = {
 
 
 def _td3_grasp(**options: Any) -> dict[str, Preset]:
-    """Returns the settings of the grasps with TD3, by platform; with half the goal test two seeds are ahead of HER."""
+    """Returns the settings of the grasps with TD3, by platform.
+
+    With half the goal test two seeds are ahead of HER on a GPU. With the fewer steps of the discriminator on a CPU one
+    has .03 after 259 k steps, and HER .78 after 163 k.
+    """
     sizes: dict[str, dict[str, Any]] = {
         "cpu": {"rounds": 12},
         "gpu": {"num_envs": 256, "rounds": 8, "buffer_episodes": 16384, "final_learning_rate": 0.1},
     }
-    return td3(sizes, OBJECT_SUBSTEPS | options, **_EXACT | {"environment_reward": 0.5})
+    on_cpu = {"environment_reward": 1.0}
+    return td3(sizes, OBJECT_SUBSTEPS | options, on_cpu, **_EXACT | {"environment_reward": 0.5})
 
 
 # Solved samples count in full: holding still at the goal is a skill here, and at .3 half the success is lost (study
