@@ -167,6 +167,7 @@ def smaller_trainings() -> str:
 _HEADLINE = (  # a run, its task's name, and the methods whose figures stand beside it
     ("reach-hgail", "reach", ("the paper",)),
     ("grasp-hgail", "grasp, with a lift test", ("the paper",)),
+    ("grasp-td3", "grasp, told at each step where the cube is", ()),
     ("push-td3", "push", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3-no-reward", "pick and place", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3", "pick and place", ("RHER", "DDPG + HER")),
