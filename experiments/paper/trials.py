@@ -151,7 +151,7 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
         config=config,
         hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(),
         seeds=seeds,
-        task_options=scale.task_options | setting.task_options,
+        task_options=dict(base.task_options) | setting.task_options,
         evaluation_episodes=scale.evaluation_episodes,
         demonstrations_sha256=demonstrations_sha256,
         usual_evaluate_every=base.evaluate_every,

@@ -375,7 +375,7 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert studies_of("push") == (BY_NAME["parts"],)
 
 
-@pytest.mark.parametrize("task", ["push", "slide"])
+@pytest.mark.parametrize("task", ["push", "slide", "grasp"])
 def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
     numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
     assert len(group_by_program(numbers)) == 1
@@ -389,7 +389,7 @@ def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_ste
         ]
         before, after = (vars(config) | vars(config.learner) for config in (preset.config, trial.config))
         changed += [name for name in before if before[name] != after[name] and name not in ("learner", "best_episodes")]
-        assert len(changed) <= 1
+        assert len(changed) <= 1 and trial.task_options == preset.task_options
         assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
         assert not changed or trial.setting.name != "as it is"
 
