@@ -2,6 +2,7 @@
 
 from docs._generate.results import Row, bench_rows, count, fixed, mean, of_seeds, rate, read_json, seconds, trials
 from docs._generate.tables import markdown, reward, steps_told
+from hgail_jax.defaults import DEFAULTS
 
 _RUNS = (
     *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3"),
@@ -9,6 +10,7 @@ _RUNS = (
     *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
 )
 _TRIALS = "suite/off-policy"
+_WITH_WEIGHTS = ("reach", "grasp", "push", "pick-and-place", "slide", "stack", "tower")
 
 
 def off_policy() -> str:
@@ -29,6 +31,16 @@ def _run(name: str) -> list[str]:
         count(row["env_steps_per_seed"]),
         *(seconds(row["wall_seconds"][part]) for part in ("train", "total")),
     ]
+
+
+def off_policy_rewards() -> str:
+    """Weight of the goal test in each task's reward by default, by platform."""
+    return markdown(["task", "w on a GPU", "w on a CPU"], [[task, *_weights(task)] for task in _WITH_WEIGHTS])
+
+
+def _weights(task: str) -> list[str]:
+    presets = DEFAULTS[task]["td3"]
+    return [f"{presets[platform].hyperparameters.environment_reward:g}" for platform in ("gpu", "cpu")]
 
 
 def off_policy_parts(task: str, study: str = "off-policy") -> str:

@@ -89,7 +89,7 @@ def _policies(task: str) -> list[list[str]]:
     names = [f"`{path.name}`" for path in sorted(folder.glob(f"{task}*.npz")) if path.stem in (task, f"{task}-robust")]
     if (folder / f"{task}-robust.npz").exists():
         robust = read_json(f"runs/{task}-hgail-robust/summary")["success_rate"]["mean"]
-        rows.append(["success of the robust policy under `full` disturbances", fixed(robust, 3)])
+        rows.append(["success of robust trainings, under `full` as it was then", fixed(robust, 3)])
     return [["shipped policies", ", ".join(names)], *rows]
 
 

@@ -57,7 +57,7 @@ _OF_CUBES = (
     Quantity("cube A is to be left at the target", "0 or 1", ""),
 )
 _ROLES = ("top", "middle", "base")
-_OF_GOAL = ("target's cube", "cube to be under it", "third cube")
+_OF_GOAL = ("target's cube", "cube below it", "third cube")
 _OF_TOWER = (
     *(Quantity(f"target is the {role} cube's", "0 or 1", "") for role in _ROLES),
     Quantity("the cube is to be left at the target", "0 or 1", ""),

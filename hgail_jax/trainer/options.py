@@ -259,9 +259,7 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
     try:
-        return hgail_envs.make(
-            options.task, **{name: given[name] for name in accepted if name in given} | task_options
-        )
+        return hgail_envs.make(options.task, **{name: given[name] for name in accepted if name in given} | task_options)
     except ValueError:
         raise
     except Exception as error:  # a class that is abstract, or the user's own

@@ -17,7 +17,7 @@ OBSERVATIONS += [("grasp", "tracked")]
 
 THINGS = {"cube": "cube", "puck": "puck", "cube_a": "cube A", "cube_b": "cube B"}
 ROLES = ("top", "middle", "base")
-TURNED = ("target's cube", "cube to be under it", "third cube")
+TURNED = ("target's cube", "cube below it", "third cube")
 
 
 def vector(name, values):

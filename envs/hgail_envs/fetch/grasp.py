@@ -54,8 +54,7 @@ class Grasp(FetchEnv):
     | 8:11 | target position | m |
     | 11 | whether to hold the cube there | 0 or 1 |
 
-    With `cube="tracked"` the target has indices 11 to 14, and 8 to 10 are the cube's position less the gripper's,
-    metres. The first eleven without 6 and 7 are the paper's observation. Its goal is a position alone, independent of
+    The first eleven without 6 and 7 are the paper's observation. The paper's goal is a position alone, independent of
     the hand: see `GraspPosition`. Here hindsight relabels a step with the position and the holding of a later one, so
     that the expert samples of a goal with holding 1 are real grasps.
 
@@ -68,8 +67,9 @@ class Grasp(FetchEnv):
     5 cm. `achieved` of the metrics is without that test. Distances are between gripper and cube after the last step.
 
     A policy is told where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
-    does not know. With `cube="tracked"` it is told at each step where the cube is, in the observation and as the goal
-    with holding 1, so that it can try again.
+    does not know. With `cube="tracked"`, which TD3 takes by default, it is told at each step where the cube is, so that
+    it can try again: 8:11 are the cube's position less the gripper's, metres, the target and whether to hold have
+    11:15, and the target of a goal with holding 1 follows the cube.
 
     See `FetchEnv` for the other arguments.
 

@@ -60,9 +60,9 @@ class Tower(FetchEnv):
     | 41 | whether the cube is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
 
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
-    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers. That turns
-    with the goal: top, middle, base if the target is the top's or the gripper's, else from the middle or the base on.
-    So one placement looks to the policy like the other. The features, without a goal, have the top first.
+    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers. The
+    observation starts with the cube that the goal is about, then the one that it is to lie on, then the third, so that
+    one placement looks to the policy like the other. Goals of the gripper, and the features, have the top first.
 
     A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
     the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
