@@ -230,8 +230,8 @@ class Hyperparameters(struct.PyTreeNode):
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to behaviour cloning."""
     bc_weight: jax.Array | float = 1.0
-    """Weight of the behaviour-cloning (BC) loss, the negative log-likelihood of expert samples, beside PPO's loss,
-    where the config has a `bc_batch`."""
+    """Weight of the behaviour-cloning (BC) loss: with PPO the negative log-likelihood of expert samples, where the
+    config has a `bc_batch`; with TD3 the squared distance from actions of the buffer that the critics prefer."""
     action_std: Any = 0.3
     """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
     final_action_std: jax.Array | float = 1.0

@@ -136,7 +136,7 @@ def td3(
 
     """
     shared: dict[str, Any] = {
-        "p_ht": 0.8,  # without goals pursued the critics never see a goal that is missed: at 1 picking is not learnt
+        "p_ht": 0.8,  # at 1, where the critics hardly see a goal that is missed, picking is not learnt
         "bc_weight": 0.0,
         "action_std": 0.2,
         # fewer random actions and less noise on target actions than HER and TD3 have, .3 and .2: pick and place

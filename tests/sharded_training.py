@@ -13,24 +13,28 @@ import numpy as np
 
 import hgail_envs
 from hgail_jax import Hyperparameters, phase_table
+from hgail_jax.config import TD3
 from hgail_jax.devices.sharding import check_replicas, make_mesh, shard
 from hgail_jax.seeds import compile_train_step, init_seeds, trace_evaluation
 from tests.support import ROOT, TINY, four_devices
 
+TINY_TD3 = TINY.replace(learner=TD3(rollouts=2, updates=2, batch=8, buffer_episodes=8), layer_norm=True)
 
-def train(task, groups, devices, final=True):
+
+def train(task, groups, devices, final=True, learner="ppo"):
     """Returns every number of the final states, of all metrics and of a final evaluation, `[seeds, ...]` each.
 
     `groups` lists equally many seeds each; those of a group train side by side, and one program trains all groups.
     """
     env = hgail_envs.make(task, substeps=4) if task == "reach" else hgail_envs.make(task)
-    phases, mesh = phase_table(TINY), make_mesh(len(groups[0]), TINY.num_envs, jax.devices()[:devices])
+    config = TINY_TD3 if learner == "td3" else TINY
+    phases, mesh = phase_table(config), make_mesh(len(groups[0]), config.num_envs, jax.devices()[:devices])
     step, evaluate, results = None, None, []
     for seeds in groups:
-        states = init_seeds(env, TINY, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
-        step = step or compile_train_step(env, TINY, states, phases[0], mesh)
+        states = init_seeds(env, config, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
+        step = step or compile_train_step(env, config, states, phases[0], mesh)
         if final:
-            evaluate = evaluate or trace_evaluation(env, TINY, states, 8, mesh)()
+            evaluate = evaluate or trace_evaluation(env, config, states, 8, mesh)()
         states, measured = shard(states, mesh), []
         for row in phases:
             states, metrics = step(states, row)

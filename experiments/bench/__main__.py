@@ -129,8 +129,8 @@ def _check(options: Options) -> None:
         check_name("task", task, [name for name in TASKS if issubclass(find_class(name), FetchEnv)])
         if "learners" in options.section and CRL in options.learner:
             check_name(f"task of the learner {CRL}", task, contrastive.TASKS)
-        if "updates" in options.section and default_learner(task) != TD3.name:
-            raise ValueError(f"updates is of the learner {TD3.name}; {task} has {default_learner(task)}")
+        if "updates" in options.section and (usual := default_learner(find_class(task))) != TD3.name:
+            raise ValueError(f"updates is of the learner {TD3.name}; {task} has {usual}")
     if "engine-options" in options.section and importlib.util.find_spec("warp") is None:
         raise ValueError("engine-options needs warp-lang, which is not installed; choose another --section")
     for impl in options.impl:

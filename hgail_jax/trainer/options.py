@@ -14,7 +14,7 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
-from hgail_jax.config import LEARNERS, PPO, REWARDS, STRATEGIES, TD3
+from hgail_jax.config import LEARNERS, PPO, RELABELLED, REWARDS, STRATEGIES, TD3
 from hgail_jax.defaults import EVALUATION_EPISODES, default_learner, task_preset
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
@@ -74,7 +74,8 @@ class TrainOptions:
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the environment's reward, the discriminator's has the rest: 0 is no reward, 1 no discriminator."""
     bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
-    """Weight of the behaviour-cloning (BC) loss of expert samples in the policy's updates, 0 for the paper's."""
+    """Weight of the behaviour-cloning (BC) loss in the policy's updates, 0 for the paper's: PPO clones expert samples,
+    TD3 actions of the buffer that its critics prefer."""
     action_std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
     """Standard deviation of the policy, one number or one for each of the action's."""
     devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
@@ -104,7 +105,7 @@ def choose_learner(task: str, method: str, preset: str, learner: str | None = No
         check_name("learner", learner, LEARNERS)
         check_name(f"learner of the method {method}", learner, METHODS[method].learners)
         return learner
-    usual = default_learner(task) if preset == "parallel" else PPO.name
+    usual = default_learner(_find(task)) if preset == "parallel" else PPO.name
     return usual if usual in METHODS[method].learners else METHODS[method].learners[0]
 
 
@@ -232,6 +233,11 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     }
     hyperparameters = preset.hyperparameters.replace(**_given(scalars))
     if isinstance(preset.config.learner, TD3) and hyperparameters.environment_reward == 1.0:
+        if preset.config.expert_source != RELABELLED:
+            raise ValueError(
+                f"environment_reward is 1, with which {options.method} would learn nothing from its expert samples; it"
+                " must be below 1"
+            )
         sizes["discriminator_minibatches"] = 0  # the discriminator has no say, and is not trained
     return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
 

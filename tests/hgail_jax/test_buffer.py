@@ -78,8 +78,8 @@ def trajectory(numbers, valid=None):
 
 
 @functools.partial(jax.jit, static_argnames="count")
-def drawn(buffer, rng, p_ht, strategy=FUTURE, most_ahead=2**30, solved_weight=1.0, count=DRAWS):
-    hyper = Hyperparameters(strategy=strategy, solved_weight=solved_weight)
+def drawn(buffer, rng, p_ht, strategy=FUTURE, most_ahead=2**30, solved_weight=1.0, current=False, count=DRAWS):
+    hyper = Hyperparameters(strategy=strategy, solved_weight=solved_weight, include_current=current)
     return draw(ENV, hyper, buffer, rng, count, p_ht, most_ahead)
 
 
@@ -142,7 +142,7 @@ def test_a_roll_out_that_does_not_fit_is_refused():
 # Drawing
 
 
-def law(p_ht, strategy, most_ahead, valid=(True,) * HELD):
+def law(p_ht, strategy, most_ahead, valid=(True,) * HELD, current=False):
     """Returns the probability of each episode, step and source; source -1 is the goal that was pursued."""
     kind_one = np.mean([number % 4 == 1 for number in range(HELD) if valid[number]])
     share = {0: 1 - kind_one, 1: kind_one}
@@ -151,7 +151,8 @@ def law(p_ht, strategy, most_ahead, valid=(True,) * HELD):
         for step in range(LENGTH):
             one = 1 / HELD / LENGTH
             probability[episode, step, -1] = one * (1 - p_ht)
-            ahead = [state for state in range(LENGTH + 1) if step < state <= step + most_ahead]
+            first = step if current else step + 1
+            ahead = [state for state in range(LENGTH + 1) if first <= state <= step + most_ahead]
             kinds = {KINDS[episode, state] for state in ahead}
             for state in ahead:
                 alike = sum(KINDS[episode, other] == KINDS[episode, state] for other in ahead)
@@ -162,23 +163,24 @@ def law(p_ht, strategy, most_ahead, valid=(True,) * HELD):
 
 
 @pytest.mark.parametrize(
-    ("p_ht", "strategy", "most_ahead"),
+    ("p_ht", "strategy", "most_ahead", "current"),
     [
-        (0.0, FUTURE, 2**30),
-        (1.0, FUTURE, 2**30),
-        (0.7, FUTURE, 2**30),
-        (1.0, FUTURE, 1),
-        (1.0, FUTURE, 3),
-        (0.3, FINAL, 2**30),
-        (1.0, FINAL, 2),
+        (0.0, FUTURE, 2**30, False),
+        (1.0, FUTURE, 2**30, False),
+        (0.7, FUTURE, 2**30, False),
+        (1.0, FUTURE, 1, False),
+        (1.0, FUTURE, 3, False),
+        (1.0, FUTURE, 2**30, True),
+        (0.3, FINAL, 2**30, False),
+        (1.0, FINAL, 2, False),
     ],
 )
-def test_episodes_steps_and_sources_are_drawn_by_the_law(p_ht, strategy, most_ahead):
-    found = origin(drawn(full(), jax.random.key(0), p_ht, strategy, most_ahead))
-    counts = dict.fromkeys(law(p_ht, strategy, most_ahead), 0)
+def test_episodes_steps_and_sources_are_drawn_by_the_law(p_ht, strategy, most_ahead, current):
+    found = origin(drawn(full(), jax.random.key(0), p_ht, strategy, most_ahead, current=current))
+    counts = dict.fromkeys(law(p_ht, strategy, most_ahead, current=current), 0)
     for episode, step, _, source in zip(*found, strict=True):
         counts[int(episode), int(step), int(source)] += 1  # anything else has no key: backwards, or too far ahead
-    expected = law(p_ht, strategy, most_ahead)
+    expected = law(p_ht, strategy, most_ahead, current=current)
     assert sum(expected.values()) == pytest.approx(1)
     assert all(counts[key] == 0 for key, probability in expected.items() if probability == 0)
     keys = [key for key, probability in expected.items() if probability > 0]

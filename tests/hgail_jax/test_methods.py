@@ -1,12 +1,15 @@
 """What the methods come to on a task that each should solve, or should not."""
 
 import dataclasses
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hgail_envs.base import TrainingDefaults
+from hgail_envs.fetch.push import Push
 from hgail_envs.point import Point
 from hgail_jax import METHODS, PPO, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
@@ -161,6 +164,16 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         assert applied.task_options == preset.task_options
 
 
+class HeavyPush(Push):
+    """A task of one's own that extends one of the package's, and so has its settings."""
+
+
+class OwnSizes(Push):
+    """One with settings of its own, which are PPO's."""
+
+    training: ClassVar = {"cpu": TrainingDefaults({"num_envs": 8})}
+
+
 @pytest.mark.parametrize(
     ("task", "method", "preset", "given", "chosen"),
     [
@@ -173,7 +186,9 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         ("reach", "hgail", "parallel", None, "ppo"),
         ("reach", "her", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", "td3", "td3"),
-        ("mine:Task", "gail-demo", "parallel", None, "ppo"),
+        ("hgail_envs.fetch.grasp:GraspPosition", "gail-demo", "parallel", None, "ppo"),
+        ("tests.hgail_jax.test_methods:HeavyPush", "hgail", "parallel", None, "td3"),
+        ("tests.hgail_jax.test_methods:OwnSizes", "hgail", "parallel", None, "ppo"),
     ],
 )
 def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, method, preset, given, chosen):

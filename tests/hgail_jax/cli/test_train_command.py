@@ -143,6 +143,10 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--substeps", "3"], "substeps is 3; it must be an integer from 4 to 20"),
         (["--substeps", "0"], "substeps is 0; it must be an integer from 4 to 20"),
         (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
+        (
+            ["--method", "gasil", "--learner", "td3", "--environment-reward", "1"],
+            "environment_reward is 1, with which gasil would learn nothing from its expert samples; it must be below 1",
+        ),
         (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),
         (["--action-std", "0"], "action_std is 0.0; it must be positive"),
         (["--action-std", "1", "2"], "action_std is (1.0, 2.0); it must be one number or 4"),

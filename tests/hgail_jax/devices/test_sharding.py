@@ -13,12 +13,13 @@ from tests.sharded_training import assert_close, train_on_four_devices
 from tests.support import four_devices
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
+@pytest.fixture(scope="module", params=["ppo", "td3"])
+def trained(request, tmp_path_factory):
+    shared = {"task": "point", "learner": request.param}
     return train_on_four_devices(
         tmp_path_factory.mktemp("sharded") / "point.npz",
-        alone={"task": "point", "groups": [[0], [1], [2], [3]], "devices": 1},
-        seeds={"task": "point", "groups": [[0, 1, 2, 3], [3, 2, 1, 0]], "devices": 4},
+        alone=shared | {"groups": [[0], [1], [2], [3]], "devices": 1},
+        seeds=shared | {"groups": [[0, 1, 2, 3], [3, 2, 1, 0]], "devices": 4},
     )
 
 
@@ -32,11 +33,15 @@ def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
 
 
 @pytest.mark.slow
-def test_a_seed_over_two_devices_agrees_with_the_seed_alone(tmp_path, trained):
+@pytest.mark.parametrize("learner", ["ppo", "td3"])
+def test_a_seed_over_two_devices_agrees_with_the_seed_alone(tmp_path, learner):
     """Two seeds over four devices, so the environments of each over two."""
-    both = {"task": "point", "groups": [[0, 1]], "devices": 4}
-    results = train_on_four_devices(tmp_path / "point.npz", both=both)
-    assert_close(results["both"], [leaf[:2] for leaf in trained["alone"]], rtol=1e-4, atol=1e-5)
+    shared = {"task": "point", "learner": learner}
+    alone = shared | {"groups": [[0], [1]], "devices": 1}
+    results = train_on_four_devices(
+        tmp_path / "point.npz", alone=alone, both=shared | {"groups": [[0, 1]], "devices": 4}
+    )
+    assert_close(results["both"], results["alone"], rtol=1e-4, atol=1e-5)
 
 
 REPLICAS = """

@@ -1,6 +1,7 @@
 """What the off-policy learner does with a roll-out, against plain formulas and a plain Adam."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from hgail_jax.learners.td3 import TD3Learner, fill, update
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.train import make_policy
+from hgail_jax.trainer import training
 from tests.hgail_jax.trainer.test_resume import crash, fail_in_round, outcome, start
 from tests.support import compile_once, make_runs_tiny
 
@@ -472,9 +474,11 @@ def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     tiny = CONFIG.replace(updates=4, batch=16, policy_hidden=(8,))
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": Preset(tiny, HYPER.replace(action_std=0.2))})
+    monkeypatch.setattr(training, "_MOST_OF_SAVING", 1.0)  # so that each round is saved, fast as these are
     start("--learner", "td3", "--out", "whole")
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):
         fail_in_round(patch, 3, crash)
         start("--learner", "td3", "--out", "run")
+    assert max(int(path.stem) for path in Path("run", "checkpoints").iterdir()) == 3  # learnt, not only filled
     start("--learner", "td3", "--resume", "run")
     assert outcome(tmp_path / "run") == outcome(tmp_path / "whole")

@@ -13,6 +13,7 @@ import hgail_envs
 from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, phase_table
 from hgail_jax.learners.ppo import PPOLearner
 from hgail_jax.train import EVALUATE, SKIP
+from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
 from tests.support import TINY
 
@@ -116,6 +117,27 @@ def test_checkpoints_are_saved_when_they_are_due_and_at_the_end(tmp_path, saving
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
         train(program(), told(*rounds), start(program()), checkpoints, saving)
     assert saved(tmp_path / "checkpoints") == kept
+
+
+@pytest.mark.parametrize(
+    ("most", "expected"), [(1.0, [1, 2, 3, 4, 5, 6, 7, 8]), (0.25, [1, 4, 7, 8]), (0.2, [1, 5, 8]), (0.05, [1, 8])]
+)
+def test_saving_takes_no_more_than_its_fraction_of_the_time(monkeypatch, most, expected):
+    """By a clock of which a round takes 1, and saving 1: of four rounds' time three pass until saving is a quarter."""
+    clock, rounds, step = [0.0], [], told(*[measured([0.0] * 2, [1.0] * 2)] * 8)
+    monkeypatch.setattr(loop.time, "perf_counter", lambda: clock[0])
+
+    def timed(*arguments):
+        clock[0] += 1.0
+        return step(*arguments)
+
+    def save_timed(_, progress):
+        clock[0] += 1.0
+        rounds.append(progress.rounds)
+
+    monkeypatch.setattr(loop, "save", save_timed)
+    train(program(), timed, start(program()), saving=SavingPolicy(most=most))
+    assert list(dict.fromkeys(rounds)) == expected  # the last round's is asked for once more at the end
 
 
 def test_a_round_that_is_refused_is_neither_recorded_nor_saved(tmp_path):
