@@ -123,7 +123,7 @@ class Config:
     training_goals: bool = True
     """Whether to learn on the task's training goals (waypoints, relays, random places); else on the evaluation's."""
     discriminator_minibatches: int = 50
-    """Gradient steps in one discriminator update."""
+    """Gradient steps in one discriminator update; off-policy 0 is none, and the goal test is the whole reward."""
     discriminator_batch: int = 512
     """Expert samples, and as many of the policy's, in a gradient step of the discriminator."""
     policy_hidden: tuple[int, ...] = (64, 64)

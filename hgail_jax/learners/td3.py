@@ -209,11 +209,14 @@ def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
     """Rewards of samples, `[...]` in [-1, 0], as those of the environment are.
 
     The discriminator's is σ(logit) - 1, the probability of an expert's sample less 1, so that the two can be mixed and
-    the critics have one bound.
+    the critics have one bound. Where none is trained the goal test is the whole reward.
     """
+    goal_test = drawn.reached.astype(jnp.float32) - 1.0
+    if not config.discriminator_minibatches:
+        return goal_test
     logits = discriminate(config, state.discriminator, state.normalize(drawn.observation), drawn.action)
     weight = state.hyperparameters.environment_reward
-    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * (drawn.reached.astype(logits.dtype) - 1.0)
+    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * goal_test
 
 
 def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:

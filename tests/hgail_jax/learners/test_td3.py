@@ -246,7 +246,7 @@ def learnt_by_hand(config, state, given, rng):
     drawn = draw(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
     seen, following = normalized(state, drawn.observation), normalized(state, drawn.next_observation)
     logits = mlp(state.discriminator, np.concatenate([seen, drawn.action], axis=-1))[:, 0]
-    weight = float(hyper.environment_reward)
+    weight = float(hyper.environment_reward) if config.discriminator_minibatches else 1.0
     reward = (1 - weight) * (1 / (1 + np.exp(-logits)) - 1) + weight * np.where(drawn.reached, 0, -1)
     noise = jax.random.normal(noise_rng, drawn.action.shape)
     columns, learner, measured, cuts = (
