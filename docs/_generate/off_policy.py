@@ -33,6 +33,24 @@ def _run(name: str) -> list[str]:
     ]
 
 
+def off_policy_cpu() -> str:
+    """One seed of each task on two cores."""
+    runs = [read_json(_TRIALS)[f"{task}_on_two_cores"] for task in ("push", "pick_and_place", "grasp", "slide")]
+    return markdown(
+        ["task", "reward", "success", "env steps", "whole run"],
+        [
+            [
+                run["task"],
+                reward(run),
+                fixed(run["success_rate"]["mean"], 3),
+                count(run["env_steps_per_seed"]),
+                seconds(run["wall_seconds"]["total"]),
+            ]
+            for run in runs
+        ],
+    )
+
+
 def off_policy_rewards() -> str:
     """Weight of the goal test in each task's reward by default, by platform."""
     return markdown(["task", "w on a GPU", "w on a CPU"], [[task, *_weights(task)] for task in _WITH_WEIGHTS])
