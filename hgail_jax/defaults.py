@@ -109,11 +109,12 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         },
     },
     "pick-and-place": {
-        # A quarter of the goal test: without it two seeds had .93 for 1.00 after 326 k steps. On a CPU half.
+        # A quarter of the goal test: without it two seeds had .93 for 1.00 after 326 k steps. On a CPU half, exact
+        # critics, and target networks that follow slowly: one seed has 1.00 in the last three tests for .94 to 1.00.
         "td3": td3(
-            {"cpu": {"rounds": 16}, "gpu": {"rounds": 12}},
+            {"cpu": {"rounds": 15}, "gpu": {"rounds": 12}},
             OBJECT_SUBSTEPS,
-            on_cpu={"environment_reward": 0.5},
+            on_cpu=_EXACT | {"environment_reward": 0.5, "target_rate": 0.01},
             environment_reward=0.25,
         ),
         "ppo": _PPO_PICKING,
