@@ -6,6 +6,7 @@ ROOT = Path(__file__).parent.parent
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
@@ -32,6 +33,17 @@ def shipped_policy():
 def grasp_policy():
     """The policy for grasp that comes with the package."""
     return assets_directory() / "policies" / "grasp.npz"
+
+
+@pytest.fixture(scope="session")
+def tracking_policy():
+    """A policy of grasp that is told where the cube is at each step: it goes there, and opens the hand."""
+    from hgail_jax.io.policy import MeanPolicy  # here, so that JAX starts with the tests that need it
+
+    weights, bias = np.zeros((15, 4), np.float32), np.array([0, 0, 0, 1], np.float32)
+    weights[[8, 9, 10], [0, 1, 2]] = 20.0
+    observed = np.zeros(15, np.float32), np.ones(15, np.float32)
+    return MeanPolicy("grasp", 4, *observed, ((weights, bias),), task_options={"cube": "tracked"})
 
 
 @pytest.fixture(scope="session")

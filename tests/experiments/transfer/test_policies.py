@@ -46,8 +46,9 @@ def test_a_task_without_a_policy_is_refused():
         load_policies("point")
 
 
-def test_a_sweep_takes_a_policy_that_tracks_the_cube(grasp_policy, tmp_path):
-    save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(grasp_policy), task_options={"cube": "tracked"}))
+@pytest.mark.parametrize("options", [{"cube": "tracked"}, {"achieved": "passed"}])
+def test_a_sweep_takes_a_policy_whose_robot_needs_to_know_no_option(options, grasp_policy, tmp_path):
+    save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(grasp_policy), task_options=options))
     assert find_policies([], [f"other={tmp_path / 'p.npz'}"]) == {"other": {"grasp": [tmp_path / "p.npz"]}}
 
 

@@ -11,7 +11,7 @@ import hgail_envs
 from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy
-from hgail_jax.io.export import export_onnx
+from hgail_jax.io.export import check_described, export_onnx
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -58,6 +58,11 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     state = jax.jit(env.reset)(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
+
+
+def test_a_tracked_cube_s_place_is_named(tracking_policy):
+    names = [quantity.name for quantity in check_described(tracking_policy).features]
+    assert names[8:] == [f"cube position less gripper position {axis}" for axis in "xyz"]
 
 
 def test_success_is_told_if_it_is_known(shipped_policy, tmp_path):
