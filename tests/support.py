@@ -8,10 +8,12 @@ import resource
 import socket
 from pathlib import Path
 
+import jax
 import numpy as np
 
-from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset
+from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset, init_state, phase_table, train_step
 from hgail_jax.defaults import DEFAULTS, EVALUATION_EPISODES
+from hgail_jax.presets import FEW_UPDATES
 from hgail_jax.seeds import compile_train_step, trace_evaluation
 from hgail_jax.trainer import loop, training
 
@@ -52,6 +54,18 @@ def make_runs_tiny(monkeypatch=None):
             mapping[name] = value
         else:
             monkeypatch.setitem(mapping, name, value)
+
+
+def check_a_round(env, preset):
+    """Trains a round of a preset, with few episodes and updates; nothing may break down."""
+    few = FEW_UPDATES if preset.config.learner.name == "ppo" else {"updates": 2}
+    config = preset.config.replace(num_envs=16, rounds=1, **few)
+    state = init_state(env, config, preset.hyperparameters, jax.random.key(0))
+    step = jax.jit(functools.partial(train_step, env, config))
+    for phases in phase_table(config):
+        state, metrics = step(state, phases)
+        assert 0.0 <= metrics.evaluation.success <= 1.0
+        assert metrics.dropped == metrics.diverged == 0.0
 
 
 _compiled = {}

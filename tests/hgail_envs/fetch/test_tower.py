@@ -14,11 +14,10 @@ import hgail_envs
 from hgail_envs.fetch.arm import settle
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax import init_state, phase_table, train_step
 from hgail_jax.defaults import DEFAULTS
 from hgail_jax.play.recording import run_controller
-from hgail_jax.presets import FEW_UPDATES
 from hgail_jax.rollout import rollout
+from tests.support import check_a_round
 
 ENV = hgail_envs.make("tower", impl="c", substeps=8)
 MODEL = ENV.model
@@ -674,11 +673,4 @@ def test_a_hundred_steps_are_too_few_for_a_hand_that_explores():
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", ["ppo", "td3"])
 def test_a_round_of_training_runs(learner):
-    preset = DEFAULTS["tower"][learner]["cpu"]
-    config = preset.config.replace(num_envs=16, rounds=1, **(FEW_UPDATES if learner == "ppo" else {"updates": 2}))
-    state = init_state(ENV, config, preset.hyperparameters, jax.random.key(0))
-    step = jax.jit(functools.partial(train_step, ENV, config))
-    for phases in phase_table(config):
-        state, metrics = step(state, phases)
-        assert 0.0 <= metrics.evaluation.success <= 1.0
-        assert metrics.dropped == metrics.diverged == 0.0
+    check_a_round(ENV, DEFAULTS["tower"][learner]["cpu"])
