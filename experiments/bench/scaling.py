@@ -22,7 +22,7 @@ def measure_seeds(workload: Workload, counts: tuple[int, ...]) -> Iterator[dict[
 
 
 def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
-    """Times seeds and environments on one device and on all devices; yields rows.
+    """Times seeds, then environments, on one device and on all devices; yields rows.
 
     A weak speed-up compares with one device that has one device's part of the work, a strong one with all of it.
 
@@ -36,7 +36,7 @@ def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
     part = _measure(workload, 1, devices=1)
     yield part
     wide = dataclasses.replace(workload, num_envs=workload.num_envs * devices)
-    for measured, seeds in ((wide, 1), (workload, devices)):
+    for measured, seeds in ((workload, devices), (wide, 1)):
         all_on_one = _measure(measured, seeds, devices=1)
         yield all_on_one
         spread_out = _measure(measured, seeds, devices)

@@ -90,13 +90,14 @@ def main(arguments: list[str] | None = None) -> None:
 def _description(words: list[str]) -> str:
     """Returns the text above the options; for the help with the numbers of the task that is named."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("task", "method", "preset", "learner"):
+    for name in ("task", "method", "preset", "learner", "randomize"):
         parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
     if not {"-h", "--help"} & set(words):
         return __doc__ or ""
     try:
         named, _ = parser.parse_known_args(words)
-        numbers = task_defaults(named.task, named.method, named.preset, platform_name(), named.learner)
+        randomized = named.randomize != TrainOptions.randomize
+        numbers = task_defaults(named.task, named.method, named.preset, platform_name(), named.learner, randomized)
     except (ValueError, argparse.ArgumentError):  # there is no such task, method or preset
         return __doc__ or ""
     said = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in numbers.items())

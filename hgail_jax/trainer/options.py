@@ -109,7 +109,9 @@ def choose_learner(task: str, method: str, preset: str, learner: str | None = No
     return usual if usual in METHODS[method].learners else METHODS[method].learners[0]
 
 
-def task_defaults(task: str, method: str, preset: str, platform: str, learner: str | None = None) -> dict[str, Any]:
+def task_defaults(
+    task: str, method: str, preset: str, platform: str, learner: str | None = None, randomized: bool = False
+) -> dict[str, Any]:
     """Returns the task's, or the method's, values of the options that are None by default.
 
     Raises:
@@ -118,7 +120,7 @@ def task_defaults(task: str, method: str, preset: str, platform: str, learner: s
     """
     check_name("method", method, METHODS)
     chosen = choose_learner(task, method, preset, learner)
-    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen))
+    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen, randomized))
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
         "learner": chosen,
@@ -146,7 +148,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     _check(options)
     learner = choose_learner(options.task, options.method, options.preset, options.learner)
     _refuse_without_effect(options, learner)
-    preset = METHODS[options.method].apply(task_preset(_find(options.task), platform, options.preset, learner))
+    found = task_preset(_find(options.task), platform, options.preset, learner, options.randomize != "none")
+    preset = METHODS[options.method].apply(found)
     preset = _with_options(options, preset)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")

@@ -76,6 +76,21 @@ def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwis
         assert (preset.task_options, preset.evaluate_every) == (EIGHT, 3)
 
 
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_randomised_episodes_have_settings_of_their_own_with_td3_alone(platform):
+    def settings(task, **options):
+        run = plan(TrainOptions(task=task, **options), platform)
+        return run.config.rounds, run.hyperparameters.p_ht, run.hyperparameters.environment_reward
+
+    usual, randomized = settings("push"), settings("push", randomize="full-history")
+    assert usual == (8 if platform == "gpu" else 10, 0.8, 0.0 if platform == "gpu" else 0.5)
+    assert randomized == (24 if platform == "gpu" else 36, 0.6, 1.0)
+    for same in ("slide", "grasp"):  # the latter's learner is PPO
+        assert settings(same) == settings(same, randomize="full")
+    grasp = plan(TrainOptions(task="grasp", learner="td3", randomize="mild"), platform)
+    assert (grasp.task_options, grasp.hyperparameters.p_ht) == ({"cube": "tracked"}, 0.6)
+
+
 @pytest.mark.parametrize(
     "training",
     [{}, {"cpu": None}, {"cpu": TrainingDefaults({"phases": 2})}, {"cpu": TrainingDefaults({}, {"p_h": 0.2})}],
