@@ -107,10 +107,10 @@ def engine_options() -> str:
     return markdown(["setting", "steps/s, reach", "grasp", "kernels, reach", "grasp", *off_header], cells)
 
 
-def several_gpus() -> str:
-    """Training speed of reach on two and four H200s."""
-    rows = bench_rows("devices")
-    header = ["training of reach", "GPUs", "one GPU with all", "all GPUs", "speed-up, weak", "speed-up, strong"]
+def several_gpus(task: str) -> str:
+    """Training speed of a task on several GPUs."""
+    rows = [row for row in bench_rows("devices") if row["task"] == task]
+    header = [f"training of {task}", "GPUs", "one GPU with all", "all GPUs", "speed-up, weak", "speed-up, strong"]
     return markdown(header, [_on_gpus(row, rows) for row in rows if row["devices"] > 1])
 
 
