@@ -237,6 +237,7 @@ def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
         action = jnp.tanh(preactivation)
         gained = values(critics, batch.observation, action).mean(axis=0)
         loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
+        # `value` is from before the critics' step, which saves evaluating them a second time
         better = jnp.where(value.mean(axis=0) > jax.lax.stop_gradient(gained), batch.weight, 0.0)
         cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
         return loss + hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
