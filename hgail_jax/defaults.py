@@ -1,7 +1,6 @@
 """Default settings of each task, by learner and platform, with the reasons for them."""
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -50,7 +49,7 @@ _PPO_PICKING = {
 }
 
 
-def _stacking(cpu_rounds: int, gpu: Mapping[str, Any], buffer_episodes: int = 16384) -> dict[str, Preset]:
+def _stacking(cpu_rounds: int, gpu: dict[str, Any], buffer_episodes: int = 16384) -> dict[str, Preset]:
     """Returns the settings of stack and tower with TD3, by platform.
 
     Target networks that follow slowly decide stack: after 781 k steps two seeds had .22 at .02 and .85 at .01. A p_ht

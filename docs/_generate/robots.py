@@ -26,20 +26,15 @@ _ON_THE_UR5E = (
 def robots() -> str:
     """Table 4 with the simulator's goal: policies run unchanged on other robots."""
     exact = [row for row in read_json("transfer/table4")["rows"] if row["stage"] == "exact goal"]
-    rows = [row for row in exact if row["policy"] == "plain"]
-    scripts = {tuple(_situation(row)): _with_interval(row) for row in exact if row["policy"] == "script"}
-    header = ["robot", "task", "hand at the start, action", "plain policies", "robust policy", "script", "L1 distance"]
+    rates = {(*_situation(row), row["policy"]): _with_interval(row) for row in exact}
+    others = ("tracked", "robust", "script")
+    header = ["robot", "task", "hand at the start, action", "plain policies"]
     return markdown(
-        header,
+        [*header, "plain, tracked cube", "robust policy", "script"],
         [
-            [
-                *_situation(row),
-                _with_interval(row),
-                _with_interval(_counterpart(row, policy="robust")),
-                scripts.get(tuple(_situation(row)), "–"),
-                f"{fixed(row['distance_l1'], 3)} m",
-            ]
-            for row in rows
+            [*_situation(row), _with_interval(row), *(rates.get((*_situation(row), name), "–") for name in others)]
+            for row in exact
+            if row["policy"] == "plain"
         ],
     )
 
@@ -54,7 +49,7 @@ def camera_goals() -> str:
         [
             [
                 *_situation(row),
-                f"{row['policy']}, tracks the cube" if row.get("cube") == "tracked" else row["policy"],
+                "plain, tracked cube" if row["policy"] == "tracked" else row["policy"],
                 *(fixed(_counterpart(row, stage=stage)["success_rate"], 3) for stage in stages),
             ]
             for row in rows
