@@ -25,16 +25,28 @@ def levels() -> str:
 
 
 def robust() -> str:
-    """Success of the shipped robust policies on the Fetch, randomised and nominal."""
-    header = ["task", "success under `full`", "undisturbed", "plain policies, undisturbed", "env steps", "start to end"]
+    """Success of robust trainings on the Fetch, randomised and nominal."""
+    header = ["task", "learner", "success under `full`", "undisturbed", "worst seed, undisturbed"]
     rows = []
-    for folder in sorted((RESULTS / "runs").glob("*-hgail-robust")):
+    for folder in sorted((RESULTS / "runs").glob("*-robust")):
         row = read_json(f"runs/{folder.name}/summary")
         plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
-        rates = [row["success_rate"], row["nominal_success_rate"], plain["success_rate"]]
+        nominal = row["nominal_success_rate"]
+        rates = [row["success_rate"]["mean"], nominal["mean"], min(nominal["per_seed"]), plain["success_rate"]["mean"]]
         steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
-        rows.append([row["task"], *(fixed(rate["mean"], 3) for rate in rates), steps, time])
-    return markdown(header, rows)
+        learner = "TD3" if row.get("learner") == "td3" else "PPO"
+        rows.append([row["task"], learner, *(fixed(rate, 3) for rate in rates), steps, time])
+    return markdown([*header, "plain policies, undisturbed", "env steps", "start to end"], rows)
+
+
+def robust_elsewhere(task: str) -> str:
+    """Success of TD3's robust seeds on other robots."""
+    seeds = read_json("suite/off-policy")["robust_seeds"][task]
+    names = list(next(iter(seeds.values())))
+    return markdown(
+        ["seed", *(name.replace(" x ", " × ") for name in names)],
+        [[seed.removeprefix("seed-"), *(fixed(rates[name], 2) for name in names)] for seed, rates in seeds.items()],
+    )
 
 
 _ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
