@@ -49,6 +49,19 @@ def robust_elsewhere(task: str) -> str:
     )
 
 
+def robust_causes() -> str:
+    """Success on other robots of trainings by TD3 with and without parts of the disturbances."""
+    rows = read_json("suite/off-policy")["robust_causes"]["rows"]
+    names = [name for name in rows[0] if name not in ("setting", "env_steps", "undisturbed")]
+    return markdown(
+        ["trained with", "env steps", "undisturbed", *(name.replace(" x ", " × ") for name in names)],
+        [
+            [row["setting"], count(row["env_steps"]), *(fixed(row[name], 2) for name in ("undisturbed", *names))]
+            for row in rows
+        ],
+    )
+
+
 _ON_THE_UR5E = ["UR5e, 160 ms", "40 ms", "160 ms, closed at first"]
 
 
