@@ -49,18 +49,15 @@ _PPO_PICKING = {
 }
 
 
-def _stacking(cpu_rounds: int, gpu: dict[str, Any], buffer_episodes: int = 16384) -> dict[str, Preset]:
-    """Returns the settings of stack and tower with TD3, by platform.
+def _stacking(**sizes: dict[str, Any]) -> dict[str, Preset]:
+    """Returns the settings of stack and tower with TD3, by platform, as `sizes` are.
 
     Target networks that follow slowly decide stack: after 781 k steps two seeds had .22 at .02 and .85 at .01. A p_ht
     of .6 ends at .99, one of .8 at .95. Half a discriminator's reward learns it later; all of it, tried at .02 alone,
     not at all.
     """
-    sizes = {"final_learning_rate": 0.1}
-    changes = {
-        "cpu": {"rounds": cpu_rounds, "buffer_episodes": buffer_episodes} | sizes,
-        "gpu": {"buffer_episodes": 16384} | sizes | gpu,
-    }
+    shared = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
+    changes = {platform: shared | own for platform, own in sizes.items()}
     return td3(changes, OBJECT_SUBSTEPS, environment_reward=1.0, target_rate=0.01, p_ht=0.6)
 
 
@@ -137,8 +134,13 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     # Untried: PPO on either; tower on a CPU, where its buffer has half as many episodes, each twice as long; and two
     # layers on a CPU for stack, where one seed with three ended at .89 after as many rounds. Tower with half the
     # environments and half the updates had .06 after 3.6 M steps (docs/lab/off-policy.md).
-    "stack": {"td3": _stacking(30, {"rounds": 20}), "ppo": _PPO_PICKING},
-    "tower": {"td3": _stacking(60, {"num_envs": 256, "rounds": 24, "updates": 1024}, 8192), "ppo": _PPO_PICKING},
+    "stack": {"td3": _stacking(cpu={"rounds": 30}, gpu={"rounds": 20}), "ppo": _PPO_PICKING},
+    "tower": {
+        "td3": _stacking(
+            cpu={"rounds": 60, "buffer_episodes": 8192}, gpu={"num_envs": 256, "rounds": 24, "updates": 1024}
+        ),
+        "ppo": _PPO_PICKING,
+    },
     "slide": {
         # Places that the puck only passes count as achieved: at rest alone fewer targets are hit. Batches of 2,048 and
         # solved samples at .3, most of which are of a puck that lies still, are ahead by .01 to .03 each.

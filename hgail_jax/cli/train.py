@@ -96,8 +96,8 @@ def _description(words: list[str]) -> str:
         return __doc__ or ""
     try:
         named, _ = parser.parse_known_args(words)
-        randomized = named.randomize != TrainOptions.randomize
-        numbers = task_defaults(named.task, named.method, named.preset, platform_name(), named.learner, randomized)
+        platform = platform_name()
+        numbers = task_defaults(named.task, named.method, named.preset, platform, named.learner, named.randomize)
     except (ValueError, argparse.ArgumentError):  # there is no such task, method or preset
         return __doc__ or ""
     said = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in numbers.items())

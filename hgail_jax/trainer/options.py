@@ -110,7 +110,7 @@ def choose_learner(task: str, method: str, preset: str, learner: str | None = No
 
 
 def task_defaults(
-    task: str, method: str, preset: str, platform: str, learner: str | None = None, randomized: bool = False
+    task: str, method: str, preset: str, platform: str, learner: str | None = None, randomize: str = "none"
 ) -> dict[str, Any]:
     """Returns the task's, or the method's, values of the options that are None by default.
 
@@ -120,7 +120,7 @@ def task_defaults(
     """
     check_name("method", method, METHODS)
     chosen = choose_learner(task, method, preset, learner)
-    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen, randomized))
+    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen, _randomizes(randomize)))
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
         "learner": chosen,
@@ -148,7 +148,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     _check(options)
     learner = choose_learner(options.task, options.method, options.preset, options.learner)
     _refuse_without_effect(options, learner)
-    found = task_preset(_find(options.task), platform, options.preset, learner, options.randomize != "none")
+    found = task_preset(_find(options.task), platform, options.preset, learner, _randomizes(options.randomize))
     preset = METHODS[options.method].apply(found)
     preset = _with_options(options, preset)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
@@ -247,6 +247,10 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
+
+
+def _randomizes(level: str) -> bool:
+    return level != TrainOptions.randomize
 
 
 def _find(task: str) -> type[hgail_envs.GoalEnv]:

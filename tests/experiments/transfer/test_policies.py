@@ -27,8 +27,10 @@ from hgail_jax import load_policy, save_policy
 def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("reach")) == 1
     assert len(load_policies("grasp")) == 8
-    plain = find_policies(("reach", "grasp", "pick-and-place"))["plain"]
-    assert {task: len(paths) for task, paths in plain.items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
+    found = find_policies(("reach", "grasp", "pick-and-place"))
+    assert {task: len(paths) for task, paths in found["plain"].items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
+    ((task, (tracked,)),) = found["tracked"].items()
+    assert (task, load_policy(tracked).task_options) == ("grasp", {"cube": "tracked"})
 
 
 def test_policies_that_are_shipped_are_those_that_were_measured():

@@ -336,6 +336,15 @@ def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     assert "--action-std" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 
+def test_help_tells_the_settings_of_randomised_episodes(capsys):
+    def told(*words):
+        with pytest.raises(SystemExit):
+            run.main(["--task", "push", *words, "--help"])
+        return next(line for line in capsys.readouterr().out.splitlines() if " has --learner " in line)
+
+    assert "--p-ht 0.8" in told() and "--p-ht 0.6" in told("--randomize", "mild")
+
+
 def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
     with pytest.raises(SystemExit) as exit_info:
         run.main(["--task", "poke", "--help"])
