@@ -1,11 +1,12 @@
 """A policy in a robot's control loop; the simulated UR5e stands for the robot, behind `read` and `command`."""
 
-import collections
 from collections.abc import Callable
 
 import numpy as np
 
 from experiments.transfer.robots import make_robot
+from hgail_envs.past import Past
+from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
@@ -20,10 +21,10 @@ def run(
     offset: np.ndarray,  # from the robot's frame to the policy's
     goal: np.ndarray,  # in the robot's frame, as a camera gives it
     workspace: np.ndarray,  # lowest and highest position, `[2, 3]`, in the robot's frame
-    history: int = 0,  # past actions and observations that the policy reads
+    past: Past | None = None,  # that the policy reads before the present observation
 ) -> bool:
     """Runs an episode, and returns whether it went to its end; it stops if several observations in a row are late."""
-    before, late, rows = None, 0, None
+    before, late, past = None, 0, past or Past(Randomization())
     for _ in range(STEPS):
         position = read()
         if position is None or not np.isfinite(position).all():
@@ -34,11 +35,10 @@ def run(
             continue
         late, moved = 0, np.zeros(3) if before is None else position - before  # metres per action
         seen = np.concatenate([position + offset, moved])
-        rows = rows or collections.deque([np.concatenate([np.zeros(4), seen])] * history, history)
-        action = np.clip(policy(np.concatenate([*rows, seen, goal + offset]).astype(np.float32)), -1.0, 1.0)
+        action = np.clip(policy(np.concatenate([past.before(seen), seen, goal + offset]).astype(np.float32)), -1.0, 1.0)
         action[:3] = np.clip(action[:3], *np.clip((workspace - position) / MOTION, -1.0, 1.0))  # within the workspace
         command(action)
-        rows.appendleft(np.concatenate([action, seen]))  # the newest first
+        past.add(action, seen)
         before = position
     return True
 
@@ -54,6 +54,6 @@ if __name__ == "__main__":
         robot.offset,
         target,
         start + np.array([[-0.2], [0.2]]),
-        policy.randomization.history,
+        Past(policy.randomization),
     )
     print(f"{np.linalg.norm(robot.features()[:3] - robot.target()) * 1000:.1f} mm from the target")

@@ -11,15 +11,17 @@ from hgail_envs.randomization import LEVELS, Randomization
 
 
 def levels() -> str:
-    """Sizes of the named randomisation levels, without those that only add a history."""
-    named = {name: level for name, level in LEVELS.items() if not level.history and name != "none"}
+    """Sizes of the named randomisation levels, without those that only show the policy more."""
+    named = {
+        name: level for name, level in LEVELS.items() if not (level.history or level.known_delay) and name != "none"
+    }
     units = {"delay": "steps", "z_bias": "of a displacement", "hand_opening": "of the widest", "ramp": "of the rounds"}
     rows = []
     for field in dataclasses.fields(Randomization):
         values = [getattr(level, field.name) for level in named.values()]
         unit = units.get(field.name, "times" if isinstance(values[0], tuple) else "m")
         texts = [_range(np.atleast_1d(value)) for value in values]
-        if field.name != "history":
+        if field.name not in ("history", "known_delay"):
             rows.append([f"`{field.name}`", unit, *texts])
     return markdown(["size", "unit", *named], rows)
 

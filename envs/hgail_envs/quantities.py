@@ -122,10 +122,13 @@ _GOALS = {
 _ARM = _vector("gripper displacement", "1 is about 0.033 m")
 _HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 drives the fingers to their stops", "hand")
 _BLOCKED = Quantity("hand: no effect, the fingers are blocked", "", "hand")
+_ON_ITS_WAY = Quantity("1: an action", "", "")
 _BLOCKS_FINGERS = ("reach", "push", "slide")
 
 
-def describe(task: str, observation: str = "compact", history: int = 0, sizes: Sequence[int] = ()) -> Description:
+def describe(
+    task: str, observation: str = "compact", history: int = 0, known_delay: int = 0, sizes: Sequence[int] = ()
+) -> Description:
     """Describes the numbers of a task of the package; those of other tasks are numbered.
 
     Args:
@@ -133,6 +136,7 @@ def describe(task: str, observation: str = "compact", history: int = 0, sizes: S
       observation: `"compact"`, or of some tasks `"official"`, see `hgail_envs.fetch.objects.ObjectEnv`, or `"tracked"`,
         see `hgail_envs.fetch.grasp.Grasp`.
       history: past actions and observations before the present observation, see `Randomization.history`.
+      known_delay: actions on their way, before the history, see `Randomization.known_delay`.
       sizes: of features without history, goal and action, for a task of one's own; empty are those of its class.
 
     >>> describe("reach").features[3]
@@ -156,7 +160,17 @@ def describe(task: str, observation: str = "compact", history: int = 0, sizes: S
             tuple(Quantity(f"{kind} {index}", "", "") for index in range(count))
             for kind, count in zip(kinds, counts, strict=True)
         )
-    return Description((*_past(action, features, history), *features), goal, action)
+    past = *_on_their_way(action, known_delay), *_past(action, features, history)
+    return Description((*past, *features), goal, action)
+
+
+def _on_their_way(action: tuple[Quantity, ...], known_delay: int) -> tuple[Quantity, ...]:
+    """Returns the quantities of the actions that have not taken effect, the newest first."""
+    return tuple(
+        quantity._replace(name=f"{quantity.name}, sent {back} step{'s' if back > 1 else ''} ago and on its way, else 0")
+        for back in range(1, known_delay + 1)
+        for quantity in (_ON_ITS_WAY, *action)
+    )
 
 
 def _past(action: tuple[Quantity, ...], features: tuple[Quantity, ...], history: int) -> tuple[Quantity, ...]:

@@ -12,7 +12,7 @@ Range = tuple[float, float]
 
 MOST_DELAY = 50
 """Largest delay, steps: an episode of the Fetch tasks."""
-_LATER = ("hand_width", "pad_size")  # sizes that runs and policy files of earlier releases lack
+_LATER = ("hand_width", "pad_size", "known_delay")  # sizes that runs and policy files of earlier releases lack
 _OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # of fields, in policy files of earlier releases
 
 
@@ -79,6 +79,8 @@ class Randomization:
     """Largest opening of the hand at the start, as a fraction of its widest."""
     history: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
     """Number of last actions and observations that the policy observes besides the present observation."""
+    known_delay: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
+    """Longest delay, steps, that the policy knows: it observes so many actions that have not taken effect yet."""
     ramp: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
     """Fraction of the training's rounds over which the randomisation grows from nominal to these sizes; 0 starts with
     these. The start of an episode (`posture`, `hand_opening`) does not grow."""
@@ -107,12 +109,12 @@ class Randomization:
 
     def nominal(self) -> Self:
         """Returns no randomisation, for observations of the same size."""
-        return type(self)(history=self.history)
+        return type(self)(history=self.history, known_delay=self.known_delay)
 
     def as_dict(self) -> dict[str, Any]:
         """Returns the sizes by their names, those of `_LATER` only where they are not nominal, as in older runs."""
-        sizes = dataclasses.asdict(self)
-        return {name: value for name, value in sizes.items() if name not in _LATER or value != (1.0, 1.0)}
+        sizes, nominal = dataclasses.asdict(self), dataclasses.asdict(type(self)())
+        return {name: value for name, value in sizes.items() if name not in _LATER or value != nominal[name]}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
@@ -193,12 +195,22 @@ _FULL = dataclasses.replace(
     posture=0.04,
 )
 
+_SENSORS = Randomization(
+    **{name: getattr(_FULL, name) for name in ("robot_noise", "robot_offset", "object_noise", "object_offset")},
+    goal_noise=_FULL.goal_noise,
+    goal_offset=_FULL.goal_offset,
+    hand_opening=_FULL.hand_opening,
+    ramp=_FULL.ramp,
+)
+
 LEVELS: dict[str, Randomization] = {
     "none": Randomization(),
+    "sensors": _SENSORS,
     "mild": _MILD,
     "full": _FULL,
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
+    "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1]),
 }
 """Randomisations by name, as on the command line.
 

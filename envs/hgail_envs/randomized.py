@@ -24,9 +24,11 @@ class RandomizedEnv(GoalEnv):
     """A randomised task; the sizes of each episode are drawn with its key at the reset.
 
     Actions take effect late, their displacements are scaled, and the observed positions of gripper, object and goal
-    have errors. The features are `history` of the last actions and observations, then the task's own. Hindsight
-    relabels with observed goals: the position in an achieved goal has the same error as the one in the episode's
-    desired goal, since the same camera measures both. Reward, success and distances are of the true positions.
+    have errors. The features are the past, then the task's own. The past is `known_delay` actions that have not taken
+    effect, newest first, each after a 1, with zeros where the delay is shorter; then `history` of the last actions and
+    observations. Hindsight relabels with observed goals: the position in an achieved goal has the same error as the one
+    in the episode's desired goal, since the same camera measures both. Reward, success and distances are of the true
+    positions.
 
     An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers.
 
@@ -58,10 +60,11 @@ class RandomizedEnv(GoalEnv):
         for name in _SAME:
             if hasattr(task, name):
                 setattr(self, name, getattr(task, name))
-        self._history_size = randomization.history * (task.action_size + task.feature_size)
-        self.feature_size = self._history_size + task.feature_size
+        known, remembered = randomization.known_delay, randomization.history
+        self._past_size = known * (1 + task.action_size) + remembered * (task.action_size + task.feature_size)
+        self.feature_size = self._past_size + task.feature_size
         self.controllers = {  # type: ignore[misc]
-            name: functools.partial(_act_now, act, self._history_size) for name, act in task.controllers.items()
+            name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
@@ -142,17 +145,25 @@ class RandomizedEnv(GoalEnv):
         return self.task.features(self.task.add_sensor_noise(physics.true, physics.errors()))
 
     def features(self, physics: RandomizedPhysics) -> jax.Array:
-        """Returns the history, then the task's features with sensor errors; see `GoalEnv`."""
-        return jnp.concatenate([physics.history.reshape(-1), self._observed_features(physics)])
+        """Returns the past, then the task's features with sensor errors; see `GoalEnv`."""
+        past = self._on_their_way(physics).reshape(-1), physics.history.reshape(-1)
+        return jnp.concatenate([*past, self._observed_features(physics)])
+
+    def _on_their_way(self, physics: RandomizedPhysics) -> jax.Array:
+        """Returns the actions that have not taken effect, newest first, each after a 1: `[known_delay, 1 + size]`."""
+        count, pending = self.randomization.known_delay, physics.pending
+        newest = jnp.zeros((count, self.action_size)).at[: len(pending)].set(pending[:count])
+        marked = jnp.concatenate([jnp.ones((count, 1)), newest], axis=1)
+        return jnp.where(jnp.arange(count)[:, None] < physics.drawn.delay, marked, 0.0)
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns the history, then the task's own observation; see `GoalEnv`."""
-        history, own = features[..., : self._history_size], features[..., self._history_size :]
-        return jnp.concatenate([history, self.task.goal_observation(own, goal)], axis=-1)
+        """Returns the past, then the task's own observation; see `GoalEnv`."""
+        past, own = features[..., : self._past_size], features[..., self._past_size :]
+        return jnp.concatenate([past, self.task.goal_observation(own, goal)], axis=-1)
 
     @property
     def observation_size(self) -> int:
-        return self._history_size + self.task.observation_size
+        return self._past_size + self.task.observation_size
 
     def achieved_goal(self, physics: RandomizedPhysics) -> jax.Array:
         """Returns the achieved goal with the sensors' error; see `GoalEnv`."""
@@ -194,10 +205,10 @@ class RandomizedEnv(GoalEnv):
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether observed positions are at observed goals, for a buffer has no true ones; see `GoalEnv`."""
-        return self.task.goal_test(features[..., self._history_size :], achieved, goal)
+        return self.task.goal_test(features[..., self._past_size :], achieved, goal)
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        return self.task.already_solved(features[..., self._history_size :], goal)
+        return self.task.already_solved(features[..., self._past_size :], goal)
 
     def move_target(self, state: State, position: jax.Array) -> State:
         """Moves the target to the true `position`; see `GoalEnv`."""
@@ -233,7 +244,8 @@ class RandomizedEnv(GoalEnv):
         """Returns the task with other sizes, by the fields of `Randomization`, which may be traced.
 
         So one program evaluates many sizes. Its structure stays that of `randomization`: no delay may be longer than
-        there, `posture` and `history` stay, and a model, start or sensors that are nominal there stay nominal.
+        there, `posture`, `history` and `known_delay` stay, and a model, start or sensors that are nominal there stay
+        nominal.
         """
         env = copy.copy(self)
         env._sizes = self._sizes | dict(sizes)
@@ -270,9 +282,9 @@ def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
     return task if randomization == Randomization() else RandomizedEnv(task, randomization)
 
 
-def _act_now(controller: Controller, history_size: int, observation: jax.Array) -> jax.Array:
-    """Returns a controller's action on an observation without its history."""
-    return controller(observation[..., history_size:])
+def _act_now(controller: Controller, past_size: int, observation: jax.Array) -> jax.Array:
+    """Returns a controller's action on an observation without its past."""
+    return controller(observation[..., past_size:])
 
 
 def _between(bounds: Range, uniform: jax.Array) -> jax.Array:

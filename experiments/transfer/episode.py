@@ -7,10 +7,12 @@ import numpy as np
 
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.model_changes import changed
-from experiments.transfer.observing import History, Sensors
+from experiments.transfer.observing import Sensors
 from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics, GoalEnv, find_class
 from hgail_envs.fetch.grasp import LEAST_RISE
+from hgail_envs.past import Past
+from hgail_envs.randomization import Randomization
 
 
 def run_episode(
@@ -46,12 +48,12 @@ def _run(
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
     sensors = Sensors(robot, policy, rng, conditions)
-    history = History(policy)
+    past = Past(getattr(policy, "randomization", Randomization()), conditions.delay)
     watch()
     for _ in range(task.episode_length):
         seen, goal = sensors.observe()
-        action = policy(np.concatenate([*history.before(seen), seen, goal]).astype(np.float32))
-        history.add(np.clip(action, -1.0, 1.0), seen)
+        action = policy(np.concatenate([past.before(seen), seen, goal]).astype(np.float32))
+        past.add(np.clip(action, -1.0, 1.0), seen)
         pending.append(np.clip(action, -1.0, 1.0) * factors)
         action = pending.popleft()
         robot.step(action)

@@ -1,13 +1,10 @@
-"""Observations of a policy on a robot: features and goals with sensor errors, and the history."""
-
-import collections
+"""Observations of a policy on a robot: features and goals with sensor errors."""
 
 import numpy as np
 
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.robots.base import Robot
 from hgail_envs import find_class
-from hgail_envs.randomization import Randomization
 
 
 def tracks_cube(policy: MeanAction) -> bool:
@@ -56,27 +53,3 @@ class Sensors:
 
     def _draw(self, deviation: float) -> np.ndarray:
         return deviation * self._rng.standard_normal(3) if deviation else np.zeros(3)
-
-
-class History:
-    """The last actions and the features before each, as in `RandomizedEnv`.
-
-    Args:
-      policy: with the length of the history in its `randomization`, if it has one.
-
-    """
-
-    def __init__(self, policy: MeanAction) -> None:
-        count = getattr(policy, "randomization", Randomization()).history
-        self._rows: collections.deque[np.ndarray] = collections.deque(maxlen=count)
-        self._count = count
-
-    def before(self, seen: np.ndarray) -> list[np.ndarray]:
-        """Returns the rows before features, newest first, each an action and features; at first they repeat these."""
-        if not self._rows:
-            self._rows.extend([np.append(np.zeros(4), seen)] * self._count)
-        return list(self._rows)
-
-    def add(self, action: np.ndarray, seen: np.ndarray) -> None:
-        """Adds an action and the features that it answered."""
-        self._rows.appendleft(np.concatenate([action, seen]))

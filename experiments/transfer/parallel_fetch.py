@@ -53,14 +53,15 @@ class ParallelFetch:
 
     Args:
       task: a Fetch task's name.
-      policies: with the same network sizes, history and task options.
+      policies: with the same network sizes, past and task options.
       episodes: of a point; all points have the same starts.
       seed: of the episodes.
 
     """
 
     def __init__(self, task: str, policies: Sequence[MeanPolicy], episodes: int, seed: int) -> None:
-        most = dataclasses.replace(_MOST, history=policies[0].randomization.history)
+        shown = policies[0].randomization
+        most = dataclasses.replace(_MOST, history=shown.history, known_delay=shown.known_delay)
         fetch = hgail_envs.make(task, impl="c", **policies[0].task_options)
         randomized = _OneCamera if tracks_cube(policies[0]) else RandomizedEnv
         turns = np.arange(episodes) % len(policies)

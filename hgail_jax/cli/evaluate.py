@@ -13,6 +13,7 @@ import hgail_envs
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.engines import ENGINES
 from hgail_envs.fetch.reference import ReferenceFetch, reference_episode
+from hgail_envs.past import Past
 from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
@@ -132,7 +133,7 @@ def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple
 def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Options) -> tuple[EpisodeMetrics, int]:
     """Returns the means over the episodes of a policy in the reference, and their number."""
     ends = [
-        reference_episode(reference, policy, policy.randomization.history, options.seed, index)
+        reference_episode(reference, policy, Past(policy.randomization), options.seed, index)
         for index in range(options.episodes)
     ]
     names = [field.name for field in dataclasses.fields(EpisodeMetrics)]

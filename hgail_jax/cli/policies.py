@@ -88,7 +88,7 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
     """Makes the task that a policy is for.
 
     Args:
-      policy: its options and its history are the task's.
+      policy: its options and the past that it reads are the task's.
       task: its name.
       level: of the randomisation; None is that of the policy's training.
       **physics: options of the task, where it takes them.
@@ -111,7 +111,8 @@ def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
     """Returns the randomisation of a level, or if it is None that of the policy's training, with its history."""
     if level is None:
         return policy.randomization
-    return dataclasses.replace(LEVELS[level], history=policy.randomization.history)  # the policy is shown as much
+    shown = policy.randomization  # whose past the policy reads, under any disturbance
+    return dataclasses.replace(LEVELS[level], history=shown.history, known_delay=shown.known_delay)
 
 
 def told(path: Path, policy: MeanPolicy, level: str | None) -> str:

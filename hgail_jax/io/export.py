@@ -119,13 +119,13 @@ def check_described(policy: MeanPolicy) -> Description:
       ValueError: the policy reads other numbers than its task has.
 
     """
-    history = policy.randomization.history
-    row = policy.action_size * history
-    sizes = ((policy.observation_size - policy.goal_size - row) // (1 + history), policy.goal_size, policy.action_size)
+    history, known = policy.randomization.history, policy.randomization.known_delay
+    past = policy.action_size * history + (1 + policy.action_size) * known
+    sizes = ((policy.observation_size - policy.goal_size - past) // (1 + history), policy.goal_size, policy.action_size)
     of_package = policy.task in TASKS
     tracked = policy.task_options.get("cube") == "tracked"
     observation = str(policy.task_options.get("observation", "tracked" if tracked else "compact"))
-    described = describe(policy.task, observation, history, () if of_package else sizes)
+    described = describe(policy.task, observation, history, known, () if of_package else sizes)
     if len(described.features) + len(described.goal) != policy.observation_size:
         raise ValueError(
             f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}"
@@ -134,7 +134,7 @@ def check_described(policy: MeanPolicy) -> Description:
 
 
 def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
-    described, history = check_described(policy), policy.randomization.history
+    described = check_described(policy)
     of_package = policy.task in TASKS
     known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
     return {
@@ -145,7 +145,8 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
         "frames": FRAMES,
         **known,
         "normalization": f"in the graph: less mean, by standard deviation, clipped to ±{MAX_NORMALIZED:g}",
-        "history": history,
+        "known_delay": policy.randomization.known_delay,
+        "history": policy.randomization.history,
         "randomization": dataclasses.asdict(policy.randomization),
         "task_options": policy.task_options,
         "versions": policy.versions,

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.real_robot import MOST_LATE, MOTION, STEPS, run
+from hgail_envs.past import Past
+from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
@@ -39,8 +41,8 @@ def test_the_ur5e_reaches_its_target(name):
     for seed in range(3):
         robot.reset(np.random.default_rng(seed))
         goal = robot.target() - robot.offset
-        read, history = lambda: robot.features()[:3] - robot.offset, policy.randomization.history
-        assert run(policy, read, robot.step, robot.offset, goal, WIDE, history)
+        read, past = lambda: robot.features()[:3] - robot.offset, Past(policy.randomization)
+        assert run(policy, read, robot.step, robot.offset, goal, WIDE, past)
         assert np.linalg.norm(robot.features()[:3] - robot.target()) < 0.05
 
 
@@ -64,7 +66,7 @@ def test_the_last_actions_and_observations_come_first():
         seen.append(each)
         return follow(each[20:])
 
-    run(act, point.read, point.command, np.zeros(3), np.ones(3), WIDE, history=2)
+    run(act, point.read, point.command, np.zeros(3), np.ones(3), WIDE, Past(Randomization(history=2)))
     first, second, third = (row.reshape(-1)[:20].reshape(2, 10) for row in seen[:3])
     np.testing.assert_array_equal(first, [[0.0] * 10] * 2)
     np.testing.assert_allclose(second[0], [*point.actions[0], *seen[0][20:26]], rtol=1e-6)

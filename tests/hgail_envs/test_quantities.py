@@ -96,6 +96,19 @@ def test_each_number_is_what_its_name_says(task, observation):
     assert all(quantity.frame in (*FRAMES, "") for group in described for quantity in group)
 
 
+def test_actions_on_their_way_are_named_in_their_order():
+    env = randomize(hgail_envs.make("point"), Randomization(delay=(2, 2), known_delay=3, history=1))
+    named = [quantity.name for quantity in describe("point", history=1, known_delay=3).features]
+    assert len(named) == len(set(named)) == env.feature_size
+    state = env.reset(jax.random.key(0))
+    for action in ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]):
+        state = env.step(state, jnp.array(action))
+    seen = dict(zip(named, np.asarray(state.info["observation"]), strict=True))
+    for back, (there, x) in {"1 step": (1, 0.4), "2 steps": (1, 0.1), "3 steps": (0, 0)}.items():
+        assert seen[f"1: an action, sent {back} ago and on its way, else 0"] == there
+        assert seen[f"displacement x, sent {back} ago and on its way, else 0"] == pytest.approx(x)
+
+
 def test_a_history_is_named_in_its_order():
     env = randomize(hgail_envs.make("point"), Randomization(history=2))
     named = [quantity.name for quantity in describe("point", history=2).features]

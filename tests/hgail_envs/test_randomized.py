@@ -162,8 +162,30 @@ def test_the_history_is_what_was_done_and_observed():
         np.testing.assert_allclose(state.obs, np.append(expected, state.info["desired_goal"]), atol=1e-6)
 
 
+@pytest.mark.parametrize(("delay", "known"), [(0, 2), (1, 2), (2, 2), (3, 2), (1, 3)])
+def test_a_policy_that_knows_its_delay_observes_what_is_on_its_way(delay, known):
+    env = RandomizedEnv(Point(), Randomization(delay=(delay, delay), known_delay=known, history=1))
+    assert env.observation_size == 4 * known + 6 + 6
+    sent = [np.zeros(3)] * 3
+    states = follow(env)
+    for step, state in enumerate(states):
+        if step:
+            sent = [ACTIONS[step - 1], *sent[:2]]
+        rows = [np.append(1.0, sent[back]) if back < delay else np.zeros(4) for back in range(known)]
+        np.testing.assert_allclose(state.obs[: 4 * known], np.concatenate(rows), atol=1e-6)
+        if 0 < delay <= known and step + 1 < len(states):  # the oldest of them is what moves the point next
+            moved = states[step + 1].pipeline_state.true - state.pipeline_state.true
+            np.testing.assert_allclose(moved, STEP * rows[delay - 1][1:], atol=1e-6)
+
+
+def test_a_task_without_delay_shows_as_many_numbers():
+    nominal = RandomizedEnv(Point(), Randomization(delay=(1, 3), known_delay=3)).nominal()
+    assert nominal.randomization == Randomization(known_delay=3)
+    assert not np.asarray(follow(nominal)[-1].obs)[: 4 * 3].any()
+
+
 def test_a_controller_acts_on_the_present_observation():
-    env = RandomizedEnv(Point(), Randomization(history=2))
+    env = RandomizedEnv(Point(), Randomization(history=2, known_delay=1))
     state = env.reset(jax.random.key(0))
     (name, controller), plain = next(iter(env.controllers.items())), Point()
     np.testing.assert_array_equal(controller(state.obs), plain.controllers[name](state.obs[-6:]))
@@ -228,7 +250,7 @@ def test_what_a_task_lacks_is_refused():
         randomize(Point(), "mild")
     with pytest.raises(ValueError, match="Point cannot be randomised so: it has no vary_start"):
         RandomizedEnv(Point(), Randomization(posture=0.01))
-    with pytest.raises(ValueError, match="unknown randomize 'wild'; choose from none, mild, full"):
+    with pytest.raises(ValueError, match="unknown randomize 'wild'; choose from none, sensors, mild, full"):
         randomize(Point(), "wild")
 
 

@@ -1,6 +1,5 @@
 """Gymnasium-Robotics' environments, the reference of the Fetch tasks, on C MuJoCo with the robot's own meshes."""
 
-import collections
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.fetch.grasp import CUBES, LEAST_RISE, is_held
 from hgail_envs.fetch.objects import OBSERVATIONS
+from hgail_envs.past import Past
 from hgail_envs.registry import accepted_options, find_class
 from hgail_envs.validation import MOST_SEED, check_name
 
@@ -138,14 +138,14 @@ class ReferenceFetch:
 
 
 def reference_episode(
-    reference: ReferenceFetch, policy: Callable[[np.ndarray], np.ndarray], history: int, seed: int, index: int
+    reference: ReferenceFetch, policy: Callable[[np.ndarray], np.ndarray], past: Past, seed: int, index: int
 ) -> EpisodeMetrics:
     """Runs a policy for one episode of the reference, with the task's lift test.
 
     Args:
       reference: of the task.
       policy: maps an observation, float32 `[observation_size]`, to an action, `[4]`.
-      history: past actions and observations that the policy reads, see `Randomization.history`.
+      past: of the policy's randomisation, with nothing in it yet.
       seed: of all episodes; with the index it decides the start.
       index: of the episode.
 
@@ -156,12 +156,11 @@ def reference_episode(
     task = find_class(reference.task)
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
     told, ones = reference.target(), np.ones(task.goal_size - 3)  # 1: the object's position, or to be held
-    rows = collections.deque([np.concatenate([np.zeros(4), reference.features()])] * history, maxlen=history)
     for _ in range(task.episode_length):
         seen = reference.features()
         told = reference.target() if reference.tracks_cube else told
-        action = np.clip(policy(np.concatenate([*rows, seen, told, ones]).astype(np.float32)), -1.0, 1.0)
-        rows.appendleft(np.concatenate([action, seen]))
+        action = np.clip(policy(np.concatenate([past.before(seen), seen, told, ones]).astype(np.float32)), -1.0, 1.0)
+        past.add(action, seen)
         reference.step(action)
     position, target = reference.carried(), reference.target()
     achieved = bool(reference.features()[7]) if task.lift_test_steps else reference.reached()  # 7: the hand holds

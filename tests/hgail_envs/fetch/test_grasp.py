@@ -9,6 +9,8 @@ import pytest
 import hgail_envs
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.reference import ReferenceFetch, make_reference, reference_episode
+from hgail_envs.past import Past
+from hgail_envs.randomization import Randomization
 
 BATCH = 16
 STEPS = 100
@@ -204,7 +206,7 @@ def test_the_reference_tells_where_a_tracked_cube_is():
         return np.asarray(controllers.closed(np.delete(observation, slice(8, 11))))
 
     cubes = []
-    reference_episode(reference, policy, 0, seed=1, index=0)
+    reference_episode(reference, policy, Past(Randomization()), seed=1, index=0)
     told = np.array(told)
     assert told.shape[1] == 15 and np.linalg.norm(cubes[-1] - cubes[0]) > 0.02
     np.testing.assert_allclose(told[:, 11:14], cubes, atol=1e-6)

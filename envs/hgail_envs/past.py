@@ -1,0 +1,36 @@
+"""What a policy on a robot reads before the present observation, as `hgail_envs.randomized` shows it in training."""
+
+import collections
+
+import numpy as np
+
+from hgail_envs.randomization import Randomization
+
+
+class Past:
+    """The past of an episode, as a policy reads it: actions on their way, then past actions and observations.
+
+    Args:
+      randomization: of the policy's training, with its `known_delay` and `history`.
+      delay: of the robot, from an observation to the action that answers it, steps.
+      action_size: numbers in an action.
+
+    """
+
+    def __init__(self, randomization: Randomization, delay: int = 0, action_size: int = 4) -> None:
+        known, self._history = randomization.known_delay, randomization.history
+        self._delay, self._action_size = delay, action_size
+        self._sent = collections.deque([np.zeros(action_size)] * known, maxlen=known)
+        self._rows: collections.deque[np.ndarray] = collections.deque(maxlen=self._history)
+
+    def before(self, seen: np.ndarray) -> np.ndarray:
+        """Returns the numbers before the features `seen`, `[n]`; the history at first repeats these."""
+        if not self._rows:
+            self._rows.extend([np.append(np.zeros(self._action_size), seen)] * self._history)
+        sent = [(index < self._delay) * np.append(1.0, action) for index, action in enumerate(self._sent)]
+        return np.concatenate([np.zeros(0), *sent, *self._rows])
+
+    def add(self, action: np.ndarray, seen: np.ndarray) -> None:
+        """Adds an action, `[action_size]`, and the features that it answered."""
+        self._sent.appendleft(action)
+        self._rows.appendleft(np.append(action, seen))
