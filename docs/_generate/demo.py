@@ -17,6 +17,8 @@ from docs._generate.results import ROOT
 SOURCES = ROOT / "docs" / "demo"
 SITE = ROOT / ".cache" / "demo"
 PACKAGES = ROOT / ".cache" / "demo-packages"
+ABSENT = ("tower",)
+"""Tasks whose policies the page does not have."""
 
 _LOCK = ("package.json", "package-lock.json")
 _PATIENCE = 120.0  # seconds for the packages, 13 MB
@@ -52,7 +54,8 @@ def build(site: Path = SITE) -> Path:
     wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()
     (vendor / "mujoco.wasm.gz").write_bytes(gzip.compress(wasm, mtime=0))
     scenes = shutil.copytree(ROOT / "assets" / "fetch", site / "scenes")
-    policies = shutil.copytree(ROOT / "assets" / "policies", site / "policies")
+    absent = shutil.ignore_patterns(*(f"{task}*.npz" for task in ABSENT))
+    policies = shutil.copytree(ROOT / "assets" / "policies", site / "policies", ignore=absent)
     content = {
         "scenes": sorted(path.name for path in scenes.iterdir()),
         "policies": sorted(path.stem for path in policies.iterdir()),

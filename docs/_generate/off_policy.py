@@ -6,7 +6,7 @@ from hgail_jax.defaults import DEFAULTS
 
 _RUNS = (
     *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3"),
-    *("stack-td3", "grasp-td3"),
+    *("stack-td3", "tower-td3", "grasp-td3"),
     *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
 )
 _TRIALS = "suite/off-policy"
@@ -82,6 +82,16 @@ def _steps_told(curves: Row) -> str:
     """Returns the steps of a seed after which the mean of the seeds was first measured at .95, as a table has it."""
     reached = zip(curves["env_steps"], curves["success"], strict=True)
     return next((count(steps) for steps, success in reached if mean(success) >= 0.95), "never")
+
+
+def off_policy_updates(task: str) -> str:
+    """Time of an update phase by parts."""
+    parts = ("update_phase", "rollout_phase", "gradient_steps", "discriminator", "bare_optimiser")
+    header = ["seeds", "a phase", "its roll-out", "gradient steps", "the discriminator's", "bare optimiser"]
+    rows = [row for row in bench_rows("updates") if row["task"] == task]
+    return markdown(
+        header, [[count(row["seeds"]), *(f"{fixed(row[f'{part}_seconds'], 2)} s" for part in parts)] for row in rows]
+    )
 
 
 def off_policy_seeds(task: str) -> str:

@@ -24,6 +24,7 @@ _RUNS = {
     "pick-and-place": "pick-and-place-td3",
     "slide": "slide-td3",
     "stack": "stack-td3",
+    "tower": "tower-td3",
 }
 _TO_BE_LEFT = "; of a cube to be left, 0.025 m in the plane and 0.01 m in height"
 _GOAL_TESTS = {"grasp": ", and held", "stack": _TO_BE_LEFT, "tower": _TO_BE_LEFT}

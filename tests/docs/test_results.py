@@ -13,7 +13,6 @@ from hgail_jax.config import LEARNERS, Config, Hyperparameters
 OLDER = ("gasil-grasp.json", "table1-longer-grasp.json")  # made before some of the hyperparameters were there
 
 NOT_RUN = {
-    "off-policy-sizes-pick-and-place.json": {"1 critic", "4 critics"},
     "off-policy-rewards-stack.json": {"the task's own goals to learn from", "PPO"},
 }
 
