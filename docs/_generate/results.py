@@ -127,6 +127,13 @@ def transfer(
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
+def worst_elsewhere(level: str, condition: str) -> float:
+    """Success of the worst of grasp's seeds on another robot, trained under a level."""
+    rows = read_json("suite/off-policy")["levels_elsewhere"]["rows"]
+    seeds = next(row["seeds"] for row in rows if (row["task"], row["level"]) == ("grasp", level))
+    return min(rates[condition] for rates in seeds.values())
+
+
 def sweep_point(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:
     """Returns a point of the sweep of randomised episodes; `robot` is the beginning of its name."""
     rows = [row for row in read_json("transfer/transfer-sweep")["rows"] if row["robot"].startswith(robot)]

@@ -1,6 +1,7 @@
 """Writes the tables about robust policies, as Markdown."""
 
 import dataclasses
+import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -8,6 +9,9 @@ import numpy as np
 from docs._generate.results import RESULTS, Row, count, fixed, read_json, seconds
 from docs._generate.tables import markdown
 from hgail_envs.randomization import LEVELS, Randomization
+
+_KINDS = ("-robust", "-sensors", "-known-delay")
+_ENDS = f"({'|'.join(_KINDS)})$"
 
 
 def levels() -> str:
@@ -20,24 +24,24 @@ def levels() -> str:
     for field in dataclasses.fields(Randomization):
         values = [getattr(level, field.name) for level in named.values()]
         unit = units.get(field.name, "times" if isinstance(values[0], tuple) else "m")
-        texts = [_range(np.atleast_1d(value)) for value in values]
+        texts = ["–" if value == field.default else _range(np.atleast_1d(value)) for value in values]
         if field.name not in ("history", "known_delay"):
             rows.append([f"`{field.name}`", unit, *texts])
     return markdown(["size", "unit", *named], rows)
 
 
 def robust() -> str:
-    """Success of robust trainings on the Fetch, randomised and nominal."""
-    header = ["task", "learner", "success under `full`", "undisturbed", "worst seed, undisturbed"]
+    """Success of randomised trainings on the Fetch, under their level and nominal."""
+    header = ["task", "learner", "level", "success under it", "undisturbed", "worst seed, undisturbed"]
     rows = []
-    for folder in sorted((RESULTS / "runs").glob("*-robust")):
-        row = read_json(f"runs/{folder.name}/summary")
-        plain = read_json(f"runs/{folder.name.removesuffix('-robust')}/summary")
+    for folder in sorted(folder for kind in _KINDS for folder in (RESULTS / "runs").glob(f"*{kind}")):
+        row, plain = (read_json(f"runs/{name}/summary") for name in (folder.name, re.sub(_ENDS, "", folder.name)))
         nominal = row["nominal_success_rate"]
         rates = [row["success_rate"]["mean"], nominal["mean"], min(nominal["per_seed"]), plain["success_rate"]["mean"]]
+        level = read_json(f"runs/{folder.name}/config")["options"]["randomize"]
         steps, time = count(row["env_steps_per_seed"]), seconds(row["wall_seconds"]["total"])
         learner = "TD3" if row.get("learner") == "td3" else "PPO"
-        rows.append([row["task"], learner, *(fixed(rate, 3) for rate in rates), steps, time])
+        rows.append([row["task"], learner, f"`{level}`", *(fixed(rate, 3) for rate in rates), steps, time])
     return markdown([*header, "plain policies, undisturbed", "env steps", "start to end"], rows)
 
 
@@ -49,6 +53,21 @@ def robust_elsewhere(task: str) -> str:
         ["seed", *(name.replace(" x ", " × ") for name in names)],
         [[seed.removeprefix("seed-"), *(fixed(rates[name], 2) for name in names)] for seed, rates in seeds.items()],
     )
+
+
+def levels_elsewhere(task: str) -> str:
+    """Success of TD3's eight seeds on other robots, by the level that they were trained under: mean and worst."""
+    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if row["task"] == task]
+    names = list(dict.fromkeys(name for row in rows for rates in row["seeds"].values() for name in rates))
+    return markdown(
+        ["trained under", *(name.replace(" x ", " × ") for name in names)],
+        [[f"`{row['level']}`", *(_mean_and_worst(row["seeds"].values(), name) for name in names)] for row in rows],
+    )
+
+
+def _mean_and_worst(seeds: Iterable[Row], name: str) -> str:
+    rates = [rates[name] for rates in seeds if name in rates]
+    return f"{fixed(np.mean(rates), 2)} ({fixed(min(rates), 2)})" if rates else "–"
 
 
 def robust_causes() -> str:

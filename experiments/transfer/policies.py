@@ -15,8 +15,8 @@ from hgail_jax.io.policy import MeanPolicy, load_policy
 
 PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""
-RUNS = {PLAIN: "{task}-hgail", "tracked": "{task}-td3", "robust": "{task}-hgail-robust"}
-"""Folders of the runs that made the repository's policies, by label; a tracked grasp sees its cube at each step."""
+RUNS = {PLAIN: "{task}-hgail", "sensors": "{task}-td3-sensors", "robust": "{task}-hgail-robust"}
+"""Folders of the runs that made the repository's policies, by label; those under `sensors` see a cube at each step."""
 SCRIPT = "script"
 """Label of the scripted controllers, and what stands for a policy's file."""
 SCRIPTED_TASKS = ("grasp", "pick-and-place")

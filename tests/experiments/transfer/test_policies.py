@@ -20,6 +20,7 @@ from experiments.transfer.measurement import measure
 from experiments.transfer.model_changes import changed
 from experiments.transfer.policies import SCRIPT, find_policies, load_policies, policy_paths
 from experiments.transfer.robots import make_robot
+from hgail_envs.randomization import LEVELS
 from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy, save_policy
 
@@ -29,8 +30,9 @@ def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("grasp")) == 8
     found = find_policies(("reach", "grasp", "pick-and-place"))
     assert {task: len(paths) for task, paths in found["plain"].items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
-    ((task, (tracked,)),) = found["tracked"].items()
-    assert (task, load_policy(tracked).task_options) == ("grasp", {"cube": "tracked"})
+    (grasp,), (picking,) = found["sensors"]["grasp"], found["sensors"]["pick-and-place"]
+    assert (load_policy(grasp).task_options, load_policy(picking).task_options) == ({"cube": "tracked"}, {})
+    assert load_policy(grasp).randomization == load_policy(picking).randomization == LEVELS["sensors"]
 
 
 def test_policies_that_are_shipped_are_those_that_were_measured():
