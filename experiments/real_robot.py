@@ -30,6 +30,7 @@ def run(
         if position is None or not np.isfinite(position).all():
             late, before = late + 1, None  # a difference over two periods would be twice the velocity
             command(np.zeros(4))  # stand still: the last action was for another place
+            past.send(np.zeros(4))
             if late == MOST_LATE:
                 return False
             continue

@@ -18,7 +18,7 @@ SOURCES = ROOT / "docs" / "demo"
 SITE = ROOT / ".cache" / "demo"
 PACKAGES = ROOT / ".cache" / "demo-packages"
 ABSENT = ("tower",)
-"""Tasks whose policies the page does not have."""
+"""Tasks that the page does not simulate, and so has no policies of."""
 
 _LOCK = ("package.json", "package-lock.json")
 _PATIENCE = 120.0  # seconds for the packages, 13 MB

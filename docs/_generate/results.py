@@ -127,11 +127,12 @@ def transfer(
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
-def worst_elsewhere(level: str, condition: str) -> float:
-    """Success of the worst of grasp's seeds on another robot, trained under a level."""
+def rate_elsewhere(level: str, condition: str) -> Row:
+    """Returns `mean`, `worst` and `best` of the success of grasp's seeds on another robot, trained under a level."""
     rows = read_json("suite/off-policy")["levels_elsewhere"]["rows"]
     seeds = next(row["seeds"] for row in rows if (row["task"], row["level"]) == ("grasp", level))
-    return min(rates[condition] for rates in seeds.values())
+    rates = [rates[condition] for rates in seeds.values()]
+    return Row(mean=mean(rates), worst=min(rates), best=max(rates))
 
 
 def sweep_point(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:

@@ -51,9 +51,7 @@ export class Policy {
       );
       return { weights, biases, scale, offset };
     });
-    const { history = 0, known_delay: known = 0 } = this.header.randomization ?? {};
-    this.history = history;
-    this.onTheirWay = new Array(known * (1 + this.header.action.size)).fill(0); // no action is late here
+    this.history = this.header.randomization?.history ?? 0;
   }
 
   // Returns the mean action for an observation.
@@ -101,7 +99,7 @@ export class Pilot {
   }
 
   observation() {
-    return [...this.policy.onTheirWay, ...this.past.flat(), ...this.task.features(), ...this.task.desired()];
+    return [...this.past.flat(), ...this.task.features(), ...this.task.desired()];
   }
 
   // Returns the action for the present state.

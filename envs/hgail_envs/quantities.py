@@ -21,7 +21,7 @@ class Description(NamedTuple):
     """The numbers that a policy of a task reads and commands, in their order."""
 
     features: tuple[Quantity, ...]
-    """Of the observation before the goal, with the history if there is one."""
+    """Of the observation before the goal, with the past if it has one."""
     goal: tuple[Quantity, ...]
     action: tuple[Quantity, ...]
     """Each from -1 to 1."""
@@ -122,7 +122,7 @@ _GOALS = {
 _ARM = _vector("gripper displacement", "1 is about 0.033 m")
 _HAND_COMMAND = Quantity("hand: positive opens, negative closes", "1 drives the fingers to their stops", "hand")
 _BLOCKED = Quantity("hand: no effect, the fingers are blocked", "", "hand")
-_ON_ITS_WAY = Quantity("1: an action", "", "")
+_ON_ITS_WAY = Quantity("whether there is an action", "0 or 1", "")
 _BLOCKS_FINGERS = ("reach", "push", "slide")
 
 
@@ -165,9 +165,9 @@ def describe(
 
 
 def _on_their_way(action: tuple[Quantity, ...], known_delay: int) -> tuple[Quantity, ...]:
-    """Returns the quantities of the actions that have not taken effect, the newest first."""
+    """Returns the quantities of the actions on their way, the newest first; those of none are 0."""
     return tuple(
-        quantity._replace(name=f"{quantity.name}, sent {back} step{'s' if back > 1 else ''} ago and on its way, else 0")
+        quantity._replace(name=f"{quantity.name}, sent {back} step{'s' if back > 1 else ''} ago and on its way")
         for back in range(1, known_delay + 1)
         for quantity in (_ON_ITS_WAY, *action)
     )

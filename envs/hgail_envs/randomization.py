@@ -80,7 +80,8 @@ class Randomization:
     history: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
     """Number of last actions and observations that the policy observes besides the present observation."""
     known_delay: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
-    """Longest delay, steps, that the policy knows: it observes so many actions that have not taken effect yet."""
+    """Longest delay, steps, that the policy knows: it observes so many actions that are on their way, which are sent
+    and have not taken effect."""
     ramp: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
     """Fraction of the training's rounds over which the randomisation grows from nominal to these sizes; 0 starts with
     these. The start of an episode (`posture`, `hand_opening`) does not grow."""

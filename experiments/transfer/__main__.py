@@ -167,6 +167,9 @@ def _sweep(options: Options) -> None:
     policies = find_policies(tasks, options.policies)
     if not measured_pairs(policies, robots, tasks):
         raise ValueError(f"{options.to} has no curves of {options.task!r}")
+    for label in (entry.partition("=")[0] for entry in options.policies):
+        if not policies[label].keys() & set(tasks):
+            raise ValueError(f"--policies {label} has no policy of {' or '.join(tasks)}")
     folder = _make_folder(options.out)
     write_sweep(folder, policies, robots, tasks, options.episodes, options.seed, options.workers or usable_cores())
 

@@ -28,7 +28,7 @@ _MOST = Randomization(  # upper bounds of the points below, for which the progra
     friction=(0.5, 1.5),
     hand_opening=1.0,
 )
-_SIZES = tuple(name for name in vars(_MOST) if name not in ("history", "ramp"))
+_SIZES = tuple(name for name in vars(_MOST) if name not in ("history", "known_delay", "ramp"))
 
 
 class _OneCamera(RandomizedEnv):
@@ -88,8 +88,8 @@ class ParallelFetch:
         """Returns the outcomes of a point's episodes, leaves `[episodes]`.
 
         Args:
-          **sizes: fields of `Randomization` but `history` and `ramp`; the others are nominal. Each `posture` compiles a
-            program of its own.
+          **sizes: fields of `Randomization` but `history`, `known_delay` and `ramp`; the others are nominal. Each
+            `posture` compiles a program of its own.
 
         """
         unknown = set(sizes) - set(_SIZES)

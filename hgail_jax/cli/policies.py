@@ -108,10 +108,10 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
 
 
 def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
-    """Returns the randomisation of a level, or if it is None that of the policy's training, with its history."""
+    """Returns the randomisation of a level with the past that a policy reads, or if it is None of its training."""
     if level is None:
         return policy.randomization
-    shown = policy.randomization  # whose past the policy reads, under any disturbance
+    shown = policy.randomization
     return dataclasses.replace(LEVELS[level], history=shown.history, known_delay=shown.known_delay)
 
 
@@ -121,7 +121,7 @@ def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:
-    """Names the level of the randomisation; it differs from the `level` asked for by the policy's own history."""
+    """Names the level of the randomisation; it differs from the `level` asked for by the past that the policy reads."""
     if sizes == sizes.nominal():
         return "nominal"
     name = next((name for name, known in LEVELS.items() if known == sizes), level)

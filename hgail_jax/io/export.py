@@ -39,8 +39,8 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
 
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
     to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
-    frame of each number), `frames`, `control_period` in seconds, `history`, `randomization` and `task_options` of the
-    training, `versions` and, if it is known, `success`.
+    frame of each number), `frames`, `control_period` in seconds, `known_delay`, `history`, `randomization` and
+    `task_options` of the training, `versions` and, if it is known, `success`.
 
     Args:
       path: to write.
@@ -136,14 +136,14 @@ def check_described(policy: MeanPolicy) -> Description:
 def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
     described = check_described(policy)
     of_package = policy.task in TASKS
-    known = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
+    period = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
     return {
         "task": policy.task,
         "observation": _rows((*described.features, *described.goal)),
         "goal": _rows(described.goal, first=len(described.features)),
         "action": [{**row, "low": -1.0, "high": 1.0} for row in _rows(described.action)],
         "frames": FRAMES,
-        **known,
+        **period,
         "normalization": f"in the graph: less mean, by standard deviation, clipped to ±{MAX_NORMALIZED:g}",
         "known_delay": policy.randomization.known_delay,
         "history": policy.randomization.history,

@@ -11,7 +11,8 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "task_options": {},                                       # of the task's class, in training
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
-Where `randomization` has a `history`, the features begin with so many actions and observations; see `RandomizedEnv`.
+Where `randomization` has a `known_delay`, the features begin with so many actions on their way, each after a 1; then
+come, where it has a `history`, so many actions and observations. See `RandomizedEnv`.
 """
 
 import dataclasses

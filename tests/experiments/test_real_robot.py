@@ -73,6 +73,20 @@ def test_the_last_actions_and_observations_come_first():
     np.testing.assert_allclose(third, [[*point.actions[1], *seen[1][20:26]], second[0]], rtol=1e-6)
 
 
+def test_standing_still_is_among_the_actions_on_their_way():
+    seen, point = [], Point(late=[3])
+
+    def act(each):
+        seen.append(each)
+        return follow(each[10:])
+
+    run(act, point.read, point.command, np.zeros(3), np.ones(3), WIDE, Past(Randomization(known_delay=2), delay=2))
+    sent = [np.append(1.0, action) for action in point.actions]
+    np.testing.assert_array_equal(sent[3], [1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(seen[3][:10], [*sent[3], *sent[2]], rtol=1e-6)
+    np.testing.assert_allclose(seen[4][:10], [*sent[4], *sent[3]], rtol=1e-6)
+
+
 def test_late_observations_stop_the_robot():
     point = Point(late=range(4, 4 + MOST_LATE))
     assert not run(follow, point.read, point.command, np.zeros(3), np.ones(3), WIDE)

@@ -105,8 +105,8 @@ def test_actions_on_their_way_are_named_in_their_order():
         state = env.step(state, jnp.array(action))
     seen = dict(zip(named, np.asarray(state.info["observation"]), strict=True))
     for back, (there, x) in {"1 step": (1, 0.4), "2 steps": (1, 0.1), "3 steps": (0, 0)}.items():
-        assert seen[f"1: an action, sent {back} ago and on its way, else 0"] == there
-        assert seen[f"displacement x, sent {back} ago and on its way, else 0"] == pytest.approx(x)
+        assert seen[f"whether there is an action, sent {back} ago and on its way"] == there
+        assert seen[f"displacement x, sent {back} ago and on its way"] == pytest.approx(x)
 
 
 def test_a_history_is_named_in_its_order():

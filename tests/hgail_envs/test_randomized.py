@@ -300,6 +300,15 @@ def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
     assert {"hand_width", "pad_size"} <= set(LEVELS["full"].as_dict())
 
 
+def test_what_the_levels_have_of_full():
+    full, sensors = LEVELS["full"], vars(LEVELS["sensors"])
+    assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1])
+    differing = {name for name, size in sensors.items() if size != getattr(Randomization(), name)}
+    errors = {f"{what}_{kind}" for what in ("robot", "object", "goal") for kind in ("noise", "offset")}
+    assert differing == errors | {"hand_opening", "ramp"}
+    assert all(sensors[name] == getattr(full, name) for name in differing)
+
+
 def test_nominal_is_no_randomisation_with_the_same_history():
     full = LEVELS["full-history"]
     assert full.nominal() == Randomization(history=full.history)

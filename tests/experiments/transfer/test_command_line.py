@@ -15,8 +15,10 @@ from experiments.transfer.robots import ROBOTS, make_robot
 from hgail_envs.randomization import Randomization
 from hgail_jax import save_policy
 from hgail_jax.io.policy import MeanPolicy
+from tests.support import ROOT
 
 SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
+GRASP = ROOT / "assets" / "policies" / "grasp.npz"
 
 
 @pytest.mark.parametrize(
@@ -51,6 +53,7 @@ SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
         (["--sweep", "--policies", "full=none.npz"], "there is no file or folder none.npz"),
         (["--sweep", "--policies", "a=script"], "there is no file or folder script"),
         (["--sweep", "--policies", "full=."], "there is no policy in ."),
+        (["--sweep", "--task", "reach", "--policies", f"a={GRASP}"], "--policies a has no policy of reach"),
         (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
         (["--sweep", "--goal-source", "camera"], "--goal-source does not go with"),
         (["--goal-source", "camera", "--noise", "0.01"], "--noise and --offset are of the exact goal"),

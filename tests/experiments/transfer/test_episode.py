@@ -185,6 +185,25 @@ def test_a_policy_is_shown_the_history_that_it_was_trained_with():
     assert np.ptp(now[:, 0]) > 0.1
 
 
+@pytest.mark.parametrize("delay", [0, 2, 3])
+def test_a_policy_that_knows_its_delay_is_shown_the_actions_on_their_way(delay):
+    class Policy:
+        randomization = Randomization(known_delay=3)
+        seen: typing.ClassVar[list] = []
+
+        def __call__(self, observation):
+            self.seen.append(observation)
+            return np.full(4, len(self.seen) / 100)
+
+    Policy.seen = []
+    run_episode(Dot(), policy := Policy(), np.random.default_rng(0), Conditions(delay=delay))
+    shown = np.array(policy.seen)
+    assert shown.shape == (50, 3 * 5 + 6 + 3)
+    of_step = lambda step: [1.0, *np.full(4, step / 100)]  # noqa: E731
+    expected = [of_step(10 - back) if back < delay else np.zeros(5) for back in range(3)]
+    np.testing.assert_allclose(shown[10, :15], np.concatenate(expected), atol=1e-6)
+
+
 def watched(history=0, up=0.0, **conditions):
     """Returns what a policy that tracks the cube is shown, and where gripper and cube were."""
     robot, policy = Dot("grasp"), Watcher("tracked", history, up)

@@ -63,6 +63,16 @@ def test_a_tracked_cube_is_seen_with_the_goal_s_error():
         np.testing.assert_allclose(fetch.outcomes(**sizes).distance_l2, still.distance_l2, atol=2e-3)
 
 
+def test_a_policy_that_knows_its_delay_is_told_it():
+    """The hand moves if an action is on its way, which the first number says."""
+    weights = np.zeros((5 + 12, 4))
+    weights[0, 0] = 1.0
+    policy = linear("grasp", weights, randomization=Randomization(known_delay=1))
+    fetch = ParallelFetch("grasp", [policy], episodes=3, seed=0)
+    still, moved = fetch.outcomes(), fetch.outcomes(delay=(1, 1))
+    assert np.abs(moved.distance_l1 - still.distance_l1).min() > 0.05
+
+
 def test_a_posture_moves_the_start():
     """By as much as it says and no further: a hand that stands still is then elsewhere, beside the same cube."""
     fetch = ParallelFetch("grasp", [linear("grasp", np.zeros((12, 4)))], episodes=8, seed=0)
@@ -75,6 +85,6 @@ def test_a_posture_moves_the_start():
 
 def test_a_size_that_the_program_is_not_made_for_is_refused(shipped_policy):
     fetch = ParallelFetch("reach", [load_policy(shipped_policy)], episodes=1, seed=0)
-    for name in ("history", "ramp"):
+    for name in ("history", "known_delay", "ramp"):
         with pytest.raises(ValueError, match=f"a point cannot have '{name}'; it may have delay, step_size"):
             fetch.outcomes(**{name: 1})

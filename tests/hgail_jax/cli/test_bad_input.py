@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST
 from hgail_jax.cli import train as run
 
@@ -26,7 +27,7 @@ CHOICES = {
     "--preset": {"parallel", "paper"},
     "--impl": {"auto", "c", "jax", "warp"},
     "--strategy": {"future", "final"},
-    "--randomize": {"none", "mild", "full", "mild-history", "full-history"},
+    "--randomize": set(LEVELS),
     "--reward": {"r1", "r2", "r3", "r4"},
 }
 words = st.text(st.characters(exclude_characters="\0"), max_size=20).filter(lambda text: not text.startswith("-"))

@@ -93,12 +93,13 @@ def test_distances_that_no_episode_has_are_null():
     assert evaluate._text(row) == "success 0.000 [0.000, 0.434] in 5 episodes"
 
 
-@pytest.mark.parametrize("task", ["push", "grasp"])
-def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, capsys):
+@pytest.mark.parametrize(("task", "name"), [("push", "push"), ("grasp", "grasp"), ("grasp", "grasp-robust")])
+def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, name, capsys):
     pytest.importorskip("gymnasium_robotics")
-    told = report(["--task", task, "--reference", "--episodes", "3", "--seed", "5"], capsys)
-    (row,) = told["policies"]
-    policy = load_policy(hgail_envs.scenes.assets_directory() / "policies" / f"{task}.npz")
+    path = hgail_envs.scenes.assets_directory() / "policies" / f"{name}.npz"
+    chosen = ["--task", task] if name == task else ["--policy", str(path)]
+    (row,) = report([*chosen, "--reference", "--episodes", "3", "--seed", "5"], capsys)["policies"]
+    policy = load_policy(path)
     ends = run_episodes(GymnasiumFetch(task), [policy], range(3), seed=5)
     for name in ("success", "achieved", "distance_l1", "distance_l2"):
         assert row[name] == pytest.approx(np.mean([getattr(end, name) for end in ends]), abs=1e-9)

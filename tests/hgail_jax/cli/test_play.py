@@ -61,6 +61,7 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
         (LEVELS["full-history"], None, "randomised: full-history"),
         (LEVELS["full-history"], "none", "nominal"),
         (LEVELS["mild-history"], "full", "randomised: full-history"),  # the policy sees as much as in its training
+        (LEVELS["full-known-delay"], "full", "randomised: full-known-delay"),
         (OF_ITS_OWN, None, "randomised: as in its training"),
         (OF_ITS_OWN, "full", "randomised: full"),
     ],

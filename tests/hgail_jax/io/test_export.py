@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy
 from hgail_jax.io.export import check_described, export_onnx
+from hgail_jax.io.policy import MeanPolicy
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -58,6 +60,22 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     state = jax.jit(env.reset)(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
+
+
+def knowing(task):
+    """Returns a policy that knows a delay of two steps and remembers one step, of reach's sizes."""
+    sizes, size = Randomization(known_delay=2, history=1), 2 * (1 + 4) + (4 + 6) + 6 + 3
+    layer = np.zeros((size, 4), np.float32), np.zeros(4, np.float32)
+    return MeanPolicy(task, 3, np.zeros(size, np.float32), np.ones(size, np.float32), (layer,), randomization=sizes)
+
+
+@pytest.mark.parametrize("task", ["reach", "no_such_module:Task"])
+def test_the_actions_on_their_way_are_described(task, tmp_path):
+    _, told = exported(knowing(task), tmp_path / "p.onnx")
+    assert (told["known_delay"], told["history"]) == (2, 1)
+    names = [row["name"] for row in told["observation"]]
+    assert len(names) == len(set(names)) == 2 * (1 + 4) + (4 + 6) + 6 + 3
+    assert [name.endswith("on its way") for name in names] == [True] * 10 + [False] * 19
 
 
 def test_a_tracked_cube_s_place_is_named(tracking_policy):
