@@ -20,7 +20,7 @@ from hgail_jax.play.playback import Playback, film
 from tests.hgail_jax.terminal.test_status import Terminal
 from tests.support import ROOT, SOURCES
 
-PLAYED = "reach, grasp, push, pick-and-place, slide, stack"
+PLAYED = "reach, grasp, push, pick-and-place, slide, stack, tower"
 """Tasks whose policies come with the package."""
 
 
