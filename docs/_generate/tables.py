@@ -174,7 +174,7 @@ _HEADLINE = (  # a run, its task's name, and the methods whose figures stand bes
     ("slide-td3", "slide", ("TQC + HER",)),
     ("slide-hgail", "slide", ("TQC + HER",)),
     ("stack-td3", "put a cube on another, and let go", ()),
-    ("tower-td3", "put three cubes on one another, in the order asked for", ()),
+    ("tower-td3", "put three cubes on one another, in a given order", ()),
 )
 
 

@@ -1,4 +1,4 @@
-"""What a policy on a robot reads before the present observation, as `hgail_envs.randomized` shows it in training."""
+"""Earlier actions and observations, as a policy on a robot reads them before the present observation."""
 
 import collections
 
@@ -8,7 +8,7 @@ from hgail_envs.randomization import Randomization
 
 
 class Past:
-    """The past of one episode, as a policy reads it: actions on their way, then past actions and observations.
+    """The past of one episode, as `RandomizedEnv` shows it: actions on their way, then past actions and observations.
 
     Args:
       randomization: of the policy's training, with its `known_delay` and `history`.

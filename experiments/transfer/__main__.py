@@ -10,6 +10,7 @@ import tyro
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
+from experiments.transfer.observing import trained_under
 from experiments.transfer.policies import find_policies, load_policies, robot_options
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
@@ -17,6 +18,7 @@ from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
 from hgail_envs.engines.c import usable_cores
+from hgail_envs.past import Past
 from hgail_envs.validation import MOST_SEED, check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.terminal.status import progress_bar
@@ -187,6 +189,8 @@ def _run(options: Options) -> None:
     task, source = options.task or "reach", options.goal_source or EXACT
     policies = load_policies(task, options.policy)
     check_source(source, task)
+    for policy in policies:
+        Past(trained_under(policy), options.delay)  # refuses a delay that the policy does not know
     given = dict(parse_option("robot", option) for option in options.robot_options)
     robot = make_robot(options.to or "gymnasium", task, **{**robot_options(policies[0]), **given})
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)

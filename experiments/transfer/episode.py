@@ -7,12 +7,11 @@ import numpy as np
 
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.model_changes import changed
-from experiments.transfer.observing import Sensors
+from experiments.transfer.observing import Sensors, trained_under
 from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics, GoalEnv, find_class
 from hgail_envs.fetch.grasp import LEAST_RISE
 from hgail_envs.past import Past
-from hgail_envs.randomization import Randomization
 
 
 def run_episode(
@@ -48,7 +47,8 @@ def _run(
     pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
     sensors = Sensors(robot, policy, rng, conditions)
-    past = Past(getattr(policy, "randomization", Randomization()), conditions.delay)
+    trained = trained_under(policy)
+    past = Past(trained, min(conditions.delay, trained.known_delay))  # of a longer delay it knows the newest actions
     watch()
     for _ in range(task.episode_length):
         seen, goal = sensors.observe()

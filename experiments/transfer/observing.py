@@ -5,11 +5,17 @@ import numpy as np
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.robots.base import Robot
 from hgail_envs import find_class
+from hgail_envs.randomization import Randomization
 
 
 def tracks_cube(policy: MeanAction) -> bool:
     """Returns whether a policy is told at each step where the cube is; see `hgail_envs.fetch.grasp.Grasp`."""
     return getattr(policy, "task_options", {}).get("cube") == "tracked"
+
+
+def trained_under(policy: MeanAction) -> Randomization:
+    """Returns the randomisation of a policy's training; a script had none."""
+    return getattr(policy, "randomization", Randomization())
 
 
 class Sensors:

@@ -108,7 +108,7 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
 
 
 def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
-    """Returns the randomisation of a level with the past that a policy reads, or if it is None of its training."""
+    """Returns a level with the policy's own `history` and `known_delay`; for None what its training had."""
     if level is None:
         return policy.randomization
     shown = policy.randomization

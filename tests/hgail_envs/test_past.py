@@ -1,4 +1,4 @@
-"""What a policy reads before the present observation, on a robot and in training."""
+"""The past that a policy reads on a robot is the one that it read in training."""
 
 import jax
 import numpy as np

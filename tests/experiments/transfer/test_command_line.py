@@ -105,6 +105,19 @@ def test_one_run_of_the_script(capsys):
     assert "success 1.000" in capsys.readouterr().out
 
 
+def test_a_delay_that_the_policy_does_not_know_is_refused(tmp_path, capsys):
+    size = 2 * (1 + 4) + 12
+    layers = ((np.zeros((size, 4), np.float32), np.zeros(4, np.float32)),)
+    sizes, known = (np.zeros(size, np.float32), np.ones(size, np.float32)), Randomization(known_delay=2)
+    save_policy(tmp_path / "p.npz", MeanPolicy("grasp", 4, *sizes, layers, randomization=known))
+    chosen = ["--to", "gymnasium", "--task", "grasp", "--episodes", "1", "--policy", str(tmp_path / "p.npz")]
+    transfer.main([*chosen, "--delay", "2"])
+    with pytest.raises(SystemExit) as exit_info:
+        transfer.main([*chosen, "--delay", "3"])
+    assert exit_info.value.code == 2
+    assert capsys.readouterr().err.endswith("transfer: delay is 3; the policy knows delays from 0 to 2\n")
+
+
 def test_a_policy_that_tracks_the_cube_runs_on_a_robot_that_knows_no_such_option(tmp_path, capsys):
     """Which it reads eleven features of, two more times with an action in its history, and the goal."""
     size = 2 * (4 + 11) + 11 + 4

@@ -1,7 +1,5 @@
 """The episode runner, on a robot simple enough to be worked out by hand."""
 
-import typing
-
 import numpy as np
 import pytest
 
@@ -161,19 +159,20 @@ def test_noises_are_drawn_at_each_step_and_offsets_once():
     np.testing.assert_allclose(np.diff(noise[:, :3], axis=0), noise[1:, 3:6], atol=1e-6)  # as moved as it seems
 
 
+class Counting:
+    """A policy whose actions are 0.01, 0.02 and so on; it keeps what it is shown."""
+
+    def __init__(self, **sizes):
+        self.randomization, self.seen = Randomization(**sizes), []
+
+    def __call__(self, observation):
+        self.seen.append(observation)
+        return np.full(4, len(self.seen) / 100)
+
+
 def test_a_policy_is_shown_the_history_that_it_was_trained_with():
     """Newest first, each the action before its delay, and what was seen when it was decided."""
-
-    class Policy:
-        randomization = Randomization(history=2)
-        seen: typing.ClassVar[list] = []
-
-        def __call__(self, observation):
-            self.seen.append(observation)
-            return np.full(4, len(self.seen) / 100)
-
-    robot = Dot()
-    run_episode(robot, policy := Policy(), np.random.default_rng(0), Conditions(delay=1))
+    run_episode(Dot(), policy := Counting(history=2), np.random.default_rng(0), Conditions(delay=1))
     shown = np.array(policy.seen)
     assert shown.shape == (50, 2 * (4 + 6) + 6 + 3)
     now, actions = shown[:, 20:26], np.arange(1, 51)[:, None] * np.full(4, 0.01)
@@ -185,22 +184,14 @@ def test_a_policy_is_shown_the_history_that_it_was_trained_with():
     assert np.ptp(now[:, 0]) > 0.1
 
 
-@pytest.mark.parametrize("delay", [0, 2, 3])
+@pytest.mark.parametrize("delay", [0, 2, 3, 5])
 def test_a_policy_that_knows_its_delay_is_shown_the_actions_on_their_way(delay):
-    class Policy:
-        randomization = Randomization(known_delay=3)
-        seen: typing.ClassVar[list] = []
-
-        def __call__(self, observation):
-            self.seen.append(observation)
-            return np.full(4, len(self.seen) / 100)
-
-    Policy.seen = []
-    run_episode(Dot(), policy := Policy(), np.random.default_rng(0), Conditions(delay=delay))
+    """Of a delay that is longer than it knows, as in training, the newest."""
+    run_episode(Dot(), policy := Counting(known_delay=3), np.random.default_rng(0), Conditions(delay=delay))
     shown = np.array(policy.seen)
     assert shown.shape == (50, 3 * 5 + 6 + 3)
-    of_step = lambda step: [1.0, *np.full(4, step / 100)]  # noqa: E731
-    expected = [of_step(10 - back) if back < delay else np.zeros(5) for back in range(3)]
+    sent = [[1.0, *np.full(4, step / 100)] for step in (10, 9, 8)]
+    expected = [row if back < delay else np.zeros(5) for back, row in enumerate(sent)]
     np.testing.assert_allclose(shown[10, :15], np.concatenate(expected), atol=1e-6)
 
 
