@@ -87,9 +87,19 @@ def _steps_told(curves: Row) -> str:
 def off_policy_updates(task: str) -> str:
     """Time of an update phase by parts."""
     parts = ("update_phase", "rollout_phase", "gradient_steps", "discriminator", "bare_optimiser")
-    header = ["seeds", "environments each", "a phase", "its roll-out", "gradient steps", "the discriminator's", "bare optimiser"]
+    header = [
+        "seeds",
+        "environments each",
+        "a phase",
+        "its roll-out",
+        "gradient steps",
+        "the discriminator's",
+        "bare optimiser",
+    ]
     sizes = ("seeds", "num_envs_per_seed")
-    rows = sorted((row for row in bench_rows("updates") if row["task"] == task), key=lambda row: [row[s] for s in sizes])
+    rows = sorted(
+        (row for row in bench_rows("updates") if row["task"] == task), key=lambda row: [row[s] for s in sizes]
+    )
     return markdown(
         header,
         [
