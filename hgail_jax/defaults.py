@@ -185,9 +185,9 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
 task's default. A task of one's own brings `GoalEnv.training`."""
 
 RANDOMIZED: dict[str, dict[str, Preset]] = {
-    "grasp": _td3_randomized(24, cube="tracked"),
-    "push": _td3_randomized(24),
-    "pick-and-place": _td3_randomized(32),
+    "grasp": _td3_randomized(36, cube="tracked"),
+    "push": _td3_randomized(30),
+    "pick-and-place": _td3_randomized(36),
 }
 """Settings of TD3 for tasks whose episodes are randomised, by platform; the others keep those of `DEFAULTS`."""
 

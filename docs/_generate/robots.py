@@ -27,10 +27,10 @@ def robots() -> str:
     """Table 4 with the simulator's goal: policies run unchanged on other robots."""
     exact = [row for row in read_json("transfer/table4")["rows"] if row["stage"] == "exact goal"]
     rates = {(*_situation(row), row["policy"]): _with_interval(row) for row in exact}
-    others = ("sensors", "robust", "script")
+    others = ("sensors", "known delay", "robust", "script")
     header = ["robot", "task", "hand at the start, action", "plain policies"]
     return markdown(
-        [*header, "under `sensors`", "robust policy", "script"],
+        [*header, "under `sensors`", "told its delay", "robust policy", "script"],
         [
             [*_situation(row), _with_interval(row), *(rates.get((*_situation(row), name), "–") for name in others)]
             for row in exact

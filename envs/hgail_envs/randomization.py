@@ -211,7 +211,8 @@ LEVELS: dict[str, Randomization] = {
     "full": _FULL,
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
-    "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1]),
+    # No ramp: a delay that is known need not be met by degrees, and the longest would come up too late to be learnt.
+    "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1], ramp=0.0),
 }
 """Randomisations by name, as on the command line.
 

@@ -15,8 +15,13 @@ from hgail_jax.io.policy import MeanPolicy, load_policy
 
 PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""
-RUNS = {PLAIN: "{task}-hgail", "sensors": "{task}-td3-sensors", "robust": "{task}-hgail-robust"}
-"""Folders of the runs that made the repository's policies, by label; those under `sensors` see a cube at each step."""
+RUNS = {
+    PLAIN: "{task}-hgail",
+    "sensors": "{task}-td3-sensors",
+    "known delay": "{task}-td3-known-delay",
+    "robust": "{task}-hgail-robust",
+}
+"""Folders of the runs that made the repository's policies, by label; those of TD3 see a cube at each step."""
 SCRIPT = "script"
 """Label of the scripted controllers, and what stands for a policy's file."""
 SCRIPTED_TASKS = ("grasp", "pick-and-place")

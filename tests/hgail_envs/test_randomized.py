@@ -302,7 +302,7 @@ def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
 
 def test_what_the_levels_have_of_full():
     full, sensors = LEVELS["full"], vars(LEVELS["sensors"])
-    assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1])
+    assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1], ramp=0.0)
     differing = {name for name, size in sensors.items() if size != getattr(Randomization(), name)}
     errors = {f"{what}_{kind}" for what in ("robot", "object", "goal") for kind in ("noise", "offset")}
     assert differing == errors | {"hand_opening", "ramp"}

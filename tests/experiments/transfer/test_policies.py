@@ -30,9 +30,10 @@ def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("grasp")) == 8
     found = find_policies(("reach", "grasp", "pick-and-place"))
     assert {task: len(paths) for task, paths in found["plain"].items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
-    (grasp,), (picking,) = found["sensors"]["grasp"], found["sensors"]["pick-and-place"]
-    assert (load_policy(grasp).task_options, load_policy(picking).task_options) == ({"cube": "tracked"}, {})
-    assert load_policy(grasp).randomization == load_policy(picking).randomization == LEVELS["sensors"]
+    for label, level in {"sensors": "sensors", "known delay": "full-known-delay"}.items():
+        (grasp,), (picking,) = found[label]["grasp"], found[label]["pick-and-place"]
+        assert (load_policy(grasp).task_options, load_policy(picking).task_options) == ({"cube": "tracked"}, {})
+        assert load_policy(grasp).randomization == load_policy(picking).randomization == LEVELS[level]
 
 
 def test_policies_that_are_shipped_are_those_that_were_measured():
