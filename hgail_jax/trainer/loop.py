@@ -141,7 +141,7 @@ def train(
     stop = stop or threading.Event()
     if progress.rounds == len(phases):  # no round is left, so that no status line is shown
         return
-    begun, done = time.perf_counter(), progress.rounds
+    begun, done = time.perf_counter(), max(progress.rounds, 1)
     started, saved, cost = begun - progress.seconds, begun, 0.0
     with StatusLine(_beginning(program, progress)) as line:
         while progress.rounds < len(phases) and not is_stopped(stop):
@@ -155,9 +155,10 @@ def train(
                 save(checkpoints, progress)
                 saved = time.perf_counter()
                 cost = saved - saving_from
-            # A round 0 without pre-training takes no time, by which no other can be told.
-            per_round = (time.perf_counter() - begun) / (progress.rounds - done)
-            left = per_round * (len(phases) - progress.rounds) if steps[index] else None
+            now, timed = time.perf_counter(), progress.rounds - done
+            if not index:  # which only pre-trains or fills a buffer; no other round can be told by it
+                begun = now
+            left = (now - begun) / timed * (len(phases) - progress.rounds) if timed else None
             line.show(_status(program, progress), left, log=phases[index, -1] == EVALUATE)
     save(checkpoints, progress)
 

@@ -17,6 +17,7 @@ import hgail_envs
 from hgail_jax import Hyperparameters
 from hgail_jax.terminal import status
 from hgail_jax.terminal.status import StatusLine, progress_bar
+from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, train
 from tests.hgail_jax.trainer.test_loop import measured, start, told
 from tests.support import TINY
@@ -116,8 +117,25 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
     assert lines[0] == "round 0/4 ..."  # the pre-training, as in metrics.csv
     assert [line.split(",")[0] for line in lines[1:]] == ["round 0/4", "round 2/4", "round 4/4"]
     for line in lines[1:]:
-        assert re.fullmatch(r"round ./4, success 0\.500, \S+ env steps/s, \d:\d\d elapsed, \d:\d\d left", line)
+        left = "" if line.startswith("round 0") else r", \d:\d\d left"
+        assert re.fullmatch(rf"round ./4, success 0\.500, \S+ env steps/s, \d:\d\d elapsed{left}", line)
         assert len(line) < 80
+
+
+def test_the_time_left_is_told_by_the_rounds_that_are_alike(monkeypatch, capsys):
+    """Round 0 only fills a buffer: here it takes a second, and each other round ten."""
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
+    now, step = [0.0], told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4)
+    for name in ("perf_counter", "monotonic"):
+        monkeypatch.setattr(loop.time, name, lambda: now[0])
+
+    def timed(states, phases):
+        now[0] += 10.0 if now[0] else 1.0
+        return step(states, phases)
+
+    train(program, timed, start(program))
+    lines = capsys.readouterr().err.splitlines()[1:]
+    assert [line.partition("elapsed")[2] for line in lines] == ["", ", 0:20 left", ", 0:10 left", ", 0:00 left"]
 
 
 def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
