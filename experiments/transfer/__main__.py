@@ -62,10 +62,10 @@ class Options:
         TaskName | None, unless_given("reach; all with --table and --sweep", f"{{{','.join(get_args(TaskName))}}}")
     ] = None
     """The task."""
-    policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "FILE")] = (
+    policy: Annotated[Path | None, unless_given("all plain ones that come with the repository take turns", "PATH")] = (
         None
     )
-    """The policy's file, or `script` for the task's scripted controller."""
+    """The policy's file, a run's folder, whose policies take turns, or `script` for the task's scripted controller."""
     episodes: int = 200
     """Number of episodes of each row or point."""
     seed: int = 0

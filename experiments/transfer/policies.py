@@ -11,6 +11,7 @@ from experiments.paths import RESULTS
 from experiments.transfer.tasks import TASKS
 from hgail_envs import find_class
 from hgail_envs.scenes import assets_directory
+from hgail_jax.cli.policies import policy_files
 from hgail_jax.io.policy import MeanPolicy, load_policy
 
 PLAIN = "plain"
@@ -77,14 +78,14 @@ def table_policies() -> Policies:
 
 
 def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy | Script]:
-    """Loads one policy, `SCRIPT`, or all plain ones of the repository for a task.
+    """Loads the policies of a file or a run's folder, `SCRIPT`, or all plain ones of the repository for a task.
 
     Raises:
       ValueError: no policy is found, or a file is not a policy of the task.
       OSError: a file cannot be read.
 
     """
-    policies = [load(path, task) for path in ([path] if path else policy_paths(task))]
+    policies = [load(file, task) for file in (policy_files(path) if path else policy_paths(task))]
     if not policies:
         raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
     for policy in policies:
@@ -98,7 +99,7 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
 
     Args:
       tasks: of the repository's.
-      more: each `label=path`, a policy's file or a folder of them; labels may repeat.
+      more: each `label=path`, a policy's file or a run's folder; labels may repeat.
 
     Raises:
       ValueError: an entry is not of this form, or has no policy.
@@ -114,10 +115,7 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
             raise ValueError(f"policies {entry!r} is not label=path, with another label than {' and '.join(RUNS)}")
         if not Path(path).exists():
             raise ValueError(f"there is no file or folder {path}")
-        files = sorted(Path(path).glob("*.npz")) if Path(path).is_dir() else [Path(path)]
-        if not files:
-            raise ValueError(f"there is no policy in {path}")
-        for file in files:
+        for file in policy_files(Path(path)):
             policy = load_policy(file)
             if options := robot_options(policy):
                 given = ", ".join(f"{name}={value}" for name, value in options.items())

@@ -52,7 +52,7 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
         (["--sweep", "--policies", "full"], "policies 'full' is not label=path"),
         (["--sweep", "--policies", "full=none.npz"], "there is no file or folder none.npz"),
         (["--sweep", "--policies", "a=script"], "there is no file or folder script"),
-        (["--sweep", "--policies", "full=."], "there is no policy in ."),
+        (["--sweep", "--policies", "full=."], ". does not hold a policy"),
         (["--sweep", "--task", "reach", "--policies", f"a={GRASP}"], "--policies a has no policy of reach"),
         (["--sweep", "--to", "ur5e", "--task", "slide"], "ur5e has no curves of 'slide'"),
         (["--sweep", "--goal-source", "camera"], "--goal-source does not go with"),

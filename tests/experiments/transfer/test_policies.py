@@ -27,7 +27,7 @@ from hgail_jax import load_policy, save_policy
 
 def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("reach")) == 1
-    assert len(load_policies("grasp")) == 8
+    assert len(load_policies("grasp")) == len(load_policies("grasp", RESULTS / "runs" / "grasp-hgail")) == 8
     found = find_policies(("reach", "grasp", "pick-and-place"))
     assert {task: len(paths) for task, paths in found["plain"].items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
     for label, level in {"sensors": "sensors", "known delay": "full-known-delay"}.items():
