@@ -127,12 +127,12 @@ def transfer(
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
-def rate_elsewhere(level: str, condition: str) -> Row:
-    """Returns `mean`, `worst` and `best` of the success of grasp's seeds on another robot, trained under a level."""
-    rows = read_json("suite/off-policy")["levels_elsewhere"]["rows"]
-    seeds = next(row["seeds"] for row in rows if (row["task"], row["level"]) == ("grasp", level))
+def rate_elsewhere(level: str, condition: str, task: str = "grasp") -> Row:
+    """Returns `mean` and `worst` of the success of a task's seeds on another robot, trained under a level."""
+    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if "ramp" not in row]
+    seeds = pick(rows, task=task, level=level)["seeds"]
     rates = [rates[condition] for rates in seeds.values()]
-    return Row(mean=mean(rates), worst=min(rates), best=max(rates))
+    return Row(mean=mean(rates), worst=min(rates))
 
 
 def sweep_point(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:

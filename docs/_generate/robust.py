@@ -61,8 +61,13 @@ def levels_elsewhere(task: str) -> str:
     names = list(dict.fromkeys(name for row in rows for rates in row["seeds"].values() for name in rates))
     return markdown(
         ["trained under", *(name.replace(" x ", " × ") for name in names)],
-        [[f"`{row['level']}`", *(_mean_and_worst(row["seeds"].values(), name) for name in names)] for row in rows],
+        [[_level(row), *(_mean_and_worst(row["seeds"].values(), name) for name in names)] for row in rows],
     )
+
+
+def _level(row: Row) -> str:
+    """Returns the level of a row, and its ramp if that is another than the level's."""
+    return f"`{row['level']}`" + (f", ramp {row['ramp']:g}" if "ramp" in row else "")
 
 
 def _mean_and_worst(seeds: Iterable[Row], name: str) -> str:

@@ -211,7 +211,7 @@ LEVELS: dict[str, Randomization] = {
     "full": _FULL,
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
-    # No ramp: a delay that is known need not be met by degrees, and the longest would come up too late to be learnt.
+    # No ramp: with one of half the rounds the longest delay is learnt far later (docs/lab/robust.md).
     "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1], ramp=0.0),
 }
 """Randomisations by name, as on the command line.

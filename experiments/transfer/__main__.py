@@ -90,7 +90,8 @@ class Options:
     sweep: bool = False
     """Measure success over quantities of the randomisation and speed instead, into transfer-sweep.json and .png."""
     policies: tuple[str, ...] = ()
-    """More policies for --sweep beside those that come with the repository: label=file or label=folder."""
+    """More policies for --sweep beside those that come with the repository: label=PATH of a policy's file or a run's
+    folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
     """Processes for --table and --sweep."""
     pictures: bool = False

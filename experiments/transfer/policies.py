@@ -85,7 +85,8 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy | Scri
       OSError: a file cannot be read.
 
     """
-    policies = [load(file, task) for file in (policy_files(path) if path else policy_paths(task))]
+    files = [path] if path == Path(SCRIPT) else policy_files(path) if path else policy_paths(task)
+    policies = [load(file, task) for file in files]
     if not policies:
         raise ValueError(f"no policy of {task!r} comes with the repository; give one by --policy")
     for policy in policies:
@@ -112,7 +113,7 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
     for entry in more:
         label, separator, path = entry.partition("=")
         if not (label and separator and path) or label in RUNS:
-            raise ValueError(f"policies {entry!r} is not label=path, with another label than {' and '.join(RUNS)}")
+            raise ValueError(f"policies {entry!r} is not label=path, with another label than {', '.join(RUNS)}")
         if not Path(path).exists():
             raise ValueError(f"there is no file or folder {path}")
         for file in policy_files(Path(path)):

@@ -84,11 +84,12 @@ def test_randomised_episodes_have_settings_of_their_own_with_td3_alone(platform)
 
     usual, randomized = settings("push"), settings("push", randomize="full-history")
     assert usual == (8 if platform == "gpu" else 10, 0.8, 0.0 if platform == "gpu" else 0.5)
-    assert randomized == (24 if platform == "gpu" else 36, 0.6, 1.0)
+    assert randomized == (30 if platform == "gpu" else 36, 0.6, 1.0)
+    assert settings("pick-and-place", randomize="full") == (36, 0.6, 1.0)
     for same in ("slide", "grasp"):  # the latter's learner is PPO
         assert settings(same) == settings(same, randomize="full")
     grasp = plan(TrainOptions(task="grasp", learner="td3", randomize="mild"), platform)
-    assert (grasp.task_options, grasp.hyperparameters.p_ht) == ({"cube": "tracked"}, 0.6)
+    assert (grasp.config.rounds, grasp.task_options, grasp.hyperparameters.p_ht) == (36, {"cube": "tracked"}, 0.6)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import io
+import itertools
 import os
 import pty
 import re
@@ -122,20 +123,43 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
         assert len(line) < 80
 
 
-def test_the_time_left_is_told_by_the_rounds_that_are_alike(monkeypatch, capsys):
-    """Round 0 only fills a buffer: here it takes a second, and each other round ten."""
-    program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
-    now, step = [0.0], told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4)
+@pytest.fixture
+def a_clock(monkeypatch):
+    """Makes each round of a step take ten seconds of the clock, or as many as are said of the first."""
+    now = 0.0
     for name in ("perf_counter", "monotonic"):
-        monkeypatch.setattr(loop.time, name, lambda: now[0])
+        monkeypatch.setattr(loop.time, name, lambda: now)
 
-    def timed(states, phases):
-        now[0] += 10.0 if now[0] else 1.0
-        return step(states, phases)
+    def times(step, first=10.0):
+        coming = itertools.chain([first], itertools.repeat(10.0))
 
-    train(program, timed, start(program))
+        def timed(states, phases):
+            nonlocal now
+            now += next(coming)
+            return step(states, phases)
+
+        return timed
+
+    return times
+
+
+def test_the_time_left_is_told_by_the_rounds_that_are_alike(a_clock, capsys):
+    """Round 0 only fills a buffer, which here takes a second."""
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
+    train(program, a_clock(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
     lines = capsys.readouterr().err.splitlines()[1:]
     assert [line.partition("elapsed")[2] for line in lines] == ["", ", 0:20 left", ", 0:10 left", ", 0:00 left"]
+
+
+def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(a_clock, capsys):
+    program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
+    progress, step = start(program), a_clock(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
+    stop = threading.Event()
+    train(program, step, progress, stop=stop, after_round=lambda progress: progress.rounds == 2 and stop.set())
+    capsys.readouterr()
+    train(program, step, progress)
+    lines = capsys.readouterr().err.splitlines()[1:]
+    assert [line.partition("elapsed")[2] for line in lines] == [", 0:20 left", ", 0:10 left", ", 0:00 left"]
 
 
 def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
