@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+import math
 import re
 from collections.abc import Sequence
 
@@ -31,6 +32,7 @@ _GOAL_TESTS = {"grasp": ", and held", "stack": _TO_BE_LEFT, "tower": _TO_BE_LEFT
 _NOT_ON = {"slide": ("jax",), "point": ("warp", "c")}
 _ENGINES = ("warp", "c", "jax")
 _PANEL = (300, 225)  # width and height, pixels
+_COLUMNS = 4  # of panels
 
 
 def task_page(task: str) -> str:
@@ -136,7 +138,8 @@ def _options(task: str) -> str:
 def main() -> None:
     """Draws the start of an episode of each task with a scene, a red ball at the target."""
     width, height = _PANEL
-    montage = Image.new("RGB", (3 * width, 2 * (height + 24)), "white")
+    rows = math.ceil(len(_RUNS) / _COLUMNS)
+    montage = Image.new("RGB", (_COLUMNS * width, rows * (height + 24)), "white")
     font = ImageFont.load_default(16)
     for index, task in enumerate(_RUNS):
         env = hgail_envs.make(task, impl="c")
@@ -144,7 +147,7 @@ def main() -> None:
         view = hgail_envs.scenes.SceneView(env, "rgb_array")  # type: ignore[attr-defined]
         picture = view.picture(np.asarray(state.pipeline_state.qpos), np.asarray(state.info["desired_goal"]))
         view.close()
-        corner = (index % 3 * width, index // 3 * (height + 24))
+        corner = (index % _COLUMNS * width, index // _COLUMNS * (height + 24))
         montage.paste(Image.fromarray(picture).resize(_PANEL, Image.Resampling.LANCZOS), (corner[0], corner[1] + 24))
         ImageDraw.Draw(montage).text((corner[0] + 6, corner[1] + 2), task, "black", font)
     montage.save(PICTURE, quality=80)
