@@ -279,7 +279,8 @@ def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
     """Raises an AnotherRunError that names the first entry in which two nested dicts, of JSON's types, differ."""
     difference = _difference(there, as_json(here))
     if difference is not None:
-        name, of_there, of_here = difference
+        name, *values = difference
+        of_there, of_here = ("given" if isinstance(value, dict) else value for value in values)
         raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
 
 
