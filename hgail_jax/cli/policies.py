@@ -121,8 +121,12 @@ def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:
-    """Names the level of the randomisation; it differs from the `level` asked for by the past that the policy reads."""
+    """Names the level of the randomisation; it differs from the `level` asked for by the past that the policy reads.
+
+    A ramp is of the training alone.
+    """
     if sizes == sizes.nominal():
         return "nominal"
-    name = next((name for name, known in LEVELS.items() if known == sizes), level)
+    levels = {name: dataclasses.replace(known, ramp=sizes.ramp) for name, known in LEVELS.items()}
+    name = next((name for name, known in levels.items() if known == sizes), level)
     return f"randomised: {name or 'as in its training'}"
