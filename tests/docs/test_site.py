@@ -5,11 +5,13 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import hgail_envs
 import hgail_jax
-from docs._generate import pages
+from docs._generate import pages, task_pages
 from tests.support import ROOT
 
 _PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -34,6 +36,14 @@ def test_a_broken_link_is_an_error(tmp_path):
     assert build(tmp_path / "bad", tmp_path).returncode != 0
     page.write_text("# Title\n\n[nowhere](#nowhere)\n")
     assert build(tmp_path / "bad", tmp_path).returncode != 0
+
+
+def test_the_picture_of_the_starts_has_a_panel_of_each_task():
+    width, height = 300, 225 + 24  # with its name above it
+    picture = np.asarray(Image.open(task_pages.PICTURE).convert("L"))
+    rows, columns = picture.shape[0] // height, picture.shape[1] // width
+    panels = picture[: rows * height].reshape(rows, height, columns, width).swapaxes(1, 2)
+    assert (panels[:, :, 24:].std(axis=(2, 3)) > 1).sum() == len(task_pages._RUNS)
 
 
 def test_a_page_fetches_nothing(tmp_path):

@@ -18,7 +18,7 @@ from experiments.transfer.episode import run_episode
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.measurement import measure
 from experiments.transfer.model_changes import changed
-from experiments.transfer.policies import SCRIPT, find_policies, load_policies, policy_paths
+from experiments.transfer.policies import SCRIPT, Script, find_policies, load_policies, policy_paths
 from experiments.transfer.robots import make_robot
 from hgail_envs.randomization import LEVELS
 from hgail_envs.scenes import assets_directory
@@ -51,6 +51,13 @@ def test_a_run_s_folder_stands_for_its_policies():
     (policy,) = load_policies("grasp", run)
     assert policy.randomization == LEVELS["sensors"]
     assert find_policies([], [f"mine={run}"]) == {"mine": {"grasp": [run / "policies" / "seed-3.npz"]}}
+
+
+def test_the_script_is_one_beside_a_folder_of_its_name(tmp_path, monkeypatch):
+    (tmp_path / SCRIPT).mkdir()
+    monkeypatch.chdir(tmp_path)
+    (script,) = load_policies("grasp", Path(SCRIPT))
+    assert isinstance(script, Script)
 
 
 def test_a_task_without_a_policy_is_refused():

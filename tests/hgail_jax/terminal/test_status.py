@@ -124,7 +124,7 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
 
 
 @pytest.fixture
-def a_clock(monkeypatch):
+def timed(monkeypatch):
     """Makes each round of a step take ten seconds of the clock, or as many as are said of the first."""
     now = 0.0
     for name in ("perf_counter", "monotonic"):
@@ -133,27 +133,27 @@ def a_clock(monkeypatch):
     def times(step, first=10.0):
         coming = itertools.chain([first], itertools.repeat(10.0))
 
-        def timed(states, phases):
+        def slow(states, phases):
             nonlocal now
             now += next(coming)
             return step(states, phases)
 
-        return timed
+        return slow
 
     return times
 
 
-def test_the_time_left_is_told_by_the_rounds_that_are_alike(a_clock, capsys):
+def test_the_time_left_is_told_by_the_rounds_that_are_alike(timed, capsys):
     """Round 0 only fills a buffer, which here takes a second."""
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
-    train(program, a_clock(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
+    train(program, timed(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
     lines = capsys.readouterr().err.splitlines()[1:]
     assert [line.partition("elapsed")[2] for line in lines] == ["", ", 0:20 left", ", 0:10 left", ", 0:00 left"]
 
 
-def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(a_clock, capsys):
+def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(timed, capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
-    progress, step = start(program), a_clock(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
+    progress, step = start(program), timed(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
     stop = threading.Event()
     train(program, step, progress, stop=stop, after_round=lambda progress: progress.rounds == 2 and stop.set())
     capsys.readouterr()
