@@ -185,7 +185,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
 task's default. A task of one's own brings `GoalEnv.training`."""
 
 RANDOMIZED: dict[str, dict[str, Preset]] = {
-    "grasp": _td3_randomized(36, cube="tracked"),
+    "grasp": _td3_randomized(24, cube="tracked"),
     "push": _td3_randomized(30),
     "pick-and-place": _td3_randomized(36),
 }

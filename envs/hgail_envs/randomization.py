@@ -84,7 +84,7 @@ class Randomization:
     and have not taken effect."""
     ramp: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
     """Fraction of the training's rounds over which the randomisation grows from nominal to these sizes; 0 starts with
-    these. The start of an episode (`posture`, `hand_opening`) does not grow."""
+    these. The start of an episode (`posture`, `hand_opening`) does not grow, nor does a delay that the policy knows."""
 
     def __post_init__(self) -> None:
         for size in dataclasses.fields(self):
@@ -92,6 +92,16 @@ class Randomization:
             _check(size, value)
             if isinstance(size.default, tuple):  # so that (1, 1) is (1.0, 1.0) in a policy file, too
                 object.__setattr__(self, size.name, tuple(map(type(size.default[0]), value)))
+
+    @property
+    def ramped(self) -> tuple[str, ...]:
+        """Names of the fields that grow over the ramp.
+
+        A known delay does not: the longest would be drawn only in the last part of the ramp, and is then learnt far
+        later (docs/lab/robust.md).
+        """
+        growing = [size.name for size in dataclasses.fields(self) if size.metadata["ramps"]]
+        return tuple(name for name in growing if not (name == "delay" and self.known_delay))
 
     @property
     def varies_model(self) -> bool:
@@ -156,8 +166,6 @@ def _check(size: dataclasses.Field, value: Any) -> None:
 
 MODEL_FACTORS = tuple(size.name for size in dataclasses.fields(ModelFactors))
 """Fields of `Randomization` that are ranges of the fields of `ModelFactors`."""
-RAMPED = tuple(size.name for size in dataclasses.fields(Randomization) if size.metadata["ramps"])
-"""Fields of `Randomization` that grow over its `ramp`."""
 
 _MILD = Randomization(
     delay=(0, 1),
@@ -211,8 +219,7 @@ LEVELS: dict[str, Randomization] = {
     "full": _FULL,
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
-    # No ramp: with one of half the rounds the longest delay is learnt far later (docs/lab/robust.md).
-    "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1], ramp=0.0),
+    "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1]),
 }
 """Randomisations by name, as on the command line.
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.base import Controller, EpisodeMetrics, GoalEnv, State
-from hgail_envs.randomization import LEVELS, MODEL_FACTORS, RAMPED, Randomization, Range
+from hgail_envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 
 _SAME = (
@@ -259,7 +259,8 @@ class RandomizedEnv(GoalEnv):
         def ramped(start: float, end: float) -> jax.Array:
             return (1.0 - done) * start + done * end  # exactly the end at 1, as start + done * (end - start) is not
 
-        env = self.with_sizes({name: jax.tree.map(ramped, nominal[name], self._sizes[name]) for name in RAMPED})
+        names = self.randomization.ramped
+        env = self.with_sizes({name: jax.tree.map(ramped, nominal[name], self._sizes[name]) for name in names})
         env.task = self.task.curriculum(progress)
         return env
 

@@ -302,7 +302,7 @@ def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
 
 def test_what_the_levels_have_of_full():
     full, sensors = LEVELS["full"], vars(LEVELS["sensors"])
-    assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1], ramp=0.0)
+    assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1])
     differing = {name for name, size in sensors.items() if size != getattr(Randomization(), name)}
     errors = {f"{what}_{kind}" for what in ("robot", "object", "goal") for kind in ("noise", "offset")}
     assert differing == errors | {"hand_opening", "ramp"}
@@ -349,6 +349,14 @@ def test_a_delay_ramps_by_whole_steps(progress, delays):
     drawn = ramp_reset(KEYS, progress).pipeline_state.drawn.delay
     assert drawn.dtype == jnp.int32
     assert set(np.asarray(drawn).tolist()) == delays
+
+
+def test_a_known_delay_is_whole_from_the_start_while_the_rest_ramps():
+    env = RandomizedEnv(Point(), dataclasses.replace(RAMPS, known_delay=3)).curriculum(0.25)
+    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn
+    assert set(np.asarray(drawn.delay).tolist()) == {1, 2, 3}
+    assert np.abs(np.asarray(drawn.step_size) - 1.0).max() <= 0.2  # half of what is drawn once the ramp is over
+    assert np.abs(np.asarray(drawn.step_size) - 1.0).max() > 0.1
 
 
 @pytest.mark.parametrize("progress", [0.0, 0.3])
