@@ -67,7 +67,7 @@ def write_sweep(
     seed: int,
     workers: int,
 ) -> None:
-    """Writes transfer-sweep.json, the points of the curves and their provenance, and transfer-sweep.png.
+    """Writes transfer-sweep.json, the points of the curves and their provenance, and its figures.
 
     Curves of other robots or tasks stay in the file, with their provenance.
 
@@ -92,7 +92,18 @@ def write_sweep(
     for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)
         write_json(path, {"made_by": made_by, "rows": rows})
-    draw_sweep(path.with_suffix(".png"), rows, axes())
+    draw_sweeps(folder, rows)
+
+
+def draw_sweeps(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Writes transfer-sweep-<robot>-<task>.png for each robot and task of a sweep's points."""
+    names = {robot_name(to): to for to in (FETCH, *ROBOTS)}
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
+    curves: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        curves.setdefault((names[row["robot"]], row["task"]), []).append(row)
+    for (to, task), points in curves.items():
+        draw_sweep(folder / f"transfer-sweep-{to}-{task}.png", points, axes(), policies)
 
 
 def write_pictures(folder: Path, seed: int) -> None:

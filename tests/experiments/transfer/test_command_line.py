@@ -182,7 +182,7 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
         ),
         (
             ["--sweep", "--task", "reach", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
-            {f"transfer-sweep.{end}" for end in ("json", "png")},
+            {"transfer-sweep.json", "transfer-sweep-gymnasium-reach.png"},
         ),
         (["--pictures"], {"transfer-gymnasium.png"}),
     ],
