@@ -39,7 +39,8 @@ def rooms():
     found = {
         path.stem: set() for path in ALGORITHM.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
     }
-    del found["__init__"]
+    for door in ("__init__", "__main__"):
+        del found[door]
     for path in ALGORITHM.rglob("*.py"):
         room = path.relative_to(ALGORITHM).parts[0].removesuffix(".py")
         if room in found:

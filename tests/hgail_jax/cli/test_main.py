@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import os
+import runpy
 import shlex
 import subprocess
 import sys
@@ -69,6 +70,13 @@ def test_an_unknown_command_is_refused_in_one_line(name, capsys, prepared):
 def test_the_package_has_the_console_command():
     (entry,) = importlib.metadata.entry_points(group="console_scripts", name="hgail")
     assert entry.load() is cli.main
+
+
+def test_the_package_runs_as_a_module(monkeypatch, prepared):
+    calls = []
+    monkeypatch.setattr("hgail_jax.cli.main", lambda: calls.append("main"))
+    runpy.run_module("hgail_jax", run_name="__main__")
+    assert calls == ["main"]
 
 
 def test_a_command_has_help_of_its_own(capsys, prepared):
