@@ -131,9 +131,10 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         ),
         "ppo": _PPO_PICKING,
     },
-    # Untried: PPO on either; tower on a CPU, where its buffer has half as many episodes, each twice as long; and two
-    # layers on a CPU for stack, where one seed with three ended at .89 after as many rounds. Tower with half the
-    # environments and half the updates had .06 after 3.6 M steps (docs/lab/off-policy.md).
+    # Untried: PPO on tower, and on stack with other settings than pick and place's, by which it stacks nothing; tower
+    # on a CPU, where its buffer has half as many episodes, each twice as long; and two layers on a CPU for stack, where
+    # one seed with three ended at .89 after as many rounds. Tower with half the environments and half the updates had
+    # .06 after 3.6 M steps (docs/lab/off-policy.md).
     "stack": {"td3": _stacking(cpu={"rounds": 30}, gpu={"rounds": 20}), "ppo": _PPO_PICKING},
     "tower": {
         "td3": _stacking(

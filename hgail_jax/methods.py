@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from hgail_jax.config import BEST, DEMONSTRATIONS, LEARNERS
+from hgail_jax.config import BEST, DEMONSTRATIONS, LEARNERS, TD3
 from hgail_jax.presets import Preset
 
 BC_BATCH = 512
@@ -43,7 +43,7 @@ class Method:
             preset,
             config=preset.config.replace(**self.config, **raised),
             hyperparameters=preset.hyperparameters.replace(
-                **self.hyperparameters | (self.off_policy if learner == "td3" else {})
+                **self.hyperparameters | (self.off_policy if learner == TD3.name else {})
             ),
         )
 

@@ -85,11 +85,6 @@ EQUIVALENT = {
         # Any constant leaves the order to what was kept earlier.
         "order = jnp.lexsort((jnp.where(hyper.ties_by_distance, distance, 1.0), -returns))[:count]",
     ],
-    "hgail_jax/learners/td3": [
-        # Filling the buffer draws nothing.
-        "state, _ = fill(env, config, state, trajectory, env)",
-        "state, _ = fill(env, state, state, trajectory, rng)",
-    ],
     "hgail_jax/learners/ppo_loss": [
         # The shapes are the same; a sum of weights is 0 or at least 1.
         "return jax.lax.scan(accumulate, jnp.zeros_like(delta[1]), delta, reverse=True)[1]",

@@ -116,14 +116,11 @@ class TD3Learner(Learner):
         return dense_layers(state.learner.target.actor)
 
 
-def fill(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
+def fill(env: GoalEnv, state: TrainState, trajectory: Trajectory) -> TrainState:
     """Adds a roll-out to the buffer and to the statistics of observations."""
-    del config, rng
     samples = policy_samples(env, trajectory)
     state = state.count(samples.observation, (samples.weight > 0).astype(jnp.float32))
-    return state.replace(buffer=add_episodes(state.buffer, trajectory)), {}
+    return state.replace(buffer=add_episodes(state.buffer, trajectory))
 
 
 def update(
@@ -132,7 +129,7 @@ def update(
     """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of the whole buffer."""
     discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, _sizes(config)
-    state, _ = fill(env, config, state, trajectory, rng)
+    state = fill(env, state, trajectory)
     state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
     drawn = draw(env, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
     batch = _Batch(
@@ -154,7 +151,7 @@ def begin(
     env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, Metrics]:
     """Adds the first roll-out to the buffer, and to the expert samples where those are kept."""
-    state, _ = fill(env, config, state, trajectory, rng)
+    state = fill(env, state, trajectory)
     if config.expert_source != RELABELLED:
         expert, _ = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
         state = state.replace(expert=expert)

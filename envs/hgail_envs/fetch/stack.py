@@ -10,21 +10,15 @@ from flax import struct
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left
+from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.objects import ObjectPhysics
 from hgail_envs.fetch.pick_and_place import PickAndPlace
 from hgail_envs.variation import ModelFactors
 
 _OF_GRIPPER, _OF_A, _OF_B = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)  # whose position it is: a goal's numbers 3 and 4
-_MOVED = 0.01  # metres from its start, beyond which a cube's position may be the achieved goal
-_AT_GOAL = 0.03  # metres between cube and goal, within which the goal is already solved
 _RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on the other cube at 0.475
 _CUBES_TOUCH = 2  # index of the sensor of the cubes' contact, after those of the pads
-_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
-_AT_CUBE = 0.04  # metres between gripper and cube A, within which a relay's goal becomes the cube's
-_OVER = 0.02  # metres in the plane between the cubes, within which a relay lowers cube A
-_ABOVE = 0.05  # metres above its place on cube B, to which a relay first brings cube A
 
 
 class StackPhysics(ObjectPhysics, kw_only=True):
@@ -156,8 +150,8 @@ class Stack(PickAndPlace):
 
     def achieved_goal(self, physics: Any) -> jax.Array:
         gripper, a, b = physics.gripper_position, self.object_position(physics), self.b_position(physics)
-        a_moved = jnp.linalg.norm(a - physics.object_start) > _MOVED
-        b_moved = jnp.linalg.norm(b - physics.b_start) > _MOVED
+        a_moved = jnp.linalg.norm(a - physics.object_start) > MOVED
+        b_moved = jnp.linalg.norm(b - physics.b_start) > MOVED
         of_others = jnp.where(b_moved, _goal(b, _OF_B), _goal(gripper, _OF_GRIPPER))
         left = is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
         return jnp.where(a_moved, _goal(a, _OF_A, left), of_others)
@@ -172,9 +166,9 @@ class Stack(PickAndPlace):
         on_table = anywhere.at[2].set(self.object_height)
         choices = jnp.stack([_goal(anywhere, _OF_GRIPPER), _goal(on_table, _OF_A), _goal(on_table, _OF_B)])
         elsewhere = choices[jax.random.randint(whose_rng, (), 0, len(choices))]
-        sent_elsewhere = (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
+        sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
         goal = jnp.where(sent_elsewhere, elsewhere, self.sample_goal(goal_rng, physics))
-        return StackPlan(goal=goal, relay=kind < _RELAYS)
+        return StackPlan(goal=goal, relay=kind < RELAYS)
 
     def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
         return jnp.where(plan.relay, self._stage(physics), plan.goal)
@@ -182,9 +176,7 @@ class Stack(PickAndPlace):
     def _stage(self, physics: StackPhysics) -> jax.Array:
         """Returns the goal of a relay, `[goal_size]`, by the state alone: a cube that slips is taken again."""
         a, place = self.object_position(physics), self.place_on_b(physics)
-        away = jnp.linalg.norm(physics.gripper_position - a) > _AT_CUBE
-        over = jnp.linalg.norm((a - place)[:2]) <= _OVER
-        brought = jnp.where(over, place, place.at[2].add(_ABOVE))
+        away, brought = relay(physics.gripper_position, a, place)
         before = jnp.where(away, _goal(a, _OF_GRIPPER), _goal(brought, _OF_A))
         return jnp.where(self.is_on_b(physics), _goal(place, _OF_A, left=True), before)
 
@@ -217,7 +209,7 @@ class Stack(PickAndPlace):
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are a cube's and within 3 cm of its present position, and A left as wanted."""
         distance = jnp.linalg.norm(_position_of(features, goal) - goal[..., :3], axis=-1)
-        return (_is_a(goal) | _is_b(goal)) & (distance <= _AT_GOAL) & _is_left_as_wanted(features, goal)
+        return (_is_a(goal) | _is_b(goal)) & (distance <= AT_GOAL) & _is_left_as_wanted(features, goal)
 
     def _is_at(self, position: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether positions, `[..., 3]`, are near enough to goals, `[..., goal_size]`: booleans `[...]`."""

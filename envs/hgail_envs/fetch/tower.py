@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left
+from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, TOP, TowerPlan, goal_of
 from hgail_envs.variation import ModelFactors
@@ -19,15 +19,9 @@ MOST_SHIFT = 0.05
 
 _RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
 _ON_TABLE = 0.425  # metres, of a cube's centre
-_MOVED = 0.01  # metres from its start, beyond which a cube's position may be the achieved goal
 _AT_HAND = 0.15  # metres between gripper and cube, within which this holds for the cubes of other stages
-_AT_GOAL = 0.03  # metres between cube and goal, within which the goal is already solved
 _PADS = 2 * CUBES  # number of the first sensors, of the pads' contacts with each cube
-_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
-_BEGUN = 0.5  # fraction of them that start with the middle cube on the base
-_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
-_OVER = 0.02  # metres in the plane from its place, within which a relay lowers a cube
-_ABOVE = 0.05  # metres above its place, to which a relay first brings a cube
+_BEGUN = 0.5  # fraction of the training episodes that start with the middle cube on the base
 
 
 class TowerPhysics(FetchPhysics, kw_only=True):
@@ -73,8 +67,8 @@ class Tower(FetchEnv):
 
     The achieved goal of a state is the position of the present placement's cube, and whether it is left, once it is
     more than 1 cm from its start; else of another cube that has moved so far and is within 15 cm of the gripper; else
-    the gripper's. The middle cube is left on the base only when the next placement begins: so hindsight sees it there
-    until the hand goes on, and then, before it moves the top cube, the hand.
+    the gripper's. Once the middle cube was left on the base, that is the middle cube while the gripper is within 15 cm
+    of it, then the gripper until the top cube moves.
 
     A scripted hand takes 75 to 89 steps, the first placement 37 to 44 of them. Episodes have two hundred: with a noise
     of .1 on its actions, as of a policy that explores, the same hand reaches half of the goals in a hundred steps, nine
@@ -199,7 +193,7 @@ class Tower(FetchEnv):
         cubes, left = self.cube_positions(physics), self.are_left(physics)
         present = jnp.arange(CUBES) == _role(physics)
         at_hand = jnp.linalg.norm(cubes - physics.gripper_position, axis=1) <= _AT_HAND
-        told = (jnp.linalg.norm(cubes - physics.starts, axis=1) > _MOVED) & (present | at_hand)
+        told = (jnp.linalg.norm(cubes - physics.starts, axis=1) > MOVED) & (present | at_hand)
         chosen = jnp.argmax(jnp.where(told, 1 + present, 0))
         of_cube = goal_of(cubes[chosen], chosen, left[chosen])
         return jnp.where(told.any(), of_cube, goal_of(physics.gripper_position))
@@ -220,8 +214,8 @@ class Tower(FetchEnv):
         position = jnp.where(whose < CUBES, anywhere.at[2].set(_ON_TABLE), anywhere)
         return TowerPlan(
             goal=goal_of(position, whose),
-            elsewhere=(kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE),
-            relay=kind < _RELAYS,
+            elsewhere=(kind >= RELAYS) & (kind < RELAYS + ELSEWHERE),
+            relay=kind < RELAYS,
         )
 
     def current_goal(self, plan: TowerPlan, physics: TowerPhysics, step: jax.Array | int) -> jax.Array:
@@ -232,9 +226,7 @@ class Tower(FetchEnv):
         """Returns the goal of a relay, `[goal_size]`, by the state alone: a cube that slips is taken again."""
         role = _role(physics)
         cube, place = self.cube_positions(physics)[role], self.places(physics)[role]
-        away = jnp.linalg.norm(physics.gripper_position - cube) > _AT_CUBE
-        over = jnp.linalg.norm((cube - place)[:2]) <= _OVER
-        brought = jnp.where(over, place, place.at[2].add(_ABOVE))
+        away, brought = relay(physics.gripper_position, cube, place)
         before = jnp.where(away, goal_of(cube), goal_of(brought, role))
         return jnp.where(self.are_in_place(physics)[role], goal_of(place, role, left=True), before)
 
@@ -267,7 +259,7 @@ class Tower(FetchEnv):
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are a cube's and within 3 cm of its present position, and it is left as wanted."""
         distance = jnp.linalg.norm(tower_goals.position_of(features, goal) - goal[..., :3], axis=-1)
-        return ~tower_goals.is_of_gripper(goal) & (distance <= _AT_GOAL) & tower_goals.is_left_as_wanted(features, goal)
+        return ~tower_goals.is_of_gripper(goal) & (distance <= AT_GOAL) & tower_goals.is_left_as_wanted(features, goal)
 
     def lift_test_action(self, action: jax.Array) -> jax.Array:
         return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open

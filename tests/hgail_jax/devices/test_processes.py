@@ -29,9 +29,9 @@ def start(folder, *arguments, task="point", rounds=1, variables=None):
     return subprocess.Popen(command, env=environment, cwd=folder.parent, **pipes)
 
 
-def start_pair(folder, **options):
+def start_pair(folder, *arguments, **options):
     coordinator = ["--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
-    return [start(folder, *coordinator, "--process-id", str(process), **options) for process in range(2)]
+    return [start(folder, *coordinator, "--process-id", str(process), *arguments, **options) for process in range(2)]
 
 
 def slurm(process):
@@ -57,14 +57,16 @@ def rows(folder):
         return [[float(cell or 0) for name, cell in row.items() if name != "seconds"] for row in csv.DictReader(file)]
 
 
-def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("learner", ["ppo", pytest.param("td3", marks=pytest.mark.slow)])
+def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch, learner):
     """The environments of one seed are split between them, so they exchange every trajectory."""
-    pair = start_pair(tmp_path / "pair")
+    pair = start_pair(tmp_path / "pair", "--learner", learner)
     output = [process.communicate(timeout=300)[0] for process in pair]
     assert [process.returncode for process in pair] == [0, 0]
     assert b"success" in output[0] and b"success" not in output[1]
     make_runs_tiny(monkeypatch)
-    train.main(["--task", "point", *SIZES, "--iterations", "1", "--out", str(tmp_path / "single")])
+    options = ["--task", "point", "--learner", learner, *SIZES, "--iterations", "1"]
+    train.main([*options, "--out", str(tmp_path / "single")])
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
     pair, single = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("pair", "single"))

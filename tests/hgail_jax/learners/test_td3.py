@@ -156,8 +156,7 @@ def equal(one, other):
 
 def test_filling_adds_the_episodes_and_counts_the_observations_of_sound_ones():
     given, state = trajectory(), init(CONFIG, HYPER, jax.random.key(0))
-    after, metrics = jax.jit(functools.partial(fill, ENV, CONFIG))(state, given, jax.random.key(1))
-    assert metrics == {}
+    after = jax.jit(functools.partial(fill, ENV))(state, given)
     equal(after.buffer, add_episodes(state.buffer, given))
     seen = np.concatenate([given.features, given.desired], axis=-1)[:-1][:, np.asarray(given.valid)].reshape(-1, 4)
     assert_close(after.statistics.mean, seen.mean(axis=0))
@@ -231,7 +230,7 @@ def learnt_by_hand(config, state, given, rng):
     """Returns the state after an update, its metrics, and what was cut off on the way."""
     discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, config.learner
-    state, metrics = fill(ENV, config, state, given, None)
+    state, metrics = fill(ENV, state, given), {}
     if config.discriminator_minibatches:
         expert_rng, policy_rng, fit_rng = jax.random.split(discriminator_rng, 3)
         count, pick = 3 * 7, functools.partial(draw, ENV, hyper, state.buffer)

@@ -52,6 +52,16 @@ def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
     assert "run is complete" in capsys.readouterr().out
 
 
+def test_a_policy_of_td3_is_shown_the_actions_on_their_way(monkeypatch):
+    monkeypatch.setitem(LEVELS, "known", dataclasses.replace(SMALL, history=0, known_delay=3))
+    run.main([*SIZES, "--learner", "td3", "--randomize", "known"])
+    policy = load_policy("run/policies/seed-1.npz")
+    assert policy.randomization == LEVELS["known"]
+    assert policy.squash
+    assert policy.observation_size == 6 + 3 * (1 + 3)
+    assert {len(vars(policy)["mean"]), len(policy.layers[0][0])} == {policy.observation_size}
+
+
 def test_a_run_of_an_earlier_release_goes_on_under_the_same_sizes_alone(monkeypatch, capsys):
     """Its files name no size that came later, and it is another run only where such a size is not nominal."""
     run.main([*SIZES, "--randomize", "small"])
