@@ -38,14 +38,14 @@ _SIZES = Study(
 )
 _REWARDS = Study(
     "off-policy-rewards",
-    "TD3 by its reward and its goals, beside PPO",
+    "TD3 by its reward and its goals, beside HGAIL with PPO",
     (
         _change("as it is"),
         _change("no reward: the discriminator alone", environment_reward=0.0),
         _change("goal test × 0.5", environment_reward=0.5),
         _change("the goal test alone (HER)", environment_reward=1.0),
         _change("the task's own goals to learn from", {"training_goals": False}),
-        Setting("PPO", learner="ppo"),
+        Setting("HGAIL with PPO, no reward", learner="ppo"),
     ),
     curves=True,
 )
