@@ -127,9 +127,9 @@ def transfer(
     return pick(rows, task=task, stage=stage, hand_at_start=hand, milliseconds_per_action=period)
 
 
-def rate_elsewhere(level: str, condition: str, task: str = "grasp") -> Row:
+def rate_elsewhere(level: str, condition: str, task: str = "grasp", variant: str | None = None) -> Row:
     """Returns `mean` and `worst` of the success of a task's seeds on another robot, trained under a level."""
-    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if "ramp" not in row]
+    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if row.get("variant") == variant]
     seeds = pick(rows, task=task, level=level)["seeds"]
     rates = [rates[condition] for rates in seeds.values()]
     return Row(mean=mean(rates), worst=min(rates))

@@ -66,8 +66,8 @@ def levels_elsewhere(task: str) -> str:
 
 
 def _level(row: Row) -> str:
-    """Returns the level of a row, and its ramp if that is another than the level's."""
-    return f"`{row['level']}`" + (f", ramp {row['ramp']:g}" if "ramp" in row else "")
+    """Returns the level of a row, and what was different in its training."""
+    return f"`{row['level']}`" + (f", {row['variant']}" if "variant" in row else "")
 
 
 def _mean_and_worst(seeds: Iterable[Row], name: str) -> str:
