@@ -66,12 +66,11 @@ def off_policy_parts(task: str, study: str = "off-policy") -> str:
     rows = trials(f"{study}-{task}")
     as_it_is, *others = rows
     alike = [row for row in others if row["identity"] == as_it_is["identity"]]
-    names = {row["setting"]: f"as it is, {row['setting']}" for row in alike}
     return markdown(
         ["setting", "success", "worst seed", "steps to .95", "L1 distance"],
         [
             [
-                names.get(row["setting"], row["setting"]),
+                f"as it is, {row['setting']}" if row in alike else row["setting"],
                 fixed(row["success_rate"], 3),
                 fixed(row["worst_seed"], 3),
                 _steps_told(row["curves"]),
