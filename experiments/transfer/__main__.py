@@ -204,7 +204,8 @@ def _run(options: Options) -> None:
         outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
     row = measured(outcomes, len(policies), episodes)
     print(
-        f"success {row['success_rate']:.3f} (95 % interval {row['success_low']:.3f} to {row['success_high']:.3f}),"
+        f"{robot.name}, {task}:"
+        f" success {row['success_rate']:.3f} (95 % interval {row['success_low']:.3f} to {row['success_high']:.3f}),"
         f" L1 distance {row['distance_l1']:.4f} m,"
         f" {counted(episodes, 'episode')}, {counted(min(len(policies), episodes), 'policy', 'policies')}"
     )

@@ -116,8 +116,10 @@ def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
 
 
 def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
-    """Returns a line that names the policy's file and the level of the randomisation."""
-    return f"policy {from_here(path)}, {_disturbances(randomization(policy, level), level)}"
+    """Returns a line that names the policy's file and the level of the randomisation, and whether it is new to it."""
+    sizes, trained = randomization(policy, level), policy.randomization
+    new = " (trained without)" if trained == trained.nominal() and sizes != sizes.nominal() else ""
+    return f"policy {from_here(path)}, {_disturbances(sizes, level)}{new}"
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:

@@ -96,6 +96,7 @@ def test_one_run(capsys):
     transfer.main(["--to", "gymnasium", "--task", "reach", "--episodes", "2"])
     printed = capsys.readouterr().out
     # Wilson for 2 of 2 by its formula: from n / (n + z²) to 1
+    assert printed.startswith(f"{ROBOTS['gymnasium'].name}, reach: success")
     assert f"success 1.000 (95 % interval {2 / (2 + 1.959964**2):.3f} to 1.000)" in printed
     assert "2 episodes, 1 policy\n" in printed
 

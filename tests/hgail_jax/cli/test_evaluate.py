@@ -69,7 +69,7 @@ def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder):
     evaluate.main(["--policy", str(run_folder), "--episodes", "3", "--randomize", "mild"])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 5
-    assert "randomised: mild, engine" in lines[0]
+    assert "randomised: mild (trained without), engine" in lines[0]
     assert re.fullmatch(r"mean of 2 seeds: success \d\.\d{3}", lines[-1])
 
 

@@ -57,7 +57,7 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
     ("trained", "level", "told"),
     [
         (LEVELS["none"], None, "nominal"),
-        (LEVELS["none"], "mild", "randomised: mild"),
+        (LEVELS["none"], "mild", "randomised: mild (trained without)"),
         (LEVELS["full-history"], None, "randomised: full-history"),
         (LEVELS["full-history"], "none", "nominal"),
         (LEVELS["mild-history"], "full", "randomised: full-history"),  # the policy sees as much as in its training
