@@ -116,7 +116,7 @@ def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
 
 
 def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
-    """Returns a line that names the policy's file and the level of the randomisation, and whether it is new to it."""
+    """Returns a line that names the policy's file and the level, and says if its training had no disturbance."""
     sizes, trained = randomization(policy, level), policy.randomization
     new = " (trained without)" if trained == trained.nominal() and sizes != sizes.nominal() else ""
     return f"policy {from_here(path)}, {_disturbances(sizes, level)}{new}"

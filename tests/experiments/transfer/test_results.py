@@ -236,7 +236,8 @@ def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):
     for robot in list(ROBOTS):
         monkeypatch.delitem(ROBOTS, robot)
     monkeypatch.setitem(ROBOTS, "crane", Crane)
-    monkeypatch.setattr(results, "draw_sweep", lambda *_: None)
+    drawn = {}
+    monkeypatch.setattr(results, "draw_sweep", lambda path, *of_figure: drawn.update({path.stem: of_figure}))
     policies = find_policies(["reach", "grasp"])
     for seed, task in enumerate(["reach", "grasp", "grasp"]):
         write_sweep(tmp_path, policies, ["crane"], [task], episodes=1, seed=seed, workers=1)
@@ -246,6 +247,10 @@ def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):
     assert [row for row in rows if row["task"] == "reach"] == of_reach
     assert [row["task"] for row in rows].count("grasp") == len(rows) - len(of_reach) > 0
     assert len({(row["task"], row["quantity"], row["value"]) for row in rows}) == len(rows)  # none is there twice
+    figures = {
+        f"transfer-sweep-crane-{task}": [row for row in rows if row["task"] == task] for task in ("reach", "grasp")
+    }
+    assert {name: of_figure[0] for name, of_figure in drawn.items()} == figures
     assert {name: made["seed"] for name, made in made_by.items()} == {
         "Crane, no simulator: reach": 0,
         "Crane, no simulator: grasp": 2,
