@@ -1,8 +1,8 @@
-"""Studies of the learner TD3: what each part of it adds."""
+"""Studies of the learner TD3: what each part of it adds, and what other methods learn by it."""
 
 from typing import Any
 
-from experiments.paper.study import Setting, Study
+from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
@@ -49,4 +49,26 @@ _REWARDS = Study(
     ),
     curves=True,
 )
-OFF_POLICY_STUDIES = (_NUMBERS, _SIZES, _REWARDS)
+
+
+def _method(name: str, method: str, demonstrations: int = 0, reward: float = 0.0) -> Setting:
+    changes = {"environment_reward": reward}
+    return Setting(name, method=method, learner="td3", hyperparameters=changes, demonstrations=demonstrations)
+
+
+_METHODS = Study(
+    "off-policy-methods",
+    "TD3, other methods, none but HER with a reward",
+    (
+        _method("HGAIL", "hgail"),
+        _method("HGAIL-no", "hgail-no"),
+        *(
+            _method(f"GAIL-demo ({count}), the discriminator-actor-critic", "gail-demo", count)
+            for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)
+        ),
+        _method("GASIL", "gasil"),
+        _method("HER", "her", reward=1.0),
+    ),
+    curves=True,
+)
+OFF_POLICY_STUDIES = (_NUMBERS, _SIZES, _REWARDS, _METHODS)

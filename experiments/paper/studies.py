@@ -4,12 +4,11 @@ import dataclasses
 from typing import Any
 
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
-from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
+from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
 from hgail_jax.presets import AS_WRITTEN
 
-MOST_DEMONSTRATIONS = 100
 LONGER = "table1-longer"
 """Name of the study that takes ten times the steps of table 1."""
 

@@ -7,6 +7,8 @@ from hgail_jax.seeds import check_seeds
 
 PAPER_DEMONSTRATIONS = 20
 """Demonstrations of GAIL-demo; the paper does not say how many it has."""
+MOST_DEMONSTRATIONS = 100
+"""The most that a setting has; they are recorded together, and the first of them are the smaller sets."""
 REPORTED_SEEDS = range(0, 8)
 """Seeds of the tables and figures. No setting is chosen by their results."""
 TUNING_SEEDS = range(1000, 1004)

@@ -12,8 +12,8 @@ from typing import Any
 from experiments.paper.figures import draw_figure, figure_path
 from experiments.paper.markdown import label
 from experiments.paper.programs import group_by_program, time_sweep, train_program
-from experiments.paper.studies import MOST_DEMONSTRATIONS, STUDIES, SWEEP
-from experiments.paper.study import Setting, Study, choose_seeds
+from experiments.paper.studies import STUDIES, SWEEP
+from experiments.paper.study import MOST_DEMONSTRATIONS, Setting, Study, choose_seeds
 from experiments.paper.tables import json_path, read_study, set_aside, write_markdown, write_study
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
