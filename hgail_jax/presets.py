@@ -63,7 +63,7 @@ OBJECT_SUBSTEPS = {"substeps": 8}
 """Options of a task with an object, whose contacts need shorter physics steps than the arm alone."""
 
 
-def _wide(width: int, layers: int) -> dict[str, Any]:
+def wide(width: int, layers: int) -> dict[str, Any]:
     """Returns the hidden layers of all networks."""
     return {"policy_hidden": (width,) * layers, "discriminator_hidden": (width,) * layers}
 
@@ -75,7 +75,7 @@ def ppo_with_object(
 
     They were chosen on grasp (docs/lab/grasp.md) and kept for the others.
     """
-    widths = {} if hidden is None else _wide(hidden, layers=2)
+    widths = {} if hidden is None else wide(hidden, layers=2)
     shared: dict[str, Any] = {
         "action_std": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
         "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/grasp.md, what was tried)
@@ -110,11 +110,11 @@ def ppo_with_object(
 # again (docs/lab/off-policy.md, on two cores).
 _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
     "gpu": (
-        {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | _wide(256, layers=3),
+        {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | wide(256, layers=3),
         TD3(),
     ),
     "cpu": (
-        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | _wide(128, layers=2),
+        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | wide(128, layers=2),
         TD3(rollouts=10, batch=256),
     ),
 }
