@@ -31,7 +31,7 @@ SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("sa
 ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "train", "discriminator"))
 PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
-GOALS = "tests/hgail_envs/test_goals.py"
+EVALUATE, GOALS = "tests/hgail_jax/cli/test_evaluate.py", "tests/hgail_envs/test_goals.py"
 MODEL, GRASP, OBJECTS, OBJECT_PARITY, STACK, TOWER = (
     f"tests/hgail_envs/fetch/test_{name}.py"
     for name in ("model", "grasp", "objects", "object_parity", "stack", "tower")
@@ -50,7 +50,7 @@ TESTS = {
     "hgail_jax/learners/td3": [TD3],
     "hgail_jax/train": [PPO, TRAIN, LEARNING],
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, PPO],
-    "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN],
+    "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN, EVALUATE],
     "hgail_jax/state": [PPO, TRAIN, LEARNING],
     "hgail_jax/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES],
@@ -80,6 +80,8 @@ EQUIVALENT = {
         "width = math.isqrt((samples + 1)) + 1",
         "width = math.isqrt(samples - 0) + 1",
         "bounds = jnp.zeros_like(block), jnp.full_like(block, width - 0)",
+        # Both bounds are the column in the end.
+        "return jax.lax.fori_loop(0, width.bit_length(), halve, bounds)[1]",
     ],
     "hgail_jax/experts": [
         # Any constant leaves the order to what was kept earlier.
@@ -117,9 +119,17 @@ EQUIVALENT = {
         # The key is replaced right after.
         "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
     ],
+    "envs/hgail_envs/fetch/pick_and_place": [
+        # No distance is the bound itself.
+        "away = (jnp.linalg.norm(physics.gripper_position - cube) >= _AT_CUBE)",
+    ],
     "envs/hgail_envs/fetch/grasp": [
         # The method does not look at its object.
         "return FetchEnv.goal_kind(goal, goal)",
+        # It draws nothing.
+        "return jnp.where(away, elsewhere, self.sample_goal(physics, physics))",
+        # MuJoCo takes a quaternion of zeros for the upright one.
+        "pose = jnp.concatenate([position, jnp.array([0.0, 0.0, 0.0, 0.0])])",
         # The last number is set.
         "return jnp.array([0.0, 0.0, 1.0, 1.0]).at[3].set(action[3])",
     ],

@@ -11,6 +11,8 @@ from scipy.stats import ks_2samp, kstest, uniform
 
 import hgail_envs
 from hgail_envs.fetch.arm import settle
+from hgail_envs.randomization import Randomization
+from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.defaults import DEFAULTS
 from hgail_jax.play.recording import run_controller
 from hgail_jax.rollout import rollout
@@ -207,6 +209,15 @@ def test_starts_are_those_of_a_loop(starts):
         np.testing.assert_array_equal(start, physics.qpos[:, first : first + 3])
         np.testing.assert_allclose(start[:, 2], 0.425, atol=2e-4)
     assert np.abs(physics.qpos[:, FINGERS]).max() < 1e-3
+
+
+def test_cubes_of_other_sizes_start_on_the_table():
+    env = RandomizedEnv(ENV, Randomization(object_size=(1.2, 1.4)))
+    physics = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 20)).pipeline_state.true
+    height = 0.4 + 0.025 * np.asarray(physics.factors.object_size)
+    for first, start in ((A, physics.object_start), (B, physics.b_start)):
+        np.testing.assert_array_equal(start, physics.qpos[:, first : first + 3])
+        np.testing.assert_allclose(start[:, 2], height, atol=3e-4)
 
 
 def test_cubes_that_start_stay_where_they_are(starts):

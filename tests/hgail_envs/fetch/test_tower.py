@@ -323,6 +323,8 @@ def test_a_start_of_other_sizes_has_the_middle_on_the_base_too():
     assert 4 < len(rise) < 16
     np.testing.assert_allclose(rise[:, :2], 0.0, atol=1e-6)
     np.testing.assert_allclose(rise[:, 2], width[np.asarray(physics.placed)], atol=1e-6)
+    np.testing.assert_allclose(cubes[:, BASE, 2], 0.4 + width / 2, atol=3e-4)
+    np.testing.assert_array_equal(physics.starts, cubes)
     seen = state.info["observation"]
     np.testing.assert_allclose(seen[:, 4:39], seen[:, 39:74], atol=1e-6)  # the history is the start's
 

@@ -12,12 +12,12 @@ from scipy.stats import binomtest, kstest, norm
 from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import METHODS, TD3, Config, Hyperparameters, Preset, Trajectory, init_state, phase_table, train_step
 from hgail_jax.buffer import add_episodes, draw
-from hgail_jax.config import BEST, DEMONSTRATIONS
+from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN
 from hgail_jax.defaults import DEFAULTS
 from hgail_jax.discriminator import fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.learners.td3 import TD3Learner, fill, update
+from hgail_jax.learners.td3 import TD3Learner, begin, fill, update
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.train import make_policy
@@ -326,6 +326,19 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
     assert kstest(actions.ravel(), "uniform", (-1, 2)).pvalue > UNLIKELY
     assert all(np.isinf(value) for value in metrics.update.values())
     assert np.isfinite(metrics.evaluation.success)
+
+
+@pytest.mark.parametrize("source", [FROZEN, BEST])
+def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
+    config = CONFIG.replace(expert_source=source, best_episodes=EPISODES)
+    state, first = init(config, HYPER, jax.random.key(0)), trajectory(1)
+    kept = begin(ENV, config, state, first, jax.random.key(1))[0].expert
+    sound = np.asarray(first.valid)
+    if source == BEST:
+        returns = np.sort(np.asarray(first.reward).sum(axis=0)[sound])[::-1]
+        np.testing.assert_allclose(kept.returns[: sound.sum()], returns)
+    else:
+        assert (kept.weight > 0).sum() == LENGTH * sound.sum()
 
 
 @pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
