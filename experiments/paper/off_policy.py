@@ -62,10 +62,7 @@ _METHODS = Study(
     (
         _method("HGAIL", "hgail"),
         _method("HGAIL-no", "hgail-no"),
-        *(
-            _method(f"GAIL-demo ({count}), the discriminator-actor-critic", "gail-demo", count)
-            for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)
-        ),
+        *(_method(f"GAIL-demo ({count})", "gail-demo", count) for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)),
         _method("GASIL", "gasil"),
         _method("HER", "her", reward=1.0),
     ),
