@@ -19,6 +19,7 @@ from hgail_envs.vision.rgbd import open_renderer
 from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels
+_MARKERS = "os^D"
 _SIZE = (240, 240)  # height and width of a picture, pixels
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.25, 140.0, -20.0  # of the camera: metres, degrees, degrees
 
@@ -45,7 +46,7 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
         quantity, _, line = name.partition(", ")
         for index, policy in enumerate(policies):
             if of_policy := [point for point in points if point["policy"] == policy]:
-                drawn[policy] = _draw_line(panel, of_policy, f"C{index}")
+                drawn[policy] = _draw_line(panel, of_policy, index)
         panel.set(xlabel=axes[quantity], title=line, ylim=(-0.03, 1.03))
         panel.xaxis.label.set_size(8)
         style_axes(panel)
@@ -78,13 +79,24 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
         file.write(imageio.imwrite("<bytes>", np.concatenate(strips), extension=".png"))
 
 
-def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], colour: str) -> Any:
+def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], index: int) -> Any:
     rate, low, high = (
         np.array([point[column] for point in points]) for column in ("success_rate", "success_low", "success_high")
     )
     errors = np.maximum([rate - low, high - rate], 0.0)  # a rounded end may lie within the rate
     values = [point["value"] for point in points]
-    return panel.errorbar(values, rate, errors, color=colour, marker="o", markersize=4, capsize=2)
+    width = max(len(_MARKERS) - index, 1)  # a later line is thinner, so that equal ones before it still show
+    return panel.errorbar(
+        values,
+        rate,
+        errors,
+        color=f"C{index}",
+        marker=_MARKERS[index % len(_MARKERS)],
+        markersize=2.0 + 1.2 * width,
+        linewidth=0.6 + 0.6 * width,
+        elinewidth=1.2,
+        capsize=2,
+    )
 
 
 def _film(robot: Robot, policy: MeanAction, seed: int) -> list[np.ndarray]:
