@@ -135,7 +135,12 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     # on a CPU, where its buffer has half as many episodes, each twice as long; and two layers on a CPU for stack, where
     # one seed with three ended at .89 after as many rounds. Tower with half the environments and half the updates had
     # .06 after 3.6 M steps (docs/lab/off-policy.md).
-    "stack": {"td3": _stacking(cpu={"rounds": 30}, gpu={"rounds": 20}), "ppo": _PPO_PICKING},
+    "stack": {
+        "td3": _stacking(
+            cpu={"num_envs": 128, "rounds": 26, "updates": 512, **wide(128, layers=3)}, gpu={"rounds": 20}
+        ),
+        "ppo": _PPO_PICKING,
+    },
     "tower": {
         "td3": _stacking(
             cpu={"rounds": 60, "buffer_episodes": 8192}, gpu={"num_envs": 256, "rounds": 24, "updates": 1024}

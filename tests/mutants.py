@@ -128,8 +128,6 @@ EQUIVALENT = {
         "return FetchEnv.goal_kind(goal, goal)",
         # It draws nothing.
         "return jnp.where(away, elsewhere, self.sample_goal(physics, physics))",
-        # MuJoCo takes a quaternion of zeros for the upright one.
-        "pose = jnp.concatenate([position, jnp.array([0.0, 0.0, 0.0, 0.0])])",
         # The last number is set.
         "return jnp.array([0.0, 0.0, 1.0, 1.0]).at[3].set(action[3])",
     ],

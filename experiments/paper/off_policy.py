@@ -58,7 +58,7 @@ def _method(name: str, method: str, demonstrations: int = 0, reward: float = 0.0
 
 _METHODS = Study(
     "off-policy-methods",
-    "TD3, other methods, none but HER with a reward",
+    "TD3, other methods, the goal test in HER's reward alone",
     (
         _method("HGAIL", "hgail"),
         _method("HGAIL-no", "hgail-no"),

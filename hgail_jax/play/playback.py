@@ -21,6 +21,8 @@ from hgail_jax.terminal.status import StatusLine
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
 _FADE = 8  # frames from an episode's end to the start of the next
+_EDGE = 8  # pixels around the last pose
+_EDGE_COLOURS = {True: (0, 158, 115), False: (213, 94, 0)}  # green and red that the colour-blind tell apart
 
 
 class Playback:
@@ -40,6 +42,8 @@ class Playback:
         self.model, self.data = open_scene(env)
         self.outcomes: list[bool] = []
         """Whether each episode so far was a success."""
+        self.ended = False
+        """Whether the present episode is over, and its last pose stands still."""
         self._env, self._policy, self._seed = env, policy, seed
 
     def play(self, episodes: int) -> Iterator[bool]:
@@ -49,7 +53,8 @@ class Playback:
         """
         reset, step, outcome = jax.jit(self._env.reset), jax.jit(self._env.step), jax.jit(self._env.outcome)
         for key in jax.random.split(jax.random.key(self._seed), episodes):
-            state = end = reset(key)
+            self.ended, state = False, reset(key)
+            end = state
             action: np.ndarray | jax.Array = np.zeros(self._env.action_size, np.float32)
             for frame in range(self._env.episode_length + self._env.lift_test_steps):
                 self._pose(state)
@@ -61,6 +66,7 @@ class Playback:
                 state = step(state, action)
                 end = state if acts else end
             self.outcomes.append(bool(outcome(end, state).success))
+            self.ended = True
             self._pose(state)
             for _ in range(_HOLD):
                 yield False
@@ -96,7 +102,8 @@ def frames(playback: Playback, episodes: int, height: int, width: int, every: in
 def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
     """Writes a film of a few episodes in real time, in one of `play.film.FORMATS`; returns whether each succeeded.
 
-    The target is a red ball, or the body that the task names.
+    The target is a red ball, or the body that the task names. The last pose of an episode has a green edge where it
+    succeeded, a red one where it did not.
 
     Raises:
       RenderingError: MuJoCo cannot render here.
@@ -106,10 +113,17 @@ def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: 
     pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD) + (episodes - 1) * _FADE
     with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
         for number, frame in enumerate(frames(playback, episodes, *_SIZE), start=1):
-            append(frame)
+            append(_edged(frame, playback.outcomes[-1]) if playback.ended else frame)
             line.show(f"filming, picture {number} of {pictures}", log=False)
         line.show(f"writing {path.name}", log=False)
     return playback.outcomes
+
+
+def _edged(picture: np.ndarray, success: bool) -> np.ndarray:
+    edged = np.full_like(picture, _EDGE_COLOURS[success])
+    inside = slice(_EDGE, -_EDGE)
+    edged[inside, inside] = picture[inside, inside]
+    return edged
 
 
 def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:

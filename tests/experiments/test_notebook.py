@@ -35,7 +35,7 @@ def test_the_notebook_runs_from_top_to_bottom():
         output for cell in notebook.cells for output in cell.get("outputs", []) if "image/png" in output.get("data", {})
     ]
     assert len(pictures) == 2  # the curves, which are one figure however often it is drawn, and the trajectories
-    assert len(set(updates)) == 3  # after each round, and each time another
+    assert len(set(updates)) == 7  # after each round, and each time another
 
 
 @pytest.mark.parametrize("on_colab", [True, False])

@@ -38,6 +38,14 @@ def test_a_policy_has_its_colour_in_each_figure(tmp_path):
         assert inks(tmp_path / "curves.png") == wanted
 
 
+def test_equal_curves_do_not_hide_one_another(tmp_path):
+    rows = [ROW | {"policy": policy, "value": value} for policy in POLICIES for value in (0.0, 1.0)]
+    draw_sweep(tmp_path / "curves.png", rows, AXES, POLICIES)
+    pixels = imageio.imread(tmp_path / "curves.png")[:250, :330, :3]  # the first panel, without the legend
+    for name in ("C0", "C1", "C2"):
+        assert (pixels == np.round(255 * np.array(colors.to_rgb(name)))).all(axis=-1).sum() > 50
+
+
 def test_a_strip_shows_the_place_that_the_cube_is_brought_to(tmp_path):
     """In Gymnasium's scene too, whose marker is not a child of the world."""
     robot = make_robot("gymnasium", "pick-and-place")

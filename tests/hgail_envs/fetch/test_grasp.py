@@ -146,6 +146,7 @@ def test_moving_the_target_puts_the_cube_down(task):
     np.testing.assert_array_equal(data.body("cube").cvel, 0.0)
     np.testing.assert_array_equal(data.qvel[:cube], tumbling[:cube])
     np.testing.assert_array_equal(data.qpos[:-7], tilted[:-7])
+    np.testing.assert_array_equal(data.qpos[-4:], [1.0, 0.0, 0.0, 0.0])
     goal = {"grasp": [*place, 1.0], "grasp-position": place, "grasp-aperture": [*place[:2], 0.525, 0.1]}[task]
     np.testing.assert_allclose(moved.info["desired_goal"], goal, atol=1e-6)
     np.testing.assert_allclose(moved.obs[8:], goal, atol=1e-6)

@@ -139,7 +139,10 @@ def test_the_object_at_rest_stays(task):
 
 @pytest.mark.parametrize(("task", "most"), [("stack", 3e-3), ("tower", 6e-3)])
 def test_cubes_on_one_another_stay_for_ten_seconds(task, most):
-    """Each up to 1 cm aside of the one below; on C MuJoCo they move by 0.6 and 2.1 mm at most (64 episodes)."""
+    """Each up to 1 cm aside of the one below along each axis.
+
+    On C MuJoCo they move by 0.6 and 2.1 mm at most (64 episodes).
+    """
     env = hgail_envs.make(task, impl="warp", worlds=EPISODES)
     places = env._scene_model.object_qpos
     heights = 0.4248 + 0.05 * jnp.arange(len(places))

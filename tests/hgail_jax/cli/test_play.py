@@ -50,6 +50,20 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
     assert shown.err == "compiling and filming ...\n"
 
 
+@pytest.mark.parametrize(("threshold", "colour"), [(0.05, (0, 158, 115)), (0.0, (213, 94, 0))])
+def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy, rendering, threshold, colour):
+    env, pictures = hgail_envs.make("reach"), []
+    monkeypatch.setattr(env, "success_threshold", threshold)
+    monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))
+    monkeypatch.setattr("hgail_jax.play.playback.open_film", lambda *_: contextlib.nullcontext(pictures.append))
+    assert film(Path("film.mp4"), env, load_policy(shipped_policy), episodes=2) == [threshold > 0] * 2
+    episode = [False] * 50 + [True] * 10
+    for at in ((0, 0), (47, 63), (7, 32), (24, 56)):  # a picture is 48 by 64, the edge 8 wide
+        on_the_edge = [bool((picture[at] == colour).all()) for picture in pictures]
+        assert on_the_edge == [*episode, *[False] * 8, *episode]
+    assert not any((picture[8:-8, 8:-8] == colour).all(axis=-1).any() for picture in pictures)
+
+
 OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
 
 

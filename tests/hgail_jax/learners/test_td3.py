@@ -18,7 +18,7 @@ from hgail_jax.discriminator import fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.td3 import TD3Learner, begin, fill, update
-from hgail_jax.samples import Samples
+from hgail_jax.samples import Samples, relabelled_samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.train import make_policy
 from hgail_jax.trainer import training
@@ -332,13 +332,14 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
 def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
     config = CONFIG.replace(expert_source=source, best_episodes=EPISODES)
     state, first = init(config, HYPER, jax.random.key(0)), trajectory(1)
-    kept = begin(ENV, config, state, first, jax.random.key(1))[0].expert
+    after = begin(ENV, config, state, first, jax.random.key(1))[0]
     sound = np.asarray(first.valid)
+    assert after.buffer.added == EPISODES
     if source == BEST:
         returns = np.sort(np.asarray(first.reward).sum(axis=0)[sound])[::-1]
-        np.testing.assert_allclose(kept.returns[: sound.sum()], returns)
+        np.testing.assert_allclose(after.expert.returns[: sound.sum()], returns)
     else:
-        assert (kept.weight > 0).sum() == LENGTH * sound.sum()
+        equal(after.expert, relabelled_samples(ENV, HYPER, first, jax.random.key(1)))
 
 
 @pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
