@@ -403,6 +403,30 @@ def test_rewards_are_compared_in_one_program_beside_other_goals_and_ppo():
     assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
 
 
+@pytest.mark.parametrize("task", ["push", "pick-and-place"])
+def test_methods_with_td3_have_its_steps_and_none_but_her_a_reward(task):
+    trials = trials_of(BY_NAME["off-policy-methods"], task, "gpu")
+    preset = DEFAULTS[task]["td3"]["gpu"]
+    assert {trial.config.learner for trial in trials} == {preset.config.learner}
+    assert {trial.config.rounds for trial in trials} == {preset.config.rounds}
+    assert {
+        trial.setting.name: (
+            trial.config.expert_source,
+            trial.setting.demonstrations,
+            float(trial.hyperparameters.p_ht),
+            float(trial.hyperparameters.environment_reward),
+        )
+        for trial in trials
+    } == {
+        "HGAIL": ("relabelled", 0, preset.hyperparameters.p_ht, 0.0),
+        "HGAIL-no": ("relabelled", 0, 0.0, 0.0),
+        "GAIL-demo (20)": ("demonstrations", 20, 0.0, 0.0),
+        "GAIL-demo (100)": ("demonstrations", 100, 0.0, 0.0),
+        "GASIL": ("best", 0, 0.0, 0.0),
+        "HER": ("relabelled", 0, preset.hyperparameters.p_ht, 1.0),
+    }
+
+
 def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(work, "train_program", lambda env, *others: made.append(env))
