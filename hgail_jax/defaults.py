@@ -132,9 +132,9 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         "ppo": _PPO_PICKING,
     },
     # Untried: PPO on tower, and on stack with other settings than pick and place's, by which it stacks nothing; tower
-    # on a CPU, where its buffer has half as many episodes, each twice as long; and two layers on a CPU for stack, where
-    # one seed with three ended at .89 after as many rounds. Tower with half the environments and half the updates had
-    # .06 after 3.6 M steps (docs/lab/off-policy.md).
+    # on a CPU, where its buffer has half as many episodes, each twice as long. Stack on a CPU with half the
+    # environments and half the updates was at .89 after 30 rounds; tower on a GPU with half of both had .06 after 3.6 M
+    # steps (docs/lab/off-policy.md).
     "stack": {
         "td3": _stacking(
             cpu={"num_envs": 128, "rounds": 26, "updates": 512, **wide(128, layers=3)}, gpu={"rounds": 20}

@@ -10,6 +10,7 @@ _RUNS = (
     *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
 )
 _TRIALS = "suite/off-policy"
+_ON_TWO_CORES = ("push", "pick_and_place", "grasp", "slide", "stack")
 _WITH_WEIGHTS = ("reach", "grasp", "push", "pick-and-place", "slide", "stack", "tower")
 
 
@@ -35,7 +36,7 @@ def _run(name: str) -> list[str]:
 
 def off_policy_cpu() -> str:
     """One seed of each task on two cores."""
-    runs = [read_json(_TRIALS)[f"{task}_on_two_cores"] for task in ("push", "pick_and_place", "grasp", "slide")]
+    runs = [read_json(_TRIALS)[f"{task}_on_two_cores"] for task in _ON_TWO_CORES]
     return markdown(
         ["task", "reward", "success", "env steps", "whole run"],
         [

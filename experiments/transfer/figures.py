@@ -19,7 +19,7 @@ from hgail_envs.vision.rgbd import open_renderer
 from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels
-_MARKERS = "os^D"
+_DASHES = ("-", (0, (6, 3)), (0, (3, 3)), (0, (1, 2)))  # of a line drawn over another, which shows in the gaps
 _SIZE = (240, 240)  # height and width of a picture, pixels
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.25, 140.0, -20.0  # of the camera: metres, degrees, degrees
 
@@ -85,15 +85,16 @@ def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], index: int) -> 
     )
     errors = np.maximum([rate - low, high - rate], 0.0)  # a rounded end may lie within the rate
     values = [point["value"] for point in points]
-    width = max(len(_MARKERS) - index, 1)  # a later line is thinner, so that equal ones before it still show
+    style = index % len(_DASHES)
     return panel.errorbar(
         values,
         rate,
         errors,
         color=f"C{index}",
-        marker=_MARKERS[index % len(_MARKERS)],
-        markersize=2.0 + 1.2 * width,
-        linewidth=0.6 + 0.6 * width,
+        linestyle=_DASHES[style],
+        linewidth=2.4 - 0.3 * style,
+        marker="os^D"[style],
+        markersize=7.0 - 1.2 * style,
         elinewidth=1.2,
         capsize=2,
     )
