@@ -152,8 +152,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         # solved samples at .3, most of which are of a puck that lies still, are ahead by .01 to .03 each.
         "td3": td3(
             {
-                # one seed: three layers and as many environments as on a GPU have .77 in the last test, two layers and
-                # 64 environments .67 (docs/lab/off-policy.md, on two cores)
+                # one seed: three layers and as many environments as on a GPU end at .80, two layers and 64 environments
+                # at .67 (docs/lab/off-policy.md, on two cores)
                 "cpu": {
                     "num_envs": 256,
                     "rounds": 36,

@@ -43,7 +43,7 @@ class Playback:
         self.outcomes: list[bool] = []
         """Whether each episode so far was a success."""
         self.ended = False
-        """Whether the present episode is over, and its last pose stands still."""
+        """True while an episode's last pose is held."""
         self._env, self._policy, self._seed = env, policy, seed
 
     def play(self, episodes: int) -> Iterator[bool]:
@@ -53,8 +53,8 @@ class Playback:
         """
         reset, step, outcome = jax.jit(self._env.reset), jax.jit(self._env.step), jax.jit(self._env.outcome)
         for key in jax.random.split(jax.random.key(self._seed), episodes):
-            self.ended, state = False, reset(key)
-            end = state
+            self.ended = False
+            state = end = reset(key)
             action: np.ndarray | jax.Array = np.zeros(self._env.action_size, np.float32)
             for frame in range(self._env.episode_length + self._env.lift_test_steps):
                 self._pose(state)

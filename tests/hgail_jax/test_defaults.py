@@ -1,10 +1,12 @@
 import functools
 import itertools
+import json
 from typing import ClassVar
 
 import pytest
 
 import hgail_envs
+from experiments.paths import RESULTS
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
@@ -13,6 +15,7 @@ from hgail_jax.config import LEARNERS
 from hgail_jax.defaults import DEFAULTS, task_preset
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.options import plan
 
 EIGHT = {"substeps": 8}
@@ -34,6 +37,26 @@ def test_a_run_takes_what_the_readme_says(task, platform, num_envs, rounds, subs
     assert plan(TrainOptions(task=task, evaluate_every=3), platform).evaluate_every == 3
     assert whole_rollouts(run.evaluation_episodes, run.config.num_envs) * run.config.num_envs == episodes
     assert run.seeds == 8
+
+
+@pytest.mark.parametrize(
+    ("task", "layers", "more_updates", "fewer_samples"),
+    [
+        ("push", 2, 2, 4),
+        ("pick-and-place", 2, 2, 4),
+        ("grasp", 2, 4, 4),
+        ("slide", 3, 2, 8),
+        ("stack", 3, 2, 4),
+    ],
+)
+def test_td3_takes_on_a_cpu_what_the_page_says(task, layers, more_updates, fewer_samples):
+    """Gradient steps for a step of the environment, samples in one, beside a GPU's; the steps of the published run."""
+    env, (cpu, gpu) = hgail_envs.find_class(task), (DEFAULTS[task]["td3"][name].config for name in ("cpu", "gpu"))
+    assert (cpu.policy_hidden, gpu.policy_hidden) == ((128,) * layers, (256,) * 3)
+    assert cpu.learner.updates / cpu.num_envs == more_updates * gpu.learner.updates / gpu.num_envs
+    assert fewer_samples * cpu.learner.batch == gpu.learner.batch
+    run = json.loads((RESULTS / "suite" / "off-policy.json").read_text())[f"{task.replace('-', '_')}_on_two_cores"]
+    assert env_steps(env, cpu, phase_table(cpu)).sum() == run["env_steps_per_seed"]
 
 
 def test_a_task_changes_the_default_preset_and_no_other():
