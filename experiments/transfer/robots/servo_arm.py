@@ -16,7 +16,6 @@ from hgail_envs.fetch.reach import GOAL_RANGE
 from hgail_envs.scenes import load_scene
 from hgail_envs.validation import check_count
 
-_FETCH_GAPS = (0.0, grasp.CUBE_WIDTH, grasp.WIDEST_GAP)  # metres
 _SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
 _SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _SETTLE_STEPS = 1000  # physics steps
@@ -31,8 +30,8 @@ class ServoArm(Robot):
 
     The tool and the hand track the Fetch's responses to the same action (`responses`), as fast as the models' servos
     can. The features are those of `Reach`, `Grasp` and `PickAndPlace`: velocities are multiplied by the duration of an
-    action. The gap is taken from the drive; gaps wider than the cube are stretched to the Fetch's range, so that each
-    hand is 100 mm wide when open and 50 mm at the cube. In reach the hand stays closed.
+    action. The gap is taken from the drive, and is seen as it is, as that of a Fetch whose hand is as wide
+    (`Randomization.hand_width`). In reach the hand stays closed.
 
     Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
     tenths of it instead of 80. So an action lasts `slowdown` times longer. With actions as fast as the Fetch's the hand
@@ -106,7 +105,6 @@ class ServoArm(Robot):
         bodies = [model.body(name).id for name in hand.pads]
         self._pads = [set(np.flatnonzero(model.geom_bodyid == body)) for body in bodies]
         self._jacobian = np.zeros((3, model.nv))
-        self._own_gaps = (0.0, grasp.CUBE_WIDTH, hand.widest_gap)
 
     @classmethod
     def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
@@ -187,15 +185,13 @@ class ServoArm(Robot):
         return (drive - opened) / (closed - opened)
 
     def _drive_at(self, gap: float) -> float:
-        """Returns the drive's position at which the hand is as wide as the Fetch's at `gap`, metres."""
+        """Returns the drive's position at which the pads are this far apart, metres, or as far as they go."""
         opened, closed = self.arm.hand.drive_range
-        fraction = 1.0 - float(np.interp(gap, _FETCH_GAPS, self._own_gaps)) / self.arm.hand.widest_gap
-        return opened + (closed - opened) * fraction
+        return opened + (closed - opened) * (1.0 - min(gap / self.arm.hand.widest_gap, 1.0))
 
     def _gap(self) -> float:
-        """Returns the gap between the pads, metres, on the Fetch's scale."""
-        gap = self.arm.hand.widest_gap * (1.0 - self._closed(self.data.qpos[self._drive]))
-        return float(np.interp(gap, self._own_gaps, _FETCH_GAPS))
+        """Returns the gap between the pads, metres."""
+        return self.arm.hand.widest_gap * (1.0 - self._closed(self.data.qpos[self._drive]))
 
     def _cube_position(self) -> np.ndarray:
         """Returns the cube's centre, `[3]`, metres, in the policy's frame."""

@@ -46,18 +46,37 @@ def test_the_tool_answers_as_the_fetch_s_gripper(grasp, fetch, actions):
     assert tool[2, 2] < -0.999
 
 
-def test_the_hand_opens_and_closes_on_the_fetch_s_scale(grasp):
+def test_the_hand_opens_and_closes(grasp):
     seen = move(grasp, [[0.0, 0.0, 0.0, 1.0]] * 6 + [[0.0, 0.0, 0.0, -1.0]] * 6)
     assert seen[0, 6] == pytest.approx(0.0, abs=2e-3)
-    assert seen[6, 6] == pytest.approx(0.1, abs=5e-3)
+    assert seen[6, 6] == pytest.approx(0.085, abs=1e-3)
     assert seen[12, 6] == pytest.approx(0.0, abs=5e-3)
     assert not seen[:, 7].any()
+
+
+@pytest.mark.parametrize("arm", [UR5e, Franka])
+def test_the_gap_is_the_distance_between_the_pads(arm):
+    robot = arm("grasp")
+    robot.reset(np.random.default_rng(0))
+    for hand in [1.0] * 3 + [-1.0] * 2:  # the closed pads of the 2F-85 yield a little
+        robot.step(np.array([0.0, 0.0, 0.3, hand]))
+        assert robot.features()[6] == pytest.approx(_distance_of_pads(robot), abs=3e-3)
+
+
+def _distance_of_pads(robot):
+    model, data = robot.model, robot.data
+    one, other = (
+        [geom for geom in np.flatnonzero(model.geom_bodyid == model.body(pad).id) if model.geom_contype[geom]]
+        for pad in robot.arm.hand.pads
+    )
+    pairs = itertools.product(one, other)
+    return min(mujoco.mj_geomDistance(model, data, int(a), int(b), 0.2, np.zeros(6)) for a, b in pairs)
 
 
 def test_the_hand_starts_open_where_that_is_asked_for():
     robot = UR5e("grasp", start_open=True)
     robot.reset(np.random.default_rng(0))
-    assert robot.features()[6] == pytest.approx(0.1, abs=2e-3)
+    assert robot.features()[6] == pytest.approx(0.085, abs=1e-3)
 
 
 @pytest.mark.parametrize("hand", [1.0, -1.0])
