@@ -90,7 +90,7 @@ def _transfer() -> list[str]:
     return [
         "a policy moves to a real UR5: 0.95 ± 0.03 reaching, 0.93 ± 0.04 picking",  # of its table 4
         f"{reach} and {grasp} on a simulated UR5e",
-        f"reaching as it is, picking with slow actions; robust policies pick {robust}: [Transfer](transfer.md)",
+        f"reaching as it is, picking by robust policies, {robust}: [Transfer](transfer.md)",
     ]
 
 

@@ -128,11 +128,24 @@ def transfer(
 
 
 def rate_elsewhere(level: str, condition: str, task: str = "grasp", variant: str | None = None) -> Row:
-    """Returns `mean` and `worst` of the success of a task's seeds on another robot, trained under a level."""
-    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if row.get("variant") == variant]
-    seeds = pick(rows, task=task, level=level)["seeds"]
+    """Returns `mean` and `worst` of the success of a task's seeds on hands whose gap is stretched, by their level."""
+    return _rate_elsewhere(read_json("suite/off-policy")["levels_elsewhere"]["rows"], level, condition, task, variant)
+
+
+def rate_on_own_gap(level: str, condition: str, task: str = "grasp", variant: str | None = None) -> Row:
+    """Returns `mean` and `worst` of the success of a task's seeds on hands whose gap is as it is, by their level."""
+    return _rate_elsewhere(read_json("suite/other-hands")["rows"], level, condition, task, variant)
+
+
+def _rate_elsewhere(rows: list[Row], level: str, condition: str, task: str, variant: str | None) -> Row:
+    seeds = pick([row for row in rows if row.get("variant") == variant], task=task, level=level)["seeds"]
     rates = [rates[condition] for rates in seeds.values()]
     return Row(mean=mean(rates), worst=min(rates))
+
+
+def under_condition(task: str, policy: str, condition: str) -> Row:
+    """Returns a row of withstood.json: policies on the UR5e under a condition, as `stride 0.6`."""
+    return pick(read_json("transfer/withstood")["rows"], task=task, policy=policy, condition=condition)
 
 
 def sweep_point(robot: str, task: str, quantity: str, value: float, policy: str = "plain") -> Row:

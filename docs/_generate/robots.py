@@ -1,6 +1,9 @@
 """Writes the tables about other robots, cameras and the reference, as Markdown."""
 
-from docs._generate.results import Row, fixed, read_csv, read_json, sweep_point
+import itertools
+from typing import Any
+
+from docs._generate.results import Row, fixed, read_csv, read_json, sweep_point, transfer, under_condition
 from docs._generate.tables import markdown
 
 _ON_THE_FETCH = (
@@ -13,18 +16,22 @@ _ON_THE_FETCH = (
     ("pick-and-place", "object offset", 0.02, "the cube seen off by 2 cm"),
     ("pick-and-place", "object noise", 0.02, "the cube seen off by 2 cm, anew at each step"),
 )
-_ON_THE_UR5E = (
-    ("grasp", "delay", 2, "two steps of delay"),
-    ("grasp", "stride", 0.6, "the shortest steps"),
-    ("grasp", "stride", 1.4, "the longest steps"),
-    ("grasp", "goal noise", 0.02, "the goal off by 2 cm, anew at each step"),
-    ("grasp", "noise", 0.01, "the goal off by 1 cm"),
-    ("grasp", "noise", 0.02, "the goal off by 2 cm"),
-    ("grasp", "gripper noise", 0.01, "the gripper seen off by 1 cm, anew at each step"),
-    ("pick-and-place", "delay", 2, "two steps of delay"),
-    ("pick-and-place", "stride", 0.6, "the shortest steps"),
-    ("pick-and-place", "gripper offset", 0.01, "the gripper seen off by 1 cm"),
-)
+_ON_THE_UR5E = {
+    "delay 3": "three steps of delay",
+    "stride 0.6": "the shortest steps",
+    "stride 1.4": "the longest steps",
+    "noise 0.01": "the goal off by 1 cm",
+}
+_POLICIES = {"plain": "plain", "sensors": "under `sensors`", "known delay": "told its delay", "robust": "robust"}
+
+_IN_TABLE_4 = {
+    "UR5e 160 ms": {"robot": "UR5e", "hand": "closed", "period": 160},
+    "UR5e 160 ms, open": {"robot": "UR5e", "hand": "open", "period": 160},
+    "UR5e 40 ms, open": {"robot": "UR5e", "hand": "open", "period": 40},
+    "Franka 160 ms": {"robot": "Franka", "hand": "closed", "period": 160},
+    "Franka 160 ms, open": {"robot": "Franka", "hand": "open", "period": 160},
+}
+_DISTURBED = {"UR5e, steps × .6": "stride 0.6", "UR5e, off by 1 cm": "noise 0.01"}
 
 
 def robots() -> str:
@@ -117,14 +124,34 @@ def parity(table: str = "parity") -> str:
 
 
 def withstood() -> str:
-    """Success of policies with one quantity randomised, on two robots."""
+    """Success of policies with one quantity randomised, on this package's Fetch and on the UR5e."""
     rows = []
-    for robot, name, points in (("This", "this package's Fetch", _ON_THE_FETCH), ("UR5e", "UR5e", _ON_THE_UR5E)):
-        for task, quantity, value, words in points:
-            policies = ("plain", "sensors", "known delay", "robust")
-            found = [sweep_point(robot, task, quantity, value, policy) for policy in policies]
-            episodes = sorted({row["episodes"] for row in found})
-            rates = [fixed(row["success_rate"], 2) for row in found]
-            rows.append([name, task, words, *rates, " to ".join(f"{number:.0f}" for number in episodes)])
-    header = ["robot", "task", "disturbance", "plain", "under `sensors`", "told its delay", "robust", "episodes each"]
-    return markdown(header, rows)
+    for task, quantity, value, words in _ON_THE_FETCH:
+        found = [sweep_point("This", task, quantity, value, policy) for policy in _POLICIES]
+        rows.append(["this package's Fetch", task, words, *(fixed(row["success_rate"], 2) for row in found)])
+    measured = {(row["task"], row["policy"], row["condition"]) for row in read_json("transfer/withstood")["rows"]}
+    for task, (condition, words) in itertools.product(("grasp", "pick-and-place"), _ON_THE_UR5E.items()):
+        points = [(task, policy, condition) for policy in _POLICIES]
+        rates = [fixed(under_condition(*each)["success_rate"], 2) if each in measured else "–" for each in points]
+        rows.append(["UR5e", task, words, *rates])
+    return markdown(["robot", "task", "disturbance", *_POLICIES.values()], rows)
+
+
+def gaps_compared() -> str:
+    """Success of policies on hands whose gap was stretched to the Fetch's, and on those that show their own."""
+    rows = read_json("suite/other-hands")["stretched"]["rows"]
+    names = [*_IN_TABLE_4, *_DISTURBED]
+    return markdown(
+        ["task", "policies", *names],
+        [[row["task"], _POLICIES[row["policy"]], *(_stretched_and_own(row, name) for name in names)] for row in rows],
+    )
+
+
+def _stretched_and_own(row: Row, name: str) -> str:
+    """Returns the success of a policy with the stretched gap and with the hand's own."""
+    if name not in row["rates"]:
+        return "–"
+    task, policy = row["task"], row["policy"]
+    place: dict[str, Any] = _IN_TABLE_4.get(name, {})
+    own = under_condition(task, policy, _DISTURBED[name]) if not place else transfer(task=task, policy=policy, **place)
+    return f"{fixed(row['rates'][name], 3)}, {fixed(own['success_rate'], 3)}"

@@ -45,19 +45,18 @@ def robust() -> str:
     return markdown([*header, "plain policies, undisturbed", "env steps", "start to end"], rows)
 
 
-def robust_elsewhere(task: str) -> str:
-    """Success of TD3's robust seeds on other robots."""
-    seeds = read_json("suite/off-policy")["robust_seeds"][task]
-    names = list(next(iter(seeds.values())))
-    return markdown(
-        ["seed", *(name.replace(" x ", " × ") for name in names)],
-        [[seed.removeprefix("seed-"), *(fixed(rates[name], 2) for name in names)] for seed, rates in seeds.items()],
-    )
-
-
 def levels_elsewhere(task: str) -> str:
-    """Success of TD3's eight seeds on other robots, by the level that they were trained under: mean and worst."""
-    rows = [row for row in read_json("suite/off-policy")["levels_elsewhere"]["rows"] if row["task"] == task]
+    """Success of TD3's eight seeds on hands whose gap is stretched, by the level of their training: mean and worst."""
+    return _elsewhere(read_json("suite/off-policy")["levels_elsewhere"]["rows"], task)
+
+
+def sizes_elsewhere(task: str) -> str:
+    """Success of TD3's eight seeds on hands whose gap is as it is, by the sizes of their training: mean and worst."""
+    return _elsewhere(read_json("suite/other-hands")["rows"], task)
+
+
+def _elsewhere(rows: Iterable[Row], task: str) -> str:
+    rows = [row for row in rows if row["task"] == task]
     names = list(dict.fromkeys(name for row in rows for rates in row["seeds"].values() for name in rates))
     return markdown(
         ["trained under", *(name.replace(" x ", " × ") for name in names)],

@@ -13,7 +13,7 @@ HAND = "hand_"
 
 @dataclasses.dataclass(frozen=True)
 class Hand:
-    """Hand: its drive, and its gap beside the Fetch's."""
+    """Hand: its drive, and the gap between its pads."""
 
     drive: str
     """Name of a joint that opens and closes it."""

@@ -30,12 +30,12 @@ class ServoArm(Robot):
 
     The tool and the hand track the Fetch's responses to the same action (`responses`), as fast as the models' servos
     can. The features are those of `Reach`, `Grasp` and `PickAndPlace`: velocities are multiplied by the duration of an
-    action. The gap is taken from the drive, and is seen as it is, as that of a Fetch whose hand is as wide
-    (`Randomization.hand_width`). In reach the hand stays closed.
+    action. The gap is that of the hand's own pads, taken from the drive. In reach the hand stays closed.
 
     Hands are narrower and slower than the Fetch's: the 2F-85 opens to 85 mm instead of 100, and takes 240 ms for nine
     tenths of it instead of 80. So an action lasts `slowdown` times longer. With actions as fast as the Fetch's the hand
-    hardly opens on the way; let it start open.
+    hardly opens on the way; let it start open. A hand that is wide open is led on to the Fetch's 100 mm, and so begins
+    to close up to an action later than a Fetch's that is no wider.
 
     A subclass sets `arm`.
 

@@ -10,7 +10,7 @@ from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka
 from hgail_envs.fetch import controllers
 from hgail_jax.io.policy import load_policy
-from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_table_is_not_pressed
+from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_gap, check_the_table_is_not_pressed
 from tests.support import move
 
 
@@ -27,7 +27,11 @@ def test_the_tool_answers_as_the_fetch_s_gripper(grasp, actions):
     assert grasp.data.site(TOOL_CENTRE).xmat.reshape(3, 3)[2, 2] < -0.998
 
 
-def test_both_fingers_open_alike(grasp):
+def test_the_gap_is_the_distance_between_the_pads(grasp):
+    check_the_gap(grasp)
+
+
+def test_both_fingers_open_alike_as_far_as_they_go(grasp):
     seen = move(grasp, [[0.0, 0.0, 0.0, 1.0]] * 6)
     fingers = [grasp.data.joint(f"robot:panda0_finger_joint{finger}").qpos[0] for finger in (1, 2)]
     assert fingers[0] == pytest.approx(fingers[1], abs=1e-3)

@@ -54,13 +54,21 @@ def test_the_hand_opens_and_closes(grasp):
     assert not seen[:, 7].any()
 
 
-@pytest.mark.parametrize("arm", [UR5e, Franka])
-def test_the_gap_is_the_distance_between_the_pads(arm):
-    robot = arm("grasp")
+def test_the_gap_is_the_distance_between_the_pads(grasp):
+    check_the_gap(grasp)
+
+
+def check_the_gap(robot):
     robot.reset(np.random.default_rng(0))
-    for hand in [1.0] * 3 + [-1.0] * 2:  # the closed pads of the 2F-85 yield a little
+    for hand in [1.0] * 3 + [-1.0] * 2:  # a third would press the pads together, beyond a gap of 0
         robot.step(np.array([0.0, 0.0, 0.3, hand]))
         assert robot.features()[6] == pytest.approx(_distance_of_pads(robot), abs=3e-3)
+
+
+def test_an_open_hand_is_led_past_its_widest_and_closes_later(grasp):
+    seen = move(grasp, [[0.0, 0.0, 0.0, 1.0]] * 5 + [[0.0, 0.0, 0.0, -1.0]] * 2)
+    assert 0.075 < seen[6, 6] < 0.082  # 0.067 if it were led no farther than it opens
+    assert seen[7, 6] < 0.04
 
 
 def _distance_of_pads(robot):
@@ -148,7 +156,7 @@ def test_a_policy_trained_on_the_fetch_grasps(grasp, grasp_policy):
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [UR5e, Franka])
 def test_policies_trained_on_the_fetch_pick_and_place(arm):
-    """Robust; of 400 episodes the UR5e has 0.90, the Franka 0.87."""
+    """Robust; of 400 episodes the UR5e has 0.92, the Franka 0.81."""
     policy = load_policy(assets_directory() / "policies" / "pick-and-place-robust.npz")
     outcomes = run_episodes(arm("pick-and-place"), [policy], range(20))
     assert sum(outcome.success for outcome in outcomes) >= 14
