@@ -128,13 +128,13 @@ def withstood() -> str:
     rows = []
     for task, quantity, value, words in _ON_THE_FETCH:
         found = [sweep_point("This", task, quantity, value, policy) for policy in _POLICIES]
-        rows.append(["this package's Fetch", task, words, *(fixed(row["success_rate"], 2) for row in found)])
+        rows.append(["this package's Fetch", task, words, *(fixed(row["success_rate"], 2) for row in found), "–"])
     measured = {(row["task"], row["policy"], row["condition"]) for row in read_json("transfer/withstood")["rows"]}
     for task, (condition, words) in itertools.product(("grasp", "pick-and-place"), _ON_THE_UR5E.items()):
-        points = [(task, policy, condition) for policy in _POLICIES]
+        points = [(task, policy, condition) for policy in (*_POLICIES, "script")]
         rates = [fixed(under_condition(*each)["success_rate"], 2) if each in measured else "–" for each in points]
         rows.append(["UR5e", task, words, *rates])
-    return markdown(["robot", "task", "disturbance", *_POLICIES.values()], rows)
+    return markdown(["robot", "task", "disturbance", *_POLICIES.values(), "script"], rows)
 
 
 def gaps_compared() -> str:
