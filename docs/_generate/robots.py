@@ -24,7 +24,7 @@ _ON_THE_UR5E = {
 }
 _POLICIES = {"plain": "plain", "sensors": "under `sensors`", "known delay": "told its delay", "robust": "robust"}
 
-_IN_TABLE_4 = {
+_IN_TABLE_4: dict[str, dict[str, Any]] = {
     "UR5e 160 ms": {"robot": "UR5e", "hand": "closed", "period": 160},
     "UR5e 160 ms, open": {"robot": "UR5e", "hand": "open", "period": 160},
     "UR5e 40 ms, open": {"robot": "UR5e", "hand": "open", "period": 40},
@@ -152,6 +152,8 @@ def _stretched_and_own(row: Row, name: str) -> str:
     if name not in row["rates"]:
         return "–"
     task, policy = row["task"], row["policy"]
-    place: dict[str, Any] = _IN_TABLE_4.get(name, {})
-    own = under_condition(task, policy, _DISTURBED[name]) if not place else transfer(task=task, policy=policy, **place)
+    if name in _DISTURBED:
+        own = under_condition(task, policy, _DISTURBED[name])
+    else:
+        own = transfer(task=task, policy=policy, **_IN_TABLE_4[name])
     return f"{fixed(row['rates'][name], 3)}, {fixed(own['success_rate'], 3)}"

@@ -150,16 +150,16 @@ def test_a_policy_trained_on_the_fetch_reaches(shipped_policy):
 
 def test_a_policy_trained_on_the_fetch_grasps(grasp, grasp_policy):
     outcomes = run_episodes(grasp, [load_policy(grasp_policy)], range(6))
-    assert sum(outcome.success for outcome in outcomes) >= 4  # 92 % of 200; hardly any with a hand led otherwise
+    assert sum(outcome.success for outcome in outcomes) >= 4  # 85 % of 400; hardly any with a hand led otherwise
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [UR5e, Franka])
 def test_policies_trained_on_the_fetch_pick_and_place(arm):
-    """Robust; of 400 episodes the UR5e has 0.92, the Franka 0.81."""
-    policy = load_policy(assets_directory() / "policies" / "pick-and-place-robust.npz")
+    """Plain; of 400 episodes the UR5e has 0.97, the Franka 0.99."""
+    policy = load_policy(assets_directory() / "policies" / "pick-and-place.npz")
     outcomes = run_episodes(arm("pick-and-place"), [policy], range(20))
-    assert sum(outcome.success for outcome in outcomes) >= 14
+    assert sum(outcome.success for outcome in outcomes) >= 17
 
 
 def test_pick_and_place_shows_the_cube_and_where_it_is_to_go():
