@@ -107,8 +107,9 @@ def _franka() -> mujoco.MjSpec:
     return spec
 
 
-# The pads of the 2F-85 end 16.7 cm from the flange with the hand open, 17.0 cm at the cube's width and 17.3 cm when it
-# is closed. The last link's y points out of the flange, which is 0.1 m from it.
+# The pads of the 2F-85 swing outward: they end 16.0 cm from the flange with the hand open, 17.0 cm at the cube's width,
+# where the tool is as far from them as the Fetch's, and 17.3 cm when it is closed. The last link's y points out of the
+# flange, which is 0.1 m from it.
 UR5E = Arm(
     name="UR5e with Robotiq 2F-85, C MuJoCo",
     extra="ur5e",
