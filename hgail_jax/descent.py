@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from hgail_envs._platform import promotion
+from hgail_envs.workarounds import promotion
 
 
 def descend(

@@ -9,7 +9,7 @@ import optax
 from brax.training.acme import running_statistics
 from flax import struct
 
-from hgail_envs._platform import promotion
+from hgail_envs.workarounds import promotion
 from hgail_jax.config import Hyperparameters
 
 MAX_NORMALIZED = 5.0

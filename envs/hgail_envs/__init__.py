@@ -1,8 +1,8 @@
 """Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own."""
 
-from hgail_envs import _platform
+from hgail_envs import workarounds
 
-_platform.prepare()  # before JAX starts, which reads its settings once
+workarounds.prepare()  # before JAX starts, which reads its settings once
 
 from brax.envs.base import State  # noqa: E402
 

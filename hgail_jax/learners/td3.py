@@ -13,7 +13,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs._platform import promotion
+from hgail_envs.workarounds import promotion
 from hgail_jax.buffer import Transitions, add_episodes, draw
 from hgail_jax.config import RELABELLED, TD3, Config, Hyperparameters
 from hgail_jax.devices.sharding import local_shard

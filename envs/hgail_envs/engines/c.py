@@ -4,7 +4,7 @@ An action of all environments of all seeds is one call of `mujoco.rollout`, whos
 this process may use. The host keeps no state between calls: all state goes in and out, so that a call may be repeated
 or left out, a run resumes exactly, and the result does not depend on the number of threads.
 
-Callbacks into Python can deadlock under JAX's asynchronous dispatch on a CPU; `hgail_envs._platform` turns that off
+Callbacks into Python can deadlock under JAX's asynchronous dispatch on a CPU; `hgail_envs.workarounds` turns that off
 before JAX starts.
 """
 

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
-from hgail_envs._platform import promotion
 from hgail_envs.engines.base import Control, Engine, StateT
 from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
+from hgail_envs.workarounds import promotion
 
 
 @jax.jit  # traced once, whatever loops and batches it is then run in

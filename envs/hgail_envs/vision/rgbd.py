@@ -17,7 +17,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from hgail_envs import _platform
+from hgail_envs import workarounds
 from hgail_envs.vision.camera import Camera
 
 Stage = Callable[[mujoco.MjvScene], None]
@@ -50,8 +50,8 @@ def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Rend
 
     """
     try:
-        if _platform.rendering_fault is not None:
-            raise ImportError(_platform.rendering_fault)
+        if workarounds.rendering_fault is not None:
+            raise ImportError(workarounds.rendering_fault)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW warns of a display that does not answer, then the renderer fails
             return mujoco.Renderer(model, height, width)

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hgail_envs import _platform
+from hgail_envs import workarounds
 from tests.support import ROOT
 
 
 def test_xla_flags_only_where_the_fault_is():
     for version in ("0.7.2", "0.10.2"):
-        assert _platform.xla_flags("--a=1", version) == "--a=1 --xla_cpu_use_fusion_emitters=false"
-        assert _platform.thread_pool_size(2, version) == 8
+        assert workarounds.xla_flags("--a=1", version) == "--a=1 --xla_cpu_use_fusion_emitters=false"
+        assert workarounds.thread_pool_size(2, version) == 8
     for version in ("0.6.2", "0.11.2", "0.12.0.1"):
-        assert _platform.xla_flags("--a=1", version) == "--a=1"
-        assert _platform.thread_pool_size(2, version) is None
-    assert _platform.thread_pool_size(16, "0.10.2") is None
+        assert workarounds.xla_flags("--a=1", version) == "--a=1"
+        assert workarounds.thread_pool_size(2, version) is None
+    assert workarounds.thread_pool_size(16, "0.10.2") is None
 
 
 def test_batched_cholesky_does_not_hang():
@@ -42,7 +42,7 @@ def test_a_cpu_dispatches_in_order():
 
 
 def test_without_a_display_mujoco_renders_with_what_is_there():
-    backend = _platform.headless_backend(ctypes.util.find_library)
+    backend = workarounds.headless_backend(ctypes.util.find_library)
     if sys.platform != "linux" or backend is None:
         pytest.skip("neither EGL nor OSMesa")
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
@@ -73,7 +73,7 @@ except RenderingError as error:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
 def test_a_renderer_that_is_chosen_is_taken(rendering):
-    backend = _platform.headless_backend(ctypes.util.find_library)
+    backend = workarounds.headless_backend(ctypes.util.find_library)
     lines = "import hgail_envs, mujoco; print(mujoco.GLContext.__module__, mujoco.GLContext(8, 8) is None)"
     environment = os.environ | {"MUJOCO_GL": backend, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", lines], env=environment, capture_output=True, text=True, check=True)
