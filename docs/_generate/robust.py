@@ -50,9 +50,9 @@ def levels_elsewhere(task: str) -> str:
     return _elsewhere(read_json("suite/off-policy")["levels_elsewhere"]["rows"], task)
 
 
-def sizes_elsewhere(task: str) -> str:
+def sizes_elsewhere(task: str, trials: str = "other-hands") -> str:
     """Success of TD3's eight seeds on hands whose gap is as it is, by the sizes of their training: mean and worst."""
-    return _elsewhere(read_json("suite/other-hands")["rows"], task)
+    return _elsewhere(read_json(f"suite/{trials}")["rows"], task)
 
 
 def _elsewhere(rows: Iterable[Row], task: str) -> str:
