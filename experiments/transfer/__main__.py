@@ -1,4 +1,4 @@
-"""Runs policies that were trained on the Fetch in MJX, unchanged, in another simulator and on another robot."""
+"""Runs policies that were trained on this package's Fetch, unchanged, in another simulator and on another robot."""
 
 import contextlib
 import dataclasses
@@ -14,10 +14,12 @@ from experiments.transfer.observing import trained_under
 from experiments.transfer.policies import find_policies, load_policies, robot_options
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
+from experiments.transfer.robots.base import Robot
 from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
 from experiments.transfer.tasks import TASKS
 from hgail_envs.engines.c import usable_cores
+from hgail_envs.fetch.arm import CONTROL_PERIOD
 from hgail_envs.past import Past
 from hgail_envs.validation import MOST_SEED, check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
@@ -111,7 +113,8 @@ def main(arguments: list[str] | None = None) -> None:
         elif options.sweep:
             _sweep(options)
         elif options.pictures:
-            write_pictures(_make_folder(options.out), options.seed)
+            for picture in write_pictures(_make_folder(options.out), options.seed):
+                print(picture)
         else:
             _run(options)
     except (ValueError, OSError) as error:
@@ -158,7 +161,7 @@ def _table(options: Options) -> None:
     if not any(parts(source, robots, tasks) for source in sources):
         raise ValueError("table 4 has no rows of this robot, task and goal source")
     workers = options.workers or usable_cores()
-    write_table(_make_folder(options.out), sources, robots, tasks, options.episodes, options.seed, workers)
+    print(write_table(_make_folder(options.out), sources, robots, tasks, options.episodes, options.seed, workers))
 
 
 def _chosen(options: Options, robots: list[str]) -> tuple[list[str], tuple[str, ...]]:
@@ -175,7 +178,9 @@ def _sweep(options: Options) -> None:
         if not policies[label].keys() & set(tasks):
             raise ValueError(f"--policies {label} has no policy of {' or '.join(tasks)}")
     folder = _make_folder(options.out)
-    write_sweep(folder, policies, robots, tasks, options.episodes, options.seed, options.workers or usable_cores())
+    workers = options.workers or usable_cores()
+    for file in write_sweep(folder, policies, robots, tasks, options.episodes, options.seed, workers):
+        print(file)
 
 
 def _make_folder(path: Path) -> Path:
@@ -204,11 +209,25 @@ def _run(options: Options) -> None:
         outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
     row = measured(outcomes, len(policies), episodes)
     print(
-        f"{robot.name}, {task}:"
+        f"{robot.name}, {task}, {_situation(robot, options, source)}:"
         f" success {row['success_rate']:.3f} (95 % interval {row['success_low']:.3f} to {row['success_high']:.3f}),"
         f" L1 distance {row['distance_l1']:.4f} m,"
         f" {counted(episodes, 'episode')}, {counted(min(len(policies), episodes), 'policy', 'policies')}"
     )
+
+
+def _situation(robot: Robot, options: Options, source: str) -> str:
+    """Returns in words what the episodes were like, as far as it is not the robot's own."""
+    said = {
+        f"hand {'closed' if robot.starts_closed else 'open'} at the start": True,
+        f"{round(1000 * CONTROL_PERIOD * robot.slowdown)} ms an action": True,
+        f"goal by {source}": source != EXACT,
+        f"goal off by {options.noise} m (σ)": options.noise,
+        f"goal off by {options.offset} m": any(options.offset),
+        f"delay of {counted(options.delay, 'step')}": options.delay,
+        f"steps × {options.stride}": options.stride != 1,
+    }
+    return ", ".join(words for words, applies in said.items() if applies)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ def write_table(
     episodes: int,
     seed: int,
     workers: int,
-) -> None:
-    """Writes table4.json: the rows and their provenance.
+) -> Path:
+    """Writes table4.json, the rows and their provenance, and returns its path.
 
     Rows of other goal sources, robots or tasks stay in the file, with their provenance.
 
@@ -56,6 +56,7 @@ def write_table(
     for row in measure_rows(points, episodes, seed, workers):
         rows.append(row)
         write_json(path, {"made_by": made_by, "rows": rows})
+    return path
 
 
 def write_sweep(
@@ -66,8 +67,8 @@ def write_sweep(
     episodes: int,
     seed: int,
     workers: int,
-) -> None:
-    """Writes transfer-sweep.json, the points of the curves and their provenance, and its figures.
+) -> list[Path]:
+    """Writes transfer-sweep.json, the points of the curves and their provenance, and its figures; returns their paths.
 
     Curves of other robots or tasks stay in the file, with their provenance.
 
@@ -92,34 +93,38 @@ def write_sweep(
     for row in itertools.chain(on_fetch, elsewhere):
         rows.append(row)
         write_json(path, {"made_by": made_by, "rows": rows})
-    draw_sweeps(folder, rows)
+    return [path, *draw_sweeps(folder, rows)]
 
 
-def draw_sweeps(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Writes transfer-sweep-<robot>-<task>.png for each robot and task of a sweep's points."""
+def draw_sweeps(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
+    """Writes transfer-sweep-<robot>-<task>.png for each robot and task of a sweep's points, and returns their paths."""
     names = {robot_name(to): to for to in (FETCH, *ROBOTS)}
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     curves: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         curves.setdefault((names[row["robot"]], row["task"]), []).append(row)
-    for (to, task), points in curves.items():
-        draw_sweep(folder / f"transfer-sweep-{to}-{task}.png", points, axes(), policies)
+    paths = {part: folder / "transfer-sweep-{}-{}.png".format(*part) for part in curves}
+    for part, points in curves.items():
+        draw_sweep(paths[part], points, axes(), policies)
+    return list(paths.values())
 
 
-def write_pictures(folder: Path, seed: int) -> None:
-    """Writes transfer-<robot>.png for each robot: one episode of each task, by its first policy.
+def write_pictures(folder: Path, seed: int) -> list[Path]:
+    """Writes transfer-<robot>.png for each robot, an episode of each task by its first policy, and returns their paths.
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
 
     """
-    for to in ROBOTS:
+    paths = {to: folder / f"transfer-{to}.png" for to in ROBOTS}
+    for to, path in paths.items():
         episodes = [
             (make_robot(to, name), load_policies(name)[0], task.pictured_steps)
             for name, task in TASKS.items()
             if name in ROBOTS[to].tasks
         ]
-        draw_strip(folder / f"transfer-{to}.png", episodes, seed)
+        draw_strip(path, episodes, seed)
+    return list(paths.values())
 
 
 def _part(*columns: str) -> str:

@@ -47,6 +47,6 @@ def main(arguments: list[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     print(
-        f"{counted(options.episodes, 'episode')} of {options.task}: return {demonstrations.returns.mean():.1f},"
-        f" L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
+        f"{counted(options.episodes, 'successful episode')} of {options.task}:"
+        f" return {demonstrations.returns.mean():.1f}, L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )

@@ -80,7 +80,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(_text(row))
     if len(rows) > 1:
         mean = _mean(rows)
-        print(f"mean of {len(rows)} seeds: success {_interval(mean)}")
+        over = ", interval over seeds" if "low" in mean else ""
+        print(f"mean of {len(rows)} seeds: success {_interval(mean)}{over}")
 
 
 def _check(options: Options) -> None:

@@ -20,11 +20,16 @@ def policy_files(path: Path) -> list[Path]:
 
     Raises:
       ValueError: the folder has no policy.
+      FileNotFoundError: there is no such file or folder.
 
     """
+    if not path.exists():
+        raise FileNotFoundError(f"there is no file or folder {path}")
     if not path.is_dir():
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
+    if not found and (path / "config.json").exists():
+        raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} goes on with it")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
     return sorted(found, key=lambda file: [int(part) if part.isdigit() else part for part in _NUMBER.split(file.name)])
@@ -123,12 +128,15 @@ def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:
-    """Names the level of the randomisation; it differs from the `level` asked for by the past that the policy reads.
+    """Names the `level` asked for, and says if the policy is shown another past; for None names that of its training.
 
     A ramp is of the training alone.
     """
     if sizes == sizes.nominal():
         return "nominal"
-    levels = {name: dataclasses.replace(known, ramp=sizes.ramp) for name, known in LEVELS.items()}
-    name = next((name for name, known in levels.items() if known == sizes), level)
-    return f"randomised: {name or 'as in its training'}"
+    if level is None:
+        levels = {name: dataclasses.replace(known, ramp=sizes.ramp) for name, known in LEVELS.items()}
+        return f"randomised: {next((name for name, known in levels.items() if known == sizes), 'as in its training')}"
+    asked = LEVELS[level]
+    same = (asked.history, asked.known_delay) == (sizes.history, sizes.known_delay)
+    return f"randomised: {level}" + ("" if same else ", shown the past as in its training")

@@ -34,6 +34,8 @@ def load_npz(path: Path | str, kind: str, read: Callable[[Mapping[str, np.ndarra
     if not path.is_file():  # opening a pipe would wait for a writer
         raise ValueError(f"{path} does not hold {kind}: it is no regular file")
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is no npz archive")
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
                 raise ValueError("it is compressed")

@@ -96,7 +96,7 @@ def test_one_run(capsys):
     transfer.main(["--to", "gymnasium", "--task", "reach", "--episodes", "2"])
     printed = capsys.readouterr().out
     # Wilson for 2 of 2 by its formula: from n / (n + z²) to 1
-    assert printed.startswith(f"{ROBOTS['gymnasium'].name}, reach: success")
+    assert printed.startswith(f"{ROBOTS['gymnasium'].name}, reach, hand closed at the start, 40 ms an action: success")
     assert f"success 1.000 (95 % interval {2 / (2 + 1.959964**2):.3f} to 1.000)" in printed
     assert "2 episodes, 1 policy\n" in printed
 
@@ -146,8 +146,16 @@ def test_a_policy_that_tracks_the_cube_runs_on_a_robot_that_knows_no_such_option
 def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatch):
     monkeypatch.setattr(goal_sources, "check_rendering", lambda: None)
     monkeypatch.setitem(GOAL_SOURCES, "camera", lambda robot, stack: NoisyEstimate(offset=(0.3, 0.0, 0.0)))
-    transfer.main(["--task", "reach", "--episodes", "2", "--goal-source", "camera"])
-    assert "success 0.000" in capsys.readouterr().out
+    transfer.main(["--task", "reach", "--episodes", "2", "--goal-source", "camera", "--delay", "3", "--stride", "0.5"])
+    printed = capsys.readouterr().out
+    assert "success 0.000" in printed
+    assert ", 40 ms an action, goal by camera, delay of 3 steps, steps × 0.5: success" in printed
+
+
+def test_one_run_tells_the_error_of_the_goal(capsys):
+    transfer.main(["--episodes", "1", "--noise", "0.25", "--offset", "0.5", "0", "0"])
+    told = "goal off by 0.25 m (σ), goal off by (0.5, 0.0, 0.0) m"
+    assert f", 40 ms an action, {told}: success" in capsys.readouterr().out
 
 
 def test_one_run_with_options_of_the_robot(monkeypatch, capsys):
@@ -188,7 +196,7 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
         (["--pictures"], {"transfer-gymnasium.png"}),
     ],
 )
-def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp_path, monkeypatch, request):
+def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp_path, monkeypatch, request, capsys):
     if "--pictures" in arguments:
         request.getfixturevalue("rendering")
     monkeypatch.chdir(tmp_path)
@@ -200,6 +208,7 @@ def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp
     before = committed()
     transfer.main(arguments)
     assert {path.name for path in (tmp_path / "runs" / "transfer").iterdir()} == written
+    assert set(capsys.readouterr().out.split()) == {f"runs/transfer/{name}" for name in written}
     assert committed() == before
 
 

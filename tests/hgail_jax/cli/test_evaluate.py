@@ -3,7 +3,6 @@
 import dataclasses
 import importlib.util
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -60,17 +59,20 @@ def test_what_is_printed_is_what_a_roll_out_of_the_policy_gives(capsys, shipped_
     assert (told["task"], told["engine"], row["episodes"]) == ("reach", env.impl, 6)
 
 
-def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder):
+def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder, tmp_path):
     told = report(["--policy", str(run_folder), "--episodes", "3"], capsys)
     assert [row["policy"].split("/")[-1] for row in told["policies"]] == ["seed-9.npz", "seed-10.npz"]
     success = told["policies"][0]["success"]
     assert success == told["policies"][1]["success"]
     assert told["mean"] == {"success": success}  # two have no interval
-    evaluate.main(["--policy", str(run_folder), "--episodes", "3", "--randomize", "mild"])
+    for seed in (1, 2, 3):
+        shutil.copy(run_folder / "policies" / "seed-9.npz", tmp_path / f"seed-{seed}.npz")
+    evaluate.main(["--policy", str(tmp_path), "--episodes", "3", "--randomize", "mild"])
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 5
+    assert len(lines) == 7
     assert "randomised: mild (trained without), engine" in lines[0]
-    assert re.fullmatch(r"mean of 2 seeds: success \d\.\d{3}", lines[-1])
+    rate = float(lines[1].split()[1])  # equal policies, so the interval over seeds is a point
+    assert lines[-1] == f"mean of 3 seeds: success {rate:.3f} [{rate:.3f}, {rate:.3f}], interval over seeds"
 
 
 def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_path, shipped_policy):
@@ -119,7 +121,9 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--episodes", "0"], "episodes is 0; it must be at least 1"),
         (["--seed", "-1"], "seed is -1"),
         (["--task", "poke"], "unknown task 'poke'"),
-        (["--policy", "none.npz"], "there is no file none.npz"),
+        (["--policy", "none.npz"], "there is no file or folder none.npz"),
+        (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped goes on"),
+        (["--policy", "text.md"], "text.md does not hold a policy: it is no npz archive"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
         (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
         (["--randomize", "wild"], "randomize is 'wild'"),
@@ -131,6 +135,11 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
     ],
 )
 def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, shipped_policy):
+    if "stopped" in arguments:  # a run that has not written its policies
+        (tmp_path / "stopped").mkdir()
+        (tmp_path / "stopped" / "config.json").write_text("{}")
+    if "text.md" in arguments:
+        (tmp_path / "text.md").write_text("# Title")
     if "small.npz" in arguments:
         save_policy(tmp_path / "small.npz", dataclasses.replace(load_policy(shipped_policy), task="push"))
     refused(evaluate.main, arguments, message, capsys, tmp_path, monkeypatch)
@@ -141,7 +150,7 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
     [
         (["--out", "p.txt"], "it must end in .onnx, .mlirbc, .npz"),
         (["--task", "poke"], "unknown task 'poke'"),
-        (["--policy", "none.npz"], "there is no file none.npz"),
+        (["--policy", "none.npz"], "there is no file or folder none.npz"),
         (["--policy", "run", "--out", "p.npz"], "run has 2 policies; name one, e.g. run/policies/seed-9.npz"),
         (["--out", "run/summary.json/p.npz"], "Not a directory"),
         (["--out", "run/policies/seed-9.npz"], "exists already"),

@@ -74,10 +74,11 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
         (LEVELS["none"], "mild", "randomised: mild (trained without)"),
         (LEVELS["full-history"], None, "randomised: full-history"),
         (LEVELS["full-history"], "none", "nominal"),
-        (LEVELS["mild-history"], "full", "randomised: full-history"),  # the policy sees as much as in its training
-        (LEVELS["full-known-delay"], "full", "randomised: full-known-delay"),
+        (LEVELS["mild-history"], "full", "randomised: full, shown the past as in its training"),
+        (LEVELS["full-history"], "full-known-delay", "randomised: full-known-delay, shown the past as in its training"),
+        (LEVELS["full-known-delay"], "full-known-delay", "randomised: full-known-delay"),
         (OF_ITS_OWN, None, "randomised: as in its training"),
-        (OF_ITS_OWN, "full", "randomised: full"),
+        (OF_ITS_OWN, "full", "randomised: full, shown the past as in its training"),
     ],
 )
 def test_the_policy_s_file_and_the_randomisation_are_told(trained, level, told, in_folder, shipped_policy, capsys):
@@ -116,7 +117,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
             f"mine.npz plays no other; without --policy choose from {PLAYED}",
         ),
         (["--task", "poke"], "unknown task 'poke'"),
-        (["--policy", "none.npz"], "hgail play: there is no file none.npz"),
+        (["--policy", "none.npz"], "hgail play: there is no file or folder none.npz"),
         (["--episodes", "many"], "'many' is not a whole number"),
         (["--task", "grasp-aperture"], "no policy of grasp-aperture comes with the package; name one by --policy"),
         (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
