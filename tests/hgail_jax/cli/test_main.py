@@ -117,7 +117,7 @@ def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("3 episodes of test:Near: return 0.0")  # wherever it is, it is near enough
+    assert done.stdout.startswith("3 successful episodes of test:Near: return 0.0")  # wherever it is, it is near enough
     assert (tmp_path / "near.npz").exists()
     assert list((tmp_path / "cache" / "hgail_jax").iterdir())
 
