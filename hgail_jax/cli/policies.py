@@ -28,7 +28,7 @@ def policy_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
-    if not found and (path / "config.json").exists():
+    if not found and (path / "config.json").exists() and not (path / "summary.json").exists():
         raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} goes on with it")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")

@@ -160,9 +160,17 @@ def test_one_run_tells_the_error_of_the_goal(capsys):
 
 def test_one_run_with_options_of_the_robot(monkeypatch, capsys):
     made = []
-    monkeypatch.setattr(transfer, "make_robot", lambda *named, **options: made.append(options) or make_robot(*named))
+
+    def make_slow(*named, **options):
+        made.append(options)
+        robot = make_robot(*named)
+        robot.slowdown, robot.starts_closed = options["slowdown"], not options["start_open"]
+        return robot
+
+    monkeypatch.setattr(transfer, "make_robot", make_slow)
     transfer.main(["--to", "gymnasium", "--episodes", "1", "--robot-options", "slowdown=2", "start_open=true"])
     assert made == [{"slowdown": 2, "start_open": True}]
+    assert "reach, hand open at the start, 80 ms an action: success" in capsys.readouterr().out
 
 
 def test_a_policy_of_the_official_observation_runs_in_the_official_environment(tmp_path, capsys):

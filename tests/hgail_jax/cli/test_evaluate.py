@@ -123,6 +123,7 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "there is no file or folder none.npz"),
         (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped goes on"),
+        (["--policy", "ended"], "ended does not hold a policy: it is no regular file, nor a run's folder"),
         (["--policy", "text.md"], "text.md does not hold a policy: it is no npz archive"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
         (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
@@ -135,9 +136,11 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
     ],
 )
 def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, shipped_policy):
-    if "stopped" in arguments:  # a run that has not written its policies
-        (tmp_path / "stopped").mkdir()
-        (tmp_path / "stopped" / "config.json").write_text("{}")
+    for run in {"stopped", "ended"} & set(arguments):  # one has no policies as yet, of the other they are lost
+        (tmp_path / run).mkdir()
+        (tmp_path / run / "config.json").write_text("{}")
+    if "ended" in arguments:
+        (tmp_path / "ended" / "summary.json").write_text("{}")
     if "text.md" in arguments:
         (tmp_path / "text.md").write_text("# Title")
     if "small.npz" in arguments:
