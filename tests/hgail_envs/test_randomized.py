@@ -250,7 +250,7 @@ def test_what_a_task_lacks_is_refused():
         randomize(Point(), "mild")
     with pytest.raises(ValueError, match="Point cannot be randomised so: it has no vary_start"):
         RandomizedEnv(Point(), Randomization(posture=0.01))
-    with pytest.raises(ValueError, match="unknown randomize 'wild'; choose from none, sensors, mild, full"):
+    with pytest.raises(ValueError, match="unknown randomize 'wild'; choose from none, other-arms, mild, full"):
         randomize(Point(), "wild")
 
 
@@ -301,12 +301,15 @@ def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
 
 
 def test_what_the_levels_have_of_full():
-    full, sensors = LEVELS["full"], vars(LEVELS["sensors"])
+    full, arms = LEVELS["full"], vars(LEVELS["other-arms"])
     assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1])
-    differing = {name for name, size in sensors.items() if size != getattr(Randomization(), name)}
+    differing = {name for name, size in arms.items() if size != getattr(Randomization(), name)}
     errors = {f"{what}_{kind}" for what in ("robot", "object", "goal") for kind in ("noise", "offset")}
-    assert differing == errors | {"hand_opening", "ramp"}
-    assert all(sensors[name] == getattr(full, name) for name in differing)
+    hands = {"friction", "finger_speed", "hand_width", "pad_size"}
+    assert differing == errors | hands | {"step_size", "hand_opening", "ramp"}
+    assert {name for name in differing if arms[name] != getattr(full, name)} == {"step_size", "goal_offset"}
+    assert arms["step_size"] == (0.4, full.step_size[1])
+    assert arms["goal_offset"] == 3 * full.goal_offset
 
 
 def test_nominal_is_no_randomisation_with_the_same_history():

@@ -104,5 +104,5 @@ def test_an_unknown_level_is_refused_in_one_line(capsys):
             main(arguments)
         assert ended.value.code == 2
         assert "wild" in (error := capsys.readouterr().err)
-        assert "choose from none, sensors, mild, full" in error
+        assert "choose from none, other-arms, mild, full" in error
     assert not Path("run").exists()
