@@ -18,7 +18,7 @@ PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""
 RUNS = {
     PLAIN: "{task}-hgail",
-    "sensors": "{task}-td3-sensors",
+    "other arms": "{task}-td3-other-arms",
     "known delay": "{task}-td3-known-delay",
     "robust": "{task}-hgail-robust",
 }

@@ -9,7 +9,7 @@ from experiments.transfer.robots import make_robot
 ROW = {"robot": "A, b", "task": "reach", "policy": "plain", "quantity": "noise", "value": 0.0, "success_rate": 0.5}
 ROW |= {"success_low": 0.4, "success_high": 0.6}
 AXES = {"noise": "noise (m)", "speed": "speed (m/s)"}
-POLICIES = ["plain", "sensors", "robust"]
+POLICIES = ["plain", "other arms", "robust"]
 
 
 @pytest.mark.parametrize("second", [{"policy": "robust"}, {"quantity": "speed, fast"}])
@@ -32,7 +32,7 @@ def inks(path):
 
 def test_a_policy_has_its_colour_in_each_figure(tmp_path):
     apart = {"success_rate": 0.2, "success_low": 0.1, "success_high": 0.3}
-    for others, wanted in ((["sensors", "robust"], ["C0", "C1", "C2"]), (["robust"], ["C0", "C2"])):
+    for others, wanted in ((["other arms", "robust"], ["C0", "C1", "C2"]), (["robust"], ["C0", "C2"])):
         rows = [ROW, *(ROW | apart | {"policy": policy} for policy in others)]
         draw_sweep(tmp_path / "curves.png", rows, AXES, POLICIES)
         assert inks(tmp_path / "curves.png") == wanted

@@ -30,7 +30,7 @@ def test_the_repository_has_policies_of_each_task():
     assert len(load_policies("grasp")) == 8
     found = find_policies(("reach", "grasp", "pick-and-place"))
     assert {task: len(paths) for task, paths in found["plain"].items()} == {"reach": 1, "grasp": 8, "pick-and-place": 1}
-    for label, level in {"sensors": "sensors", "known delay": "full-known-delay"}.items():
+    for label, level in {"other arms": "other-arms", "known delay": "full-known-delay"}.items():
         (grasp,), (picking,) = found[label]["grasp"], found[label]["pick-and-place"]
         assert (load_policy(grasp).task_options, load_policy(picking).task_options) == ({"cube": "tracked"}, {})
         for path in (grasp, picking):  # a ramp is of the training alone
@@ -49,10 +49,10 @@ def test_policies_that_are_shipped_are_those_that_were_measured():
 
 
 def test_a_run_s_folder_stands_for_its_policies():
-    run = RESULTS / "runs" / "grasp-td3-sensors"
+    run = RESULTS / "runs" / "grasp-td3-other-arms"
     (policy,) = load_policies("grasp", run)
-    assert policy.randomization == LEVELS["sensors"]
-    assert find_policies([], [f"mine={run}"]) == {"mine": {"grasp": [run / "policies" / "seed-3.npz"]}}
+    assert policy.randomization == LEVELS["other-arms"]
+    assert find_policies([], [f"mine={run}"]) == {"mine": {"grasp": [run / "policies" / "seed-2.npz"]}}
 
 
 def test_the_script_is_one_beside_a_folder_of_its_name(tmp_path, monkeypatch):
