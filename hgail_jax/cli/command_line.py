@@ -2,6 +2,8 @@
 
 import atexit
 import contextlib
+import dataclasses
+import difflib
 import gc
 import os
 import shutil
@@ -47,8 +49,12 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
             print(f"{program}: {old} is {new} now; the old name goes with the next release", file=sys.stderr)
     # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+
+    def refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
+        raise _RefusedError(_reason(event) + _meant(event, options))
+
     try:
-        with tyro_errors.on_parse_error(_refuse):
+        with tyro_errors.on_parse_error(refuse):
             return tyro.cli(options, prog=program, args=with_new_names(words), description=description)
     except _RefusedError as refused:
         fail(program, refused, 2)
@@ -64,8 +70,13 @@ def with_new_names(words: Iterable[str]) -> list[str]:
     return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]
 
 
-def _refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
-    raise _RefusedError(_reason(event))
+def _meant(event: tyro_errors.ParseErrorEvent, options: Any) -> str:
+    """Returns a question about the names of options that resemble an unrecognized one, else nothing."""
+    if not (isinstance(event, tyro_errors.UnrecognizedArgs) and dataclasses.is_dataclass(options)):
+        return ""
+    names = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(options)]
+    similar = difflib.get_close_matches(event.tokens[0].partition("=")[0], names, n=2, cutoff=0.65)
+    return f"; did you mean {' or '.join(similar)}?" if similar else ""
 
 
 def _reason(event: tyro_errors.ParseErrorEvent) -> str:
