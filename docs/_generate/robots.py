@@ -22,7 +22,12 @@ _ON_THE_UR5E = {
     "stride 1.4": "the longest steps",
     "noise 0.01": "the goal off by 1 cm",
 }
-_POLICIES = {"plain": "plain", "sensors": "under `sensors`", "known delay": "told its delay", "robust": "robust"}
+_POLICIES = {
+    "plain": "plain",
+    "other arms": "under `other-arms`",
+    "known delay": "told its delay",
+    "robust": "robust",
+}
 
 _IN_TABLE_4: dict[str, dict[str, Any]] = {
     "UR5e 160 ms": {"robot": "UR5e", "hand": "closed", "period": 160},
@@ -38,10 +43,10 @@ def robots() -> str:
     """Table 4 with the simulator's goal: policies run unchanged on other robots."""
     exact = [row for row in read_json("transfer/table4")["rows"] if row["stage"] == "exact goal"]
     rates = {(*_situation(row), row["policy"]): _with_interval(row) for row in exact}
-    others = ("sensors", "known delay", "robust", "script")
+    others = ("other arms", "known delay", "robust", "script")
     header = ["robot", "task", "hand at the start, action", "plain policies"]
     return markdown(
-        [*header, "under `sensors`", "told its delay", "robust policy", "script"],
+        [*header, "under `other-arms`", "told its delay", "robust policy", "script"],
         [
             [*_situation(row), _with_interval(row), *(rates.get((*_situation(row), name), "–") for name in others)]
             for row in exact
@@ -141,9 +146,10 @@ def gaps_compared() -> str:
     """Success of policies on hands whose gap was stretched to the Fetch's, and on those that show their own."""
     rows = read_json("suite/other-hands")["stretched"]["rows"]
     names = [*_IN_TABLE_4, *_DISTURBED]
+    policies = _POLICIES | {"sensors": "under `sensors`"}
     return markdown(
         ["task", "policies", *names],
-        [[row["task"], _POLICIES[row["policy"]], *(_stretched_and_own(row, name) for name in names)] for row in rows],
+        [[row["task"], policies[row["policy"]], *(_stretched_and_own(row, name) for name in names)] for row in rows],
     )
 
 
@@ -152,8 +158,10 @@ def _stretched_and_own(row: Row, name: str) -> str:
     if name not in row["rates"]:
         return "–"
     task, policy = row["task"], row["policy"]
-    if name in _DISTURBED:
-        own = under_condition(task, policy, _DISTURBED[name])
+    if "own" in row:
+        own = row["own"][name]
+    elif name in _DISTURBED:
+        own = under_condition(task, policy, _DISTURBED[name])["success_rate"]
     else:
-        own = transfer(task=task, policy=policy, **_IN_TABLE_4[name])
-    return f"{fixed(row['rates'][name], 3)}, {fixed(own['success_rate'], 3)}"
+        own = transfer(task=task, policy=policy, **_IN_TABLE_4[name])["success_rate"]
+    return f"{fixed(row['rates'][name], 3)}, {fixed(own, 3)}"

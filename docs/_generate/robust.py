@@ -10,7 +10,7 @@ from docs._generate.results import RESULTS, Row, count, fixed, read_json, second
 from docs._generate.tables import markdown
 from hgail_envs.randomization import LEVELS, Randomization
 
-_KINDS = ("-robust", "-sensors", "-known-delay")
+_KINDS = ("-robust", "-other-arms", "-known-delay")
 _ENDS = f"({'|'.join(_KINDS)})$"
 
 
