@@ -65,7 +65,7 @@ def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
 
     Of pick and place with the goal test alone a p_ht of .6 has .87 under `full` where .8 has .82; with a quarter of the
     goal test it is behind that by .03 (docs/lab/robust.md, off-policy). On push nothing else was tried. The rounds on a
-    GPU are what `full-known-delay` needs; under `other-arms` grasp learns in 18 and pick and place in 24.
+    GPU are what `full-known-delay` needs; under `other-arms` 18 are enough.
     """
     sizes: dict[str, dict[str, Any]] = {
         "cpu": {"rounds": 36, "buffer_episodes": 16384, "final_learning_rate": 0.1},
