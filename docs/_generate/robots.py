@@ -65,7 +65,7 @@ def camera_goals() -> str:
         [
             [
                 *_situation(row),
-                row["policy"],
+                _POLICIES.get(row["policy"], row["policy"]),
                 *(_rate_of(row, stage) for stage in stages),
             ]
             for row in rows

@@ -204,8 +204,8 @@ _FULL = dataclasses.replace(
     posture=0.04,
 )
 
-# Without delay, other objects and other starts of the arm. A goal that is off by more and shorter steps than those of
-# `full` are for a hand that leaves the cube less room (docs/lab/robust.md, sizes for other arms).
+# `full` without delay, with the nominal object, finger force, z_bias and start of the arm. Goals are off by more and
+# steps may be shorter, for a hand that leaves the cube less room (docs/lab/robust.md, sizes for other arms).
 _OTHER_ARMS = dataclasses.replace(
     _FULL,
     delay=(0, 0),

@@ -71,11 +71,15 @@ def with_new_names(words: Iterable[str]) -> list[str]:
 
 
 def _meant(event: tyro_errors.ParseErrorEvent, options: Any) -> str:
-    """Returns a question about the names of options that resemble an unrecognized one, else nothing."""
+    """Returns `"; did you mean …?"` with the options that resemble the first unrecognized one, else an empty string.
+
+    Of a union of commands nothing is suggested: each has options of its own.
+    """
     if not (isinstance(event, tyro_errors.UnrecognizedArgs) and dataclasses.is_dataclass(options)):
         return ""
     names = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(options)]
-    similar = difflib.get_close_matches(event.tokens[0].partition("=")[0], names, n=2, cutoff=0.65)
+    unrecognized = next((token for token in event.tokens if token.startswith("--")), event.tokens[0])
+    similar = difflib.get_close_matches(unrecognized.partition("=")[0], names, n=2, cutoff=0.65)
     return f"; did you mean {' or '.join(similar)}?" if similar else ""
 
 

@@ -167,6 +167,7 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--method", "magic"], "method is 'magic'; choose from hgail, hgail-no"),
         (["--seeds", "many"], "--seeds takes INT: 'many' is not a whole number"),
         (["--seed", "8"], "unrecognized options: --seed 8; did you mean --seeds or --first-seed?"),
+        (["reach", "--sed=8"], "unrecognized options: reach --sed=8; did you mean --seeds?"),
         (["--wind", "8"], "unrecognized options: --wind 8\n"),
         (["--first-seed", "-1"], "first_seed is -1; it must be at least 0"),
         (["--first-seed", "2147483640"], "first_seed is 2147483640; it must be at most 2147483639"),
