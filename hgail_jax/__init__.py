@@ -5,19 +5,22 @@ and the round's metrics.
 """
 
 from hgail_envs import EpisodeMetrics, GoalEnv, make
-from hgail_jax.config import EXPERT_SOURCES, PPO, REWARDS, STRATEGIES, TD3, Config, Hyperparameters
+from hgail_jax._version import __version__
+from hgail_jax.config import EXPERT_SOURCES, REWARDS, STRATEGIES, Config, Hyperparameters
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.hindsight import Hindsight, relabel
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.export import export_policy
-from hgail_jax.io.policy import MeanPolicy, load_policy, save_policy
-from hgail_jax.methods import METHODS, Method
-from hgail_jax.presets import PRESETS, Preset
+from hgail_jax.io.policy import load_policy, save_policy
+from hgail_jax.learner import Learner, Phase
+from hgail_jax.learners import LEARNERS, PPO, TD3
+from hgail_jax.policy import MeanPolicy
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import Samples
+from hgail_jax.settings.methods import METHODS, Method
+from hgail_jax.settings.presets import PRESETS, Preset
 from hgail_jax.state import TrainState
 from hgail_jax.train import (
-    Phase,
     RoundMetrics,
     check_metrics,
     env_steps,
@@ -29,10 +32,9 @@ from hgail_jax.train import (
 from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 
-__version__ = "0.3.0"
-
 __all__ = [
     "EXPERT_SOURCES",
+    "LEARNERS",
     "METHODS",
     "PPO",
     "PRESETS",
@@ -47,6 +49,7 @@ __all__ = [
     "GoalEnv",
     "Hindsight",
     "Hyperparameters",
+    "Learner",
     "MeanPolicy",
     "Method",
     "Phase",
@@ -57,6 +60,7 @@ __all__ = [
     "TrainState",
     "Trainer",
     "Trajectory",
+    "__version__",
     "check_metrics",
     "env_steps",
     "evaluate",

@@ -1,7 +1,7 @@
 """Settings of a training: static sizes in `Config`, sweepable scalars in `Hyperparameters`."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,6 +10,7 @@ from flax import struct
 from hgail_envs import GoalEnv
 from hgail_envs.validation import check_choice, check_count, check_fraction, check_not_negative, check_positive
 from hgail_jax.hindsight import FINAL, FUTURE
+from hgail_jax.learner import Learner, check_sizes
 
 STRATEGIES = {"future": FUTURE, "final": FINAL}
 """Hindsight strategies by name."""
@@ -19,84 +20,9 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_MAY_BE_ZERO = ("rounds", "policy_phases", "discriminator_phases", "bc_batch", "discriminator_minibatches")
+_OF_ONE_LEARNER = ("random_actions", "target_rate", "target_noise", "discriminator_steps")
+"""Hyperparameters that only the learners read which name them, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
-
-
-@dataclasses.dataclass(frozen=True)
-class PPO:
-    """Sizes of the learner of the paper: PPO, with a discriminator trained on fresh roll-outs.
-
-    Raises:
-      ValueError: a value is out of its range.
-
-    """
-
-    name: ClassVar[str] = "ppo"
-    without_effect: ClassVar[tuple[str, ...]] = ()
-    """Options of `hgail train` that change nothing with this learner, and are refused."""
-    hyperparameters: ClassVar[tuple[str, ...]] = ()
-    """Fields of `Hyperparameters` that this learner alone reads."""
-    pretrain: bool = True
-    """Whether to pre-train policy and discriminator before the first round."""
-    policy_phases: int = 3
-    """Roll-outs with a PPO update in a round (the paper's g_steps)."""
-    discriminator_phases: int = 3
-    """Roll-outs with a discriminator update in a round (the paper's d_steps)."""
-    epochs: int = 2
-    """Passes over the samples of a roll-out in one PPO update."""
-    minibatches: int = 4
-    """Minibatches that a roll-out is cut into in one pass."""
-    bc_batch: int = 0
-    """Expert samples of the behaviour-cloning loss beside each minibatch of PPO; 0 leaves it to the pre-training."""
-    pretrain_policy_minibatches: int = 300
-    """Gradient steps of behaviour cloning in the pre-training."""
-    pretrain_policy_batch: int = 512
-    """Samples in one of them."""
-    pretrain_discriminator_minibatches: int = 500
-    """Gradient steps of the discriminator in the pre-training."""
-    final_learning_rate: float = 0.0
-    """Policy's learning rate at the end of the last round, as a fraction of its start; it shrinks linearly."""
-
-    def __post_init__(self) -> None:
-        _check_fields(self)
-        check_fraction("final_learning_rate", self.final_learning_rate)
-
-
-@dataclasses.dataclass(frozen=True)
-class TD3:
-    """Sizes of the off-policy learner: an actor and an ensemble of critics, trained on a replay buffer.
-
-    Raises:
-      ValueError: a value is out of its range.
-
-    """
-
-    name: ClassVar[str] = "td3"
-    without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
-    hyperparameters: ClassVar[tuple[str, ...]] = (
-        *("random_actions", "target_rate", "target_noise", "discriminator_steps"),
-    )
-    rollouts: int = 5
-    """Roll-outs in a round, each added to the buffer and followed by `updates`."""
-    updates: int = 256
-    """Gradient steps of actor and critics after each roll-out."""
-    batch: int = 1024
-    """Samples in one of them."""
-    buffer_episodes: int = 8192
-    """Episodes in the replay buffer."""
-    critics: int = 2
-    """Critics in the ensemble; targets bootstrap from the least of their values."""
-    final_learning_rate: float = 1.0
-    """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
-
-    def __post_init__(self) -> None:
-        _check_fields(self)
-        check_fraction("final_learning_rate", self.final_learning_rate)
-
-
-LEARNERS: dict[str, type[PPO] | type[TD3]] = {learner.name: learner for learner in (PPO, TD3)}
-"""Sizes of each learner, by the learner's name; its code is the module of that name in `hgail_jax.learners`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,12 +36,12 @@ class Config:
 
     """
 
+    learner: Learner
+    """Learner, with its own sizes: an object of a class in `hgail_jax.learners`."""
     num_envs: int = 64
     """Episodes in a roll-out."""
     rounds: int = 6
     """Rounds of Algorithm 2 after the pre-training."""
-    learner: PPO | TD3 = dataclasses.field(default_factory=PPO)
-    """Learner, and its own sizes."""
     expert_source: str = RELABELLED
     """Source of the expert samples: one of `EXPERT_SOURCES`."""
     best_episodes: int = 1000
@@ -123,7 +49,7 @@ class Config:
     training_goals: bool = True
     """Whether to learn on the task's training goals (waypoints, relays, random places); else on the evaluation's."""
     discriminator_minibatches: int = 50
-    """Gradient steps in one discriminator update; off-policy 0 is none, and the goal test is the whole reward."""
+    """Gradient steps in one discriminator update; 0, off-policy alone, is HER: the goal test is the whole reward."""
     discriminator_batch: int = 512
     """Expert samples, and as many of the policy's, in a gradient step of the discriminator."""
     policy_hidden: tuple[int, ...] = (64, 64)
@@ -134,9 +60,9 @@ class Config:
     """Whether hidden layers are ReLU after layer normalisation, in all networks; else tanh."""
 
     def __post_init__(self) -> None:
-        _check_fields(self)
-        if type(self.learner) not in LEARNERS.values():
-            raise ValueError(f"learner is {self.learner!r}; it must be one of {', '.join(LEARNERS)}, with its sizes")
+        if not isinstance(self.learner, Learner):
+            raise ValueError(f"learner is {self.learner!r}; it must be a learner with its sizes, e.g. PPO()")
+        check_sizes(self, may_be_zero=("rounds", "discriminator_minibatches"))
         if self.expert_source not in EXPERT_SOURCES:
             raise ValueError(f"expert_source is {self.expert_source!r}; it must be one of {', '.join(EXPERT_SOURCES)}")
         for name in ("policy_hidden", "discriminator_hidden"):
@@ -151,13 +77,14 @@ class Config:
         Raises:
           ValueError: there is no such field, or a value is out of its range.
 
-        >>> config = Config().replace(num_envs=8, minibatches=2)
+        >>> from hgail_jax.learners import PPO
+        >>> config = Config(PPO()).replace(num_envs=8, minibatches=2)
         >>> config.num_envs, config.learner.minibatches
         (8, 2)
 
         """
         own = {field.name for field in dataclasses.fields(self)}
-        sizes = {field.name for field in dataclasses.fields(self.learner)}
+        sizes = set(vars(self.learner))
         for name in changes:
             if name not in own | sizes:
                 raise ValueError(f"Config has no field {name!r}, nor has the learner {self.learner.name}")
@@ -168,37 +95,22 @@ class Config:
 
     def as_dict(self) -> dict[str, Any]:
         """Returns the fields as JSON has them, the learner's with its name."""
-        content = dataclasses.asdict(self)
-        return content | {"learner": {"name": self.learner.name} | content["learner"]}
+        learner = {"name": self.learner.name} | vars(self.learner)
+        return vars(self) | {"learner": learner}
 
     def validate(self, env: GoalEnv) -> "Config":
         """Returns itself.
 
         Raises:
-          ValueError: a roll-out on `env` has fewer samples than PPO has minibatches, or more than an index can count.
+          ValueError: a roll-out on `env` does not fit the learner's sizes, or has more samples than an index can count.
 
         """
         if not isinstance(env, GoalEnv):
             raise ValueError(f"{env!r} is not a GoalEnv")
         samples = self.num_envs * env.episode_length
-        if isinstance(self.learner, PPO):
-            check_count("minibatches", self.learner.minibatches, most=samples)
-            # off-policy none are HER, which has no discriminator
-            check_count("discriminator_minibatches", self.discriminator_minibatches)
-        else:
-            check_count("buffer_episodes", self.learner.buffer_episodes, least=self.num_envs)
+        self.learner.validate(env, self)
         check_count("num_envs, times the steps of an episode,", samples, most=_MOST_SAMPLES)
         return self
-
-
-def _check_fields(sizes: Any) -> None:
-    """Refuses counts that are no counts and booleans that are none."""
-    for field in dataclasses.fields(sizes):
-        value = getattr(sizes, field.name)
-        if field.type is int:
-            check_count(field.name, value, least=int(field.name not in _MAY_BE_ZERO))
-        elif field.type is bool and not isinstance(value, bool):
-            raise ValueError(f"{field.name} is {value!r}; it must be True or False")
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -255,19 +167,21 @@ class Hyperparameters(struct.PyTreeNode):
     """Most steps from an expert sample to the one that its hindsight goal is taken from (TD3). At 1 the discriminator
     learns which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
 
-    def as_dict(self, learner: PPO | TD3) -> dict[str, Any]:
-        """Returns the fields as JSON has them, less those that another learner alone reads."""
-        others = {name for other in LEARNERS.values() if other.name != learner.name for name in other.hyperparameters}
+    def as_dict(self, learner: Learner) -> dict[str, Any]:
+        """Returns the fields as JSON has them, less those that other learners alone read."""
+        others = set(_OF_ONE_LEARNER) - set(learner.hyperparameters)
         return {name: np.asarray(value).tolist() for name, value in vars(self).items() if name not in others}
 
-    def validate(self, action_size: int | None = None) -> "Hyperparameters":
+    def validate(self, action_size: int | None = None, config: Config | None = None) -> "Hyperparameters":
         """Returns itself.
 
         Args:
           action_size: numbers in an action of the task, if it is known.
+          config: sizes to train with, if they are known.
 
         Raises:
-          ValueError: a value is out of its range. Values that are being traced are not checked.
+          ValueError: a value is out of its range, or contradicts the sizes. Values that are being traced are not
+            checked.
 
         """
         for name in _SHARES:
@@ -286,6 +200,8 @@ class Hyperparameters(struct.PyTreeNode):
             raise ValueError(f"action_std is {self.action_std}; it must be one number or {action_size}")
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
+        if config is not None and not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(self)):
+            config.learner.check_hyperparameters(config, self)
         return self
 
 

@@ -10,6 +10,20 @@ import optax
 from hgail_envs.workarounds import promotion
 
 
+def gradient_step(
+    optimizer: optax.GradientTransformation,
+    params: Any,
+    optimizer_state: optax.OptState,
+    gradient: Any,
+    learning_rate: jax.Array | float,
+) -> tuple[Any, optax.OptState]:
+    """Returns parameters and the state of an optimiser, which has no learning rate of its own, after one step."""
+    with promotion():  # of optax, whose bias correction has a whole number as exponent
+        update, optimizer_state = optimizer.update(gradient, optimizer_state)
+    scaled = jax.tree.map(lambda leaf: -learning_rate * leaf, update)
+    return optax.apply_updates(params, scaled), optimizer_state
+
+
 def descend(
     optimizer: optax.GradientTransformation,
     loss: Callable[[Any, Any], tuple[jax.Array, Any]],
@@ -36,10 +50,7 @@ def descend(
     def step(carry: tuple[Any, optax.OptState], minibatch: Any) -> tuple[tuple[Any, optax.OptState], Any]:
         params, optimizer_state = carry
         gradient, metrics = jax.grad(loss, has_aux=True)(params, minibatch)
-        with promotion():  # of optax, whose bias correction has a whole number as exponent
-            update, optimizer_state = optimizer.update(gradient, optimizer_state)
-        params = optax.apply_updates(params, jax.tree.map(lambda leaf: -learning_rate * leaf, update))
-        return (params, optimizer_state), metrics
+        return gradient_step(optimizer, params, optimizer_state, gradient, learning_rate), metrics
 
     (params, optimizer_state), metrics = jax.lax.scan(step, (params, optimizer_state), minibatches)
     return params, optimizer_state, jax.tree.map(jnp.mean, metrics)

@@ -10,7 +10,7 @@ import numpy as np
 from hgail_envs import EpisodeMetrics, GoalEnv
 from hgail_envs.validation import check_count
 from hgail_jax.devices.compilation import compile_program
-from hgail_jax.io.policy import MeanPolicy, mean_action
+from hgail_jax.policy import MeanPolicy, mean_action
 from hgail_jax.rollout import Policy, Trajectory, rollout
 
 _MOST_AT_ONCE = 512  # episodes side by side

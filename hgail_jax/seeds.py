@@ -77,7 +77,7 @@ def init_sweep(
     """
     check_count("the number of settings", len(settings))
     for setting in settings:  # while they are being traced they have no values
-        setting.validate()
+        setting.validate(env.action_size, config)
     swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
     swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
     init = functools.partial(init_state, env, config, demonstrations=demonstrations)

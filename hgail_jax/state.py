@@ -1,7 +1,7 @@
 """The training state: everything that a round reads and writes, as one pytree."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +11,17 @@ from flax import struct
 
 from hgail_envs.workarounds import promotion
 from hgail_jax.config import Hyperparameters
+from hgail_jax.policy import MAX_NORMALIZED
 
-MAX_NORMALIZED = 5.0
-"""Largest absolute normalised observation; beyond it observations are clipped."""
+if TYPE_CHECKING:
+    from hgail_jax.samples import Samples
 
 
 class TrainState(struct.PyTreeNode):
     """Networks, optimisers, observation statistics, hyperparameters and the PRNG key."""
 
     learner: Any
-    """Networks, optimisers and counters of the learner; see `hgail_jax.learners`."""
+    """Networks, optimisers and counters of the learner; see `hgail_jax.learner`."""
     discriminator: Any
     discriminator_optimizer: optax.OptState
     statistics: running_statistics.RunningStatisticsState
@@ -38,13 +39,14 @@ class TrainState(struct.PyTreeNode):
         with promotion():
             return running_statistics.normalize(observation, self.statistics, max_abs_value=MAX_NORMALIZED)
 
-    def count(self, observation: jax.Array, weight: jax.Array) -> "TrainState":
-        """Counts observations, `[S, observation_size]`, into the statistics by `weight`, `[S]`.
+    def count(self, samples: "Samples") -> "TrainState":
+        """Counts samples into the statistics, each of them once, those of weight 0 not at all.
 
         Where observations are not to be standardised the statistics stay at mean 0 and standard deviation 1.
         """
+        weight = (samples.weight > 0).astype(jnp.float32)
         with promotion():
-            counted = running_statistics.update(self.statistics, observation, weights=weight)
+            counted = running_statistics.update(self.statistics, samples.observation, weights=weight)
         kept = functools.partial(jnp.where, self.hyperparameters.standardize_observation)
         return self.replace(statistics=jax.tree.map(kept, counted, self.statistics))
 

@@ -16,13 +16,11 @@ from brax.training.acme import running_statistics, specs
 from flax import struct
 
 from hgail_envs import EpisodeMetrics, GoalEnv
-from hgail_jax.buffer import init_buffer
-from hgail_jax.config import TD3, Config, Hyperparameters
+from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import init_discriminator
 from hgail_jax.evaluate import mean_outcome, measured_mean
 from hgail_jax.experts import init_expert
-from hgail_jax.learners import find_learner
-from hgail_jax.learners.base import EVALUATE, LEARNING, SKIP, Phase
+from hgail_jax.learner import EVALUATE, LEARNING, SKIP, Phase
 from hgail_jax.rollout import Policy, Trajectory, rollout
 from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState, split_key
@@ -52,18 +50,18 @@ def init_state(
 
     """
     config.validate(env)
-    hyperparameters.validate(env.action_size)
+    hyperparameters.validate(env.action_size, config)
     *learner_rngs, discriminator_rng, rng = jax.random.split(rng, 4)
     discriminator, discriminator_optimizer = init_discriminator(env, config, discriminator_rng)
     return TrainState(
-        learner=find_learner(config).init(env, config, jnp.stack(learner_rngs)),
+        learner=config.learner.init(env, config, jnp.stack(learner_rngs)),
         discriminator=discriminator,
         discriminator_optimizer=discriminator_optimizer,
         statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
         hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
         rng=rng,
         expert=init_expert(env, config, demonstrations),
-        buffer=init_buffer(env, config.learner.buffer_episodes) if isinstance(config.learner, TD3) else None,
+        buffer=config.learner.init_buffer(env),
     )
 
 
@@ -71,7 +69,7 @@ def make_policy(
     env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
 ) -> Policy:
     """Returns the policy of `state`, to be rolled out; see `Learner.policy`."""
-    return find_learner(config).policy(env, config, state, noise, axis)
+    return config.learner.policy(env, config, state, noise, axis)
 
 
 class PhaseMetrics(struct.PyTreeNode):
@@ -110,7 +108,7 @@ def phase_table(config: Config) -> np.ndarray:
 
     Row 0 is the pre-training, if there is one; every row ends with an evaluation.
     """
-    return find_learner(config).phase_table(config)
+    return config.learner.phase_table(config)
 
 
 def env_steps(env: GoalEnv, config: Config, phases: np.ndarray) -> np.ndarray:
@@ -190,10 +188,9 @@ def _run_phase(
         evaluating = phase == EVALUATE
         following_rng, phase_rng = jax.lax.cond(evaluating, _keys_of_evaluation, _keys_of_learning, state.rng)
         rollout_rng, update_rng = jax.random.split(phase_rng)
-        learner = find_learner(config)
-        policy = learner.policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
+        policy = config.learner.policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         training_goals = ~evaluating if config.training_goals else False
-        present = env.curriculum(jnp.where(evaluating, 1.0, learner.progress(config, state)))
+        present = env.curriculum(jnp.where(evaluating, 1.0, config.learner.progress(config, state)))
         trajectory = rollout(
             present, policy, rollout_rng, config.num_envs, training_goals, lift_test=evaluating, axis=axis
         )
@@ -222,7 +219,7 @@ def _learn(
     env: GoalEnv, config: Config, phase: jax.Array, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, PhaseMetrics]:
     """Returns the learner after a phase's update, or as it was where there is nothing valid to learn."""
-    updates = find_learner(config).updates
+    updates = config.learner.phase_updates()
 
     def branch(kind: Phase) -> Any:
         def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, Metrics, jax.Array]:
@@ -254,7 +251,7 @@ def _is_finite(tree: Any) -> jax.Array:
 
 def _named(config: Config, metrics: Metrics) -> Metrics:
     """Returns a number for each of the learner's metrics, infinity for those that were not measured."""
-    names = find_learner(config).metrics
+    names = config.learner.metrics
     return {name: jnp.asarray(metrics.get(name, jnp.inf), jnp.float32) for name in names}
 
 

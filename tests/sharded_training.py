@@ -13,8 +13,8 @@ import numpy as np
 
 import hgail_envs
 from hgail_jax import Hyperparameters, phase_table
-from hgail_jax.config import TD3
 from hgail_jax.devices.sharding import check_replicas, make_mesh, shard
+from hgail_jax.learners import TD3
 from hgail_jax.seeds import compile_train_step, init_seeds, trace_evaluation
 from tests.support import ROOT, TINY, four_devices
 

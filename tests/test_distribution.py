@@ -24,7 +24,7 @@ assert {{{", ".join(f"{name}.OF" for name in FOLDERS)}}} == {{"this project"}}
 print(hgail_jax.__file__, hgail_envs.__file__, hgail_envs.scenes.assets_directory(), sep="\\n")
 print(hgail_envs.scenes.load_scene("fetch/reach").nv)
 
-from hgail_jax.presets import FEW_UPDATES
+from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax import Config, Hyperparameters, init_state, make, phase_table, train_step
 import functools, jax
 

@@ -2,7 +2,7 @@
 
 from docs._generate.results import Row, bench_rows, count, fixed, mean, of_seeds, rate, read_json, seconds, trials
 from docs._generate.tables import markdown, reward, steps_told
-from hgail_jax.defaults import DEFAULTS
+from hgail_jax.settings.defaults import DEFAULTS
 
 _RUNS = (
     *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3"),

@@ -34,16 +34,18 @@ class EpisodeMetrics(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True)
 class TrainingDefaults:
-    """Settings that a task is trained with on a platform unless the user sets others."""
+    """Changes to the settings that a learner has on a platform, for a task; the user's own go before them."""
 
     config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Changes to the fields of `hgail_jax.Config`."""
+    """Changes to the fields of `hgail_jax.Config`, or of its learner."""
     hyperparameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the fields of `hgail_jax.Hyperparameters`."""
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's own class, e.g. `substeps` of the Fetch tasks."""
     evaluate_every: int = 1
     """Rounds from one evaluation to the next."""
+    method: str = "hgail"
+    """Name of the default method, in `hgail_jax.METHODS`."""
 
 
 class GoalEnv(Env):
@@ -95,11 +97,9 @@ class GoalEnv(Env):
     """Name of the Gymnasium environment that the task is compared with."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
     """Scripted controllers by name; the first demonstrates the task."""
-    training: ClassVar[Mapping[str, TrainingDefaults]] = {
-        "cpu": TrainingDefaults({"num_envs": 64, "rounds": 6}),
-        "gpu": TrainingDefaults({"num_envs": 256, "rounds": 4}),
-    }
-    """Default settings of its training, by platform."""
+    training: ClassVar[Mapping[str, Mapping[str, TrainingDefaults]]] = {}
+    """Settings of its training, by learner (`"ppo"`, `"td3"`) and platform (`"cpu"`, `"gpu"`); the learner that stands
+    first is the task's default."""
 
     @abc.abstractmethod
     def reset_physics(self, rng: jax.Array) -> Any:

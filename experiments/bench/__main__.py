@@ -25,9 +25,9 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.fetch.arm import FetchEnv
 from hgail_envs.validation import check_count, check_name, check_positive
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
-from hgail_jax.config import TD3
-from hgail_jax.defaults import default_learner, platform_name
 from hgail_jax.io.provenance import provenance
+from hgail_jax.learners import TD3
+from hgail_jax.settings.defaults import default_learner, platform_name
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "bench"

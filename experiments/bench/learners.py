@@ -11,7 +11,7 @@ from typing import Any
 from experiments.bench.contrastive import JaxGcrlTask, train_contrastive
 from experiments.bench.whole_runs import made_by, metrics_rows, planned, run_training
 from experiments.bench.workload import default_substeps
-from hgail_jax.defaults import platform_name
+from hgail_jax.settings.defaults import platform_name
 
 CRL, SAC_HER = "crl", "sb3-sac-her"
 

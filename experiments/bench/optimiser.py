@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from hgail_jax.config import TD3, Config, Hyperparameters
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.learners import TD3
 
 Layers = list[tuple[jax.Array, ...]]
 """Weights and biases and, of a hidden layer, scale and offset of its layer normalisation."""

@@ -24,7 +24,7 @@ from hgail_envs.engines.c import usable_cores
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, settle
 from hgail_envs.fetch.reference import make_reference
 from hgail_envs.scenes import load_scene
-from hgail_jax.defaults import platform_name
+from hgail_jax.settings.defaults import platform_name
 
 PACKAGES = ("gymnasium", "gymnasium-robotics", "envpool", "stable-baselines3", "torch")
 """Packages of the peers, besides this project's own."""

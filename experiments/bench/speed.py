@@ -11,7 +11,7 @@ from experiments.bench.timing import seconds_side_by_side
 from experiments.bench.training import Learning, PPOPhases, RollingOut, Training, round_fractions
 from experiments.bench.updates import UpdateParts, update_fractions
 from experiments.bench.workload import Workload
-from hgail_jax.config import TD3
+from hgail_jax.learners import TD3
 
 COLUMNS = ("physics", "rollout", "train", "shares")
 """Groups of columns to measure; `shares`, the fractions of a round's time, need and include the others."""

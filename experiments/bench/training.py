@@ -12,10 +12,9 @@ from jax.sharding import Mesh
 
 from experiments.bench.timing import compile_timed
 from experiments.bench.workload import Workload
-from hgail_jax.config import PPO
 from hgail_jax.devices.sharding import shard
-from hgail_jax.learners.base import LEARNING
-from hgail_jax.learners.ppo import ppo_sizes
+from hgail_jax.learner import LEARNING
+from hgail_jax.learners import PPO
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.samples import relabelled_samples
 from hgail_jax.seeds import SeedsStep, compile_train_step, init_seeds, seed_keys
@@ -148,7 +147,7 @@ def round_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]
 
     A phase is a roll-out, the relabelling of its samples if it needs them, and an update, which is the rest.
     """
-    sizes = ppo_sizes(workload.preset.config)
+    sizes: Any = workload.preset.config.learner
     policy, discriminator = sizes.policy_phases, sizes.discriminator_phases
     stepping = workload.env_steps / row["raw_env_steps_per_second"]
     rolling_out = workload.env_steps / row["rollout_env_steps_per_second"]

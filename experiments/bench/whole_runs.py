@@ -25,7 +25,7 @@ _QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
 _PLAN = """
 import json, sys
 from hgail_jax.cli.command_line import parse
-from hgail_jax.defaults import platform_name
+from hgail_jax.settings.defaults import platform_name
 from hgail_jax.trainer.options import TrainOptions, plan
 
 runs = [plan(parse(TrainOptions, "hgail train", "", words), platform_name()) for words in json.loads(sys.argv[1])]

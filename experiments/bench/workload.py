@@ -8,8 +8,8 @@ import jax
 
 import hgail_envs
 from hgail_envs.fetch.arm import FetchEnv
-from hgail_jax.defaults import platform_name, task_preset
-from hgail_jax.presets import FEW_UPDATES, Preset
+from hgail_jax.settings.defaults import platform_name, task_preset
+from hgail_jax.settings.presets import FEW_UPDATES, Preset
 from hgail_jax.trainer.options import TrainOptions, plan
 
 _QUICK_EPISODE = 4  # steps

@@ -16,8 +16,8 @@ from experiments.paper.trials import Scale
 from experiments.paper.work import Unfinished, Work, redraw, time_one_program
 from hgail_envs.validation import check_count, check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
-from hgail_jax.defaults import platform_name
 from hgail_jax.devices.gpus import visible_gpus
+from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal.signals import stop_on_signal
 from hgail_jax.trainer.folder import sole_user
 from hgail_jax.trainer.options import unless_given

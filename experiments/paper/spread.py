@@ -13,7 +13,6 @@ from multiprocessing.synchronize import Event
 
 from experiments.paper.work import Job
 from hgail_jax.cli.command_line import prepare_process
-from hgail_jax.learners.ppo import ppo_sizes
 
 _LISTEN = 0.5  # seconds between two checks of the stop signal
 
@@ -128,5 +127,5 @@ def _carry_out(job: Job) -> None:
 def _size(job: Job) -> int:
     """Returns a job's approximate number of roll-out episodes, to sort by."""
     config = job.trials[0].config
-    phases = config.rounds * (ppo_sizes(config).policy_phases + ppo_sizes(config).discriminator_phases + 1)
+    phases = config.rounds * (config.learner.policy_phases + config.learner.discriminator_phases + 1)
     return phases * config.num_envs * len(job.trials) * len(job.trials[0].seeds)

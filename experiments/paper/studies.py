@@ -7,7 +7,7 @@ from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.settings.presets import AS_WRITTEN
 
 LONGER = "table1-longer"
 """Name of the study that takes ten times the steps of table 1."""

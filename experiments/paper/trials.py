@@ -8,10 +8,11 @@ from typing import Any
 import hgail_envs
 from experiments.paper.study import Setting
 from hgail_envs.engines import resolve_impl
-from hgail_jax.config import PPO, Config, Hyperparameters
-from hgail_jax.defaults import EVALUATION_EPISODES, task_preset
-from hgail_jax.methods import METHODS
-from hgail_jax.presets import FEW_UPDATES, Preset
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.learners import PPO
+from hgail_jax.settings.defaults import EVALUATION_EPISODES, task_preset
+from hgail_jax.settings.methods import METHODS
+from hgail_jax.settings.presets import FEW_UPDATES, Preset
 from hgail_jax.train import env_steps, phase_table
 
 FEW_ROUNDS = 100

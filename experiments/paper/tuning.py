@@ -5,7 +5,7 @@ from typing import Any
 
 from experiments.paper.study import PAPER_DEMONSTRATIONS, Setting, Study
 from hgail_jax.config import REWARDS
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.settings.presets import AS_WRITTEN
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:

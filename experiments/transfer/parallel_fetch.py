@@ -14,7 +14,7 @@ from hgail_envs import EpisodeMetrics
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
 from hgail_envs.variation import SOURCES, Drawn, RandomizedPhysics
-from hgail_jax.io.policy import MeanPolicy, mean_action
+from hgail_jax.policy import MeanPolicy, mean_action
 from hgail_jax.rollout import rollout
 
 NAME = "This package's Fetch, C MuJoCo"

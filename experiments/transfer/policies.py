@@ -12,7 +12,8 @@ from experiments.transfer.tasks import TASKS
 from hgail_envs import find_class
 from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.policies import policy_files
-from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.io.policy import load_policy
+from hgail_jax.policy import MeanPolicy
 
 PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""

@@ -20,8 +20,8 @@ from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, randomization, told
 from hgail_jax.evaluate import Evaluation
 from hgail_jax.io.files import from_here
-from hgail_jax.io.policy import MeanPolicy
 from hgail_jax.io.provenance import installed
+from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval

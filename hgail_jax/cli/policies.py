@@ -9,7 +9,8 @@ from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.files import from_here
-from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.io.policy import load_policy
+from hgail_jax.policy import MeanPolicy
 
 DEFAULT_TASK = "grasp"
 """Task of a command that is given neither a task nor a policy."""

@@ -22,12 +22,12 @@ from hgail_jax.cli.command_line import (
     prepare_process,
     with_new_names,
 )
-from hgail_jax.defaults import platform_name
 from hgail_jax.devices.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
 from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
+from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal.signals import stop_on_signal
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
-            print(f"{command.method} on {command.task}, {size} -> {folder.path}")
+            print(f"{run.method} on {command.task}, {size} -> {folder.path}")
         go_on = _go_on(words, folder.path)
         summary = _train(run, folder, go_on)
         if not is_first_process():
@@ -96,12 +96,11 @@ def _description(words: list[str]) -> str:
         return __doc__ or ""
     try:
         named, _ = parser.parse_known_args(words)
-        platform = platform_name()
-        numbers = task_defaults(named.task, named.method, named.preset, platform, named.learner, named.randomize)
+        numbers = task_defaults(platform=platform_name(), **vars(named))
     except (ValueError, argparse.ArgumentError):  # there is no such task, method or preset
         return __doc__ or ""
     said = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in numbers.items())
-    return f"{__doc__}\n\n{named.method} on {named.task} has {said}."
+    return f"{__doc__}\n\nThe task {named.task} has {said}."
 
 
 def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:

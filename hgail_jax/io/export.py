@@ -14,9 +14,8 @@ import numpy as np
 from hgail_envs.quantities import FRAMES, Description, Quantity, describe
 from hgail_envs.registry import TASKS, find_class
 from hgail_jax.io.files import replace_file
-from hgail_jax.io.policy import NORM_EPSILON, MeanPolicy
 from hgail_jax.io.provenance import installed
-from hgail_jax.state import MAX_NORMALIZED
+from hgail_jax.policy import MAX_NORMALIZED, NORM_EPSILON, MeanPolicy
 
 OPSET, IR_VERSION = 17, 8
 """Versions of ONNX that onnxruntime 1.17 of 2024 loads, as do all later ones."""
@@ -77,7 +76,7 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
 
 
 def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
-    """Returns the nodes and the constants of the graph; they follow `hgail_jax.io.policy.mean_action`."""
+    """Returns the nodes and the constants of the graph; they follow `hgail_jax.policy.mean_action`."""
     from onnx import helper, numpy_helper
 
     constants: list[Any] = []

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import jax
 
-import hgail_jax
 from hgail_envs.engines.c import usable_cores
+from hgail_jax._version import __version__
 from hgail_jax.devices.gpus import driver_version
 
 _PACKAGES = (
@@ -107,4 +107,4 @@ def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return hgail_jax.__version__ if package == "hgail-jax" else None
+        return __version__ if package == "hgail-jax" else None

@@ -1,15 +1,10 @@
 """Learners: how roll-outs change the networks; one file each."""
 
-from hgail_jax.config import Config
-from hgail_jax.learners.base import Learner, Phase
-from hgail_jax.learners.ppo import PPOLearner
-from hgail_jax.learners.td3 import TD3Learner
+from hgail_jax.learner import Learner
+from hgail_jax.learners.ppo import PPO
+from hgail_jax.learners.td3 import TD3
 
-__all__ = ["Learner", "Phase", "find_learner"]
+LEARNERS: dict[str, type[Learner]] = {learner.name: learner for learner in (PPO, TD3)}
+"""Learners by name."""
 
-_LEARNERS: dict[str, Learner] = {"ppo": PPOLearner(), "td3": TD3Learner()}
-
-
-def find_learner(config: Config) -> Learner:
-    """Returns the learner that a config names."""
-    return _LEARNERS[config.learner.name]
+__all__ = ["LEARNERS", "PPO", "TD3"]

@@ -3,8 +3,9 @@
 Below, `S` is a number of samples, of a roll-out its steps times its episodes, and `B` a minibatch of them.
 """
 
-from collections.abc import Callable
-from typing import Any
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,13 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_jax.config import PPO, Config, Hyperparameters
+from hgail_envs.validation import check_count, check_fraction
+from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.descent import descend, shuffled_minibatches
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator, imitation_reward
 from hgail_jax.experts import expert_samples
-from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, Learner
+from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, Learner, Phase, Update, check_sizes
 from hgail_jax.learners.ppo_loss import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.networks import MLP, apply, dense_layers, gaussian_log_prob
 from hgail_jax.rollout import Policy, Trajectory
@@ -26,6 +28,9 @@ from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
 from hgail_jax.state import TrainState
 
 Metrics = dict[str, jax.Array]
+
+BC_BATCH = 512
+"""Expert samples of the BC loss beside a minibatch of PPO, where it is asked for without a number."""
 
 
 class PPOState(struct.PyTreeNode):
@@ -36,10 +41,17 @@ class PPOState(struct.PyTreeNode):
     optimizer: optax.OptState
 
 
-class PPOLearner(Learner):
-    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples."""
+@dataclasses.dataclass(frozen=True)
+class PPO(Learner):
+    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples.
 
-    metrics = {  # noqa: RUF012  (a ClassVar of the base)
+    Raises:
+      ValueError: a value is out of its range.
+
+    """
+
+    name: ClassVar[str] = "ppo"
+    metrics: ClassVar[Mapping[str, str]] = {
         "reward": "mean reward that the policy was given",
         "policy_loss": "PPO's clipped loss",
         "value_loss": "half the squared error of the value function",
@@ -50,6 +62,40 @@ class PPOLearner(Learner):
         "discriminator_accuracy": "fraction of samples that the discriminator tells right",
     }
 
+    pretrain: bool = True
+    """Whether to pre-train policy and discriminator before the first round."""
+    policy_phases: int = 3
+    """Roll-outs with a PPO update in a round (the paper's g_steps)."""
+    discriminator_phases: int = 3
+    """Roll-outs with a discriminator update in a round (the paper's d_steps)."""
+    epochs: int = 2
+    """Passes over the samples of a roll-out in one PPO update."""
+    minibatches: int = 4
+    """Minibatches that a roll-out is cut into in one pass."""
+    bc_batch: int = 0
+    """Expert samples of the BC loss beside each minibatch of PPO; 0 leaves it to the pre-training."""
+    pretrain_policy_minibatches: int = 300
+    """Gradient steps of behaviour cloning in the pre-training."""
+    pretrain_policy_batch: int = 512
+    """Samples in one of them."""
+    pretrain_discriminator_minibatches: int = 500
+    """Gradient steps of the discriminator in the pre-training."""
+    final_learning_rate: float = 0.0
+    """Policy's learning rate at the end of the last round, as a fraction of its start; it shrinks linearly."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self, may_be_zero=("policy_phases", "discriminator_phases", "bc_batch"))
+        check_fraction("final_learning_rate", self.final_learning_rate)
+
+    def validate(self, env: GoalEnv, config: Config) -> None:
+        """See `Learner`; a minibatch needs a sample, and the discriminator an update."""
+        check_count("minibatches", self.minibatches, most=config.num_envs * env.episode_length)
+        check_count("discriminator_minibatches", config.discriminator_minibatches)
+
+    def with_bc(self, weight: float) -> "PPO":
+        """See `Learner`; a weight of 0 leaves the BC loss out of the program."""
+        return dataclasses.replace(self, bc_batch=(self.bc_batch or BC_BATCH) if weight else 0)
+
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> PPOState:
         """See `Learner`."""
         observation = jnp.zeros(env.observation_size)
@@ -58,13 +104,17 @@ class PPOLearner(Learner):
             "policy": _policy_network(config, env.action_size).init(policy_rng, observation),
             "value": _value_network(config).init(value_rng, observation),
         }
-        return PPOState(actor_critic, _optimizer(config).init(actor_critic))
+        return PPOState(actor_critic, self.optimizer(config).init(actor_critic))
+
+    def phase_updates(self) -> Mapping[Phase, Update]:
+        """See `Learner`."""
+        return {PRETRAIN: self.fit_to_first, POLICY: self.update_policy, DISCRIMINATOR: self.update_discriminator}
 
     def policy(
         self, env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
     ) -> Policy:
         """See `Learner`; the action is Gaussian, without noise its mean."""
-        std = action_std(config, state)
+        std = self.policy_std(config, state)
         network = _policy_network(config, env.action_size)
 
         def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -78,104 +128,116 @@ class PPOLearner(Learner):
 
     def progress(self, config: Config, state: TrainState) -> jax.Array:
         """See `Learner`; from the optimiser's step count."""
-        if not ppo_sizes(config).policy_phases:  # there are no steps to count
+        if not self.policy_phases:  # there are no steps to count
             return jnp.ones(())
-        return 1.0 - decay_schedule(config, 0.0)(state.learner.optimizer[-1].count)
+        return 1.0 - self.decay_schedule(config, 0.0)(state.learner.optimizer[-1].count)
 
     def phase_table(self, config: Config) -> np.ndarray:
         """See `Learner`; row 0 is the pre-training, if there is one."""
-        sizes = ppo_sizes(config)
-        updates = [POLICY] * sizes.policy_phases + [DISCRIMINATOR] * sizes.discriminator_phases
-        first = [PRETRAIN if sizes.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
+        updates = [POLICY] * self.policy_phases + [DISCRIMINATOR] * self.discriminator_phases
+        first = [PRETRAIN if self.pretrain else SKIP] + [SKIP] * len(updates) + [EVALUATE]
         return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
 
     def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
         """See `Learner`."""
         return dense_layers(state.learner.actor_critic["policy"])
 
+    def decay_schedule(self, config: Config, final: jax.Array | float) -> optax.Schedule:
+        """Returns a factor by the policy's gradient steps: 1 through the pre-training, then linear to `final`.
 
-def decay_schedule(config: Config, final: jax.Array | float) -> optax.Schedule:
-    """Returns a factor by the policy's gradient steps: 1 through the pre-training, then linear to `final`.
+        The learning rate falls by it, and so does the policy's standard deviation.
+        """
+        pretraining = self.pretrain_policy_minibatches if self.pretrain else 0
+        rounds = config.rounds * self.policy_phases * self.epochs * self.minibatches
+        return optax.linear_schedule(1.0, final, rounds, transition_begin=pretraining)
 
-    The learning rate falls by it, and so does the policy's standard deviation.
-    """
-    sizes = ppo_sizes(config)
-    pretraining = sizes.pretrain_policy_minibatches if sizes.pretrain else 0
-    rounds = config.rounds * sizes.policy_phases * sizes.epochs * sizes.minibatches
-    return optax.linear_schedule(1.0, final, rounds, transition_begin=pretraining)
+    def optimizer(self, config: Config) -> optax.GradientTransformation:
+        """Returns Adam for policy and value function, without the learning rate, a hyperparameter of the state."""
+        decay = self.decay_schedule(config, self.final_learning_rate)
+        return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(decay))
 
+    def policy_std(self, config: Config, state: TrainState) -> jax.Array:
+        """Returns the policy's standard deviation after the gradient steps so far, `[]` or `[action_size]`."""
+        hyper, count = state.hyperparameters, state.learner.optimizer[-1].count
+        return jnp.asarray(hyper.action_std) * self.decay_schedule(config, hyper.final_action_std)(count)
 
-def action_std(config: Config, state: TrainState) -> jax.Array:
-    """Returns the policy's standard deviation after the gradient steps so far, `[]` or `[action_size]`."""
-    hyper = state.hyperparameters
-    return jnp.asarray(hyper.action_std) * decay_schedule(config, hyper.final_action_std)(
-        state.learner.optimizer[-1].count
-    )
+    def fit_to_first(
+        self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        """Pre-trains policy and discriminator on the first roll-out (Algorithm 2, lines 1 to 3).
 
+        The policy by BC of the expert samples, the discriminator by cross-entropy of these against the roll-out as it
+        was.
+        """
+        relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
+        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
+        # Moving the normaliser shifts the policy's inputs and so undoes the cloning; started on the cloned samples it
+        # moves less than if it began with the roll-out's own.
+        state = state.count(expert)
+        bc_loss = _bc_loss(env, config, state, expert, self.policy_std(config, state))
 
-def pretrain(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    """Fits policy and discriminator to the expert samples (Algorithm 2, lines 1 to 3).
+        def loss(params: Any, indices: jax.Array) -> tuple[jax.Array, Metrics]:
+            value = bc_loss(params, indices)
+            return value, {"bc_loss": value}
 
-    The policy by behaviour cloning, the discriminator by cross-entropy of these against the first roll-out as it was.
-    """
-    relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
-    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
-    policy, sizes = policy_samples(env, trajectory), ppo_sizes(config)
-    state = _count(state, expert)
-    state, cloning = _clone(env, config, state, expert, policy_rng)
-    state, metrics = fit_discriminator(
-        config, state, expert, policy, sizes.pretrain_discriminator_minibatches, discriminator_rng
-    )
-    return state, cloning | metrics
+        shape = (self.pretrain_policy_minibatches, self.pretrain_policy_batch)
+        state, cloning = self.descend(config, state, loss, expert.draw(policy_rng, shape))
+        minibatches, policy = self.pretrain_discriminator_minibatches, policy_samples(env, trajectory)
+        state, metrics = fit_discriminator(config, state, expert, policy, minibatches, discriminator_rng)
+        return state, cloning | metrics
 
+    def update_discriminator(
+        self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        """Trains the discriminator on expert samples against a roll-out's own (Algorithm 2, the d_steps)."""
+        relabel_rng, fit_rng = jax.random.split(rng)
+        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
+        policy = policy_samples(env, trajectory)
+        # The statistics stay: they are the policy's input too, which this phase must not change.
+        return fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
-def update_discriminator(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    """Trains the discriminator on expert samples against a roll-out's own (Algorithm 2, the d_steps)."""
-    relabel_rng, fit_rng = jax.random.split(rng)
-    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
-    policy = policy_samples(env, trajectory)
-    # The statistics stay: they are the policy's input too, which this phase must not change.
-    return fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
+    def update_policy(
+        self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps).
 
+        With a `bc_batch` each gradient also follows the BC loss of that many expert samples.
+        """
+        hyper = state.hyperparameters
+        relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
+        batch, reward = _ppo_batch(env, config, state, trajectory)
+        indices: dict[str, jax.Array] = {
+            "ppo": shuffled_minibatches(order_rng, batch["return"].shape[0], self.epochs, self.minibatches)
+        }
+        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
+        std = self.policy_std(config, state)  # that of the roll-out, throughout
+        if self.bc_batch:
+            bc_loss = _bc_loss(env, config, state, expert, std)
+            indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), self.bc_batch))
 
-def update_policy(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    """Improves the policy by PPO under the discriminator's reward (Algorithm 2, the g_steps).
+        def loss(params: Any, indices: dict[str, jax.Array]) -> tuple[jax.Array, Metrics]:
+            part = jax.tree.map(lambda array: array[indices["ppo"]], batch)
+            value, metrics = _ppo_loss(env, config, hyper, std, params, part)
+            if self.bc_batch:
+                cloning = bc_loss(params, indices["expert"])
+                value += hyper.bc_weight * cloning
+                metrics |= {"bc_loss": cloning}
+            return value, metrics
 
-    With a `bc_batch` each gradient also follows the behaviour-cloning loss of that many expert samples.
-    """
-    hyper, sizes = state.hyperparameters, ppo_sizes(config)
-    relabel_rng, draw_rng, order_rng = jax.random.split(rng, 3)
-    batch, reward = _ppo_batch(env, config, state, trajectory)
-    indices: dict[str, jax.Array] = {
-        "ppo": shuffled_minibatches(order_rng, batch["return"].shape[0], sizes.epochs, sizes.minibatches)
-    }
-    state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
-    if sizes.bc_batch:
-        bc_loss = _bc_loss(env, config, state, expert)
-        indices["expert"] = expert.draw(draw_rng, (len(indices["ppo"]), sizes.bc_batch))
+        state, metrics = self.descend(config, state, loss, indices)
+        return state.count(policy_samples(env, trajectory)), metrics | {"reward": reward}
 
-    std = action_std(config, state)  # that of the roll-out, throughout
-
-    def loss(params: Any, indices: dict[str, jax.Array]) -> tuple[jax.Array, Metrics]:
-        part = jax.tree.map(lambda array: array[indices["ppo"]], batch)
-        value, metrics = _ppo_loss(env, config, hyper, std, params, part)
-        if sizes.bc_batch:
-            cloning = bc_loss(params, indices["expert"])
-            value += hyper.bc_weight * cloning
-            metrics |= {"bc_loss": cloning}
-        return value, metrics
-
-    state, metrics = _improve(config, state, loss, indices)
-    return _count(state, policy_samples(env, trajectory)), metrics | {"reward": reward}
-
-
-PPOLearner.updates = {PRETRAIN: pretrain, POLICY: update_policy, DISCRIMINATOR: update_discriminator}
+    def descend(self, config: Config, state: TrainState, loss: Callable, indices: Any) -> tuple[TrainState, Metrics]:
+        """Takes a gradient step of policy and value function for each minibatch, leaves of `indices` `[steps, ...]`."""
+        params, optimizer, metrics = descend(
+            self.optimizer(config),
+            loss,
+            state.learner.actor_critic,
+            state.learner.optimizer,
+            state.hyperparameters.policy_learning_rate,
+            indices,
+        )
+        return state.replace(learner=PPOState(params, optimizer)), metrics
 
 
 def _ppo_batch(
@@ -222,10 +284,10 @@ def _ppo_loss(
 
 
 def _bc_loss(
-    env: GoalEnv, config: Config, state: TrainState, samples: Samples
+    env: GoalEnv, config: Config, state: TrainState, samples: Samples, std: jax.Array
 ) -> Callable[[Any, jax.Array], jax.Array]:
-    """Returns the behaviour-cloning loss: parameters and indices `[B]` to the mean negative log-likelihood, `[]`."""
-    observation, std = state.normalize(samples.observation), action_std(config, state)
+    """Returns the BC loss: parameters and indices `[B]` to the mean negative log-likelihood, `[]`."""
+    observation = state.normalize(samples.observation)
 
     def loss(params: Any, indices: jax.Array) -> jax.Array:
         mean = apply(_policy_network(config, env.action_size), params["policy"], observation[indices])
@@ -234,60 +296,12 @@ def _bc_loss(
     return loss
 
 
-def _clone(
-    env: GoalEnv, config: Config, state: TrainState, samples: Samples, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    bc_loss, sizes = _bc_loss(env, config, state, samples), ppo_sizes(config)
-
-    def loss(params: Any, indices: jax.Array) -> tuple[jax.Array, Metrics]:
-        value = bc_loss(params, indices)
-        return value, {"bc_loss": value}
-
-    shape = (sizes.pretrain_policy_minibatches, sizes.pretrain_policy_batch)
-    return _improve(config, state, loss, samples.draw(rng, shape))
-
-
-def _improve(config: Config, state: TrainState, loss: Callable, indices: Any) -> tuple[TrainState, Metrics]:
-    params, optimizer, metrics = descend(
-        _optimizer(config),
-        loss,
-        state.learner.actor_critic,
-        state.learner.optimizer,
-        state.hyperparameters.policy_learning_rate,
-        indices,
-    )
-    return state.replace(learner=PPOState(params, optimizer)), metrics
-
-
 def _expert_samples(
     env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, Samples]:
     """Returns (state with the new expert buffer, expert samples)."""
     expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
     return state.replace(expert=expert), samples
-
-
-def _count(state: TrainState, samples: Samples) -> TrainState:
-    """Counts samples into the state's statistics, each of them once whatever its weight.
-
-    Expert samples in the pre-training, the policy's own in its updates. A policy forgets as far as the statistics move,
-    and after the pre-training they move less if they begin with the samples that it imitates, not with its behaviour
-    before.
-    """
-    return state.count(samples.observation, (samples.weight > 0).astype(jnp.float32))
-
-
-def ppo_sizes(config: Config) -> PPO:
-    """Returns the sizes of PPO; a TypeError if the config is of another learner."""
-    if not isinstance(config.learner, PPO):
-        raise TypeError(f"{config.learner} is not PPO")
-    return config.learner
-
-
-def _optimizer(config: Config) -> optax.GradientTransformation:
-    """Adam for policy and value function, without the learning rate, which is a hyperparameter of the state."""
-    decay = decay_schedule(config, ppo_sizes(config).final_learning_rate)
-    return optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(decay))
 
 
 def _policy_network(config: Config, action_size: int) -> MLP:

@@ -4,7 +4,9 @@ It is TD3 (Fujimoto et al. 2018) with hindsight: every time a sample is drawn it
 computed for that goal. Below, `U` is the gradient steps after a roll-out and `B` the samples in one of them.
 """
 
-from typing import Any, NamedTuple, cast
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +15,14 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.workarounds import promotion
-from hgail_jax.buffer import Transitions, add_episodes, draw
-from hgail_jax.config import RELABELLED, TD3, Config, Hyperparameters
+from hgail_envs.validation import check_count, check_fraction
+from hgail_jax.buffer import EpisodeBuffer, Transitions, add_episodes, draw, init_buffer
+from hgail_jax.config import RELABELLED, Config, Hyperparameters
+from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator
 from hgail_jax.experts import expert_samples
-from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP, Learner
+from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP, Learner, Phase, Update, check_sizes
 from hgail_jax.networks import MLP, apply, dense_layers
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.samples import Samples, policy_samples
@@ -49,12 +52,17 @@ class TD3State(struct.PyTreeNode):
     """`[]` integer: gradient steps so far."""
 
 
-class TD3Learner(Learner):
-    """TD3 without its delay of the actor, on samples relabelled in hindsight."""
+@dataclasses.dataclass(frozen=True)
+class TD3(Learner):
+    """TD3 without its delay of the actor, on samples relabelled in hindsight.
 
-    squashes = True
+    Raises:
+      ValueError: a value is out of its range.
 
-    metrics = {  # noqa: RUF012  (a ClassVar of the base)
+    """
+
+    name: ClassVar[str] = "td3"
+    metrics: ClassVar[Mapping[str, str]] = {
         "reward": "mean reward of the samples drawn",
         "reached": "fraction of the samples drawn whose next state is at their goal",
         "value": "mean value of the critics",
@@ -63,11 +71,50 @@ class TD3Learner(Learner):
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
         "discriminator_accuracy": "fraction of samples that the discriminator tells right",
     }
+    hyperparameters: ClassVar[tuple[str, ...]] = (
+        *("random_actions", "target_rate", "target_noise", "discriminator_steps"),
+    )
+    without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
+    squashes: ClassVar[bool] = True
+
+    rollouts: int = 5
+    """Roll-outs in a round, each added to the buffer and followed by `updates`."""
+    updates: int = 256
+    """Gradient steps of actor and critics after each roll-out."""
+    batch: int = 1024
+    """Samples in one of them."""
+    buffer_episodes: int = 8192
+    """Episodes in the replay buffer."""
+    critics: int = 2
+    """Critics in the ensemble; targets bootstrap from the least of their values."""
+    final_learning_rate: float = 1.0
+    """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self)
+        check_fraction("final_learning_rate", self.final_learning_rate)
+
+    def validate(self, env: GoalEnv, config: Config) -> None:
+        """See `Learner`; a roll-out must fit into the buffer."""
+        check_count("buffer_episodes", self.buffer_episodes, least=config.num_envs)
+
+    def check_hyperparameters(self, config: Config, hyper: Hyperparameters) -> None:
+        """See `Learner`; the discriminator is trained if it has a say in the reward, and only then."""
+        alone = np.all(np.asarray(hyper.environment_reward) == 1.0)
+        if alone and config.discriminator_minibatches:
+            raise ValueError(
+                "environment_reward is 1, with which the discriminator has no say: that is the method her; it must be"
+                " below 1"
+            )
+        if not (alone or config.discriminator_minibatches):
+            raise ValueError(
+                f"environment_reward is {hyper.environment_reward}; without discriminator_minibatches it must be 1"
+            )
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> TD3State:
         """See `Learner`."""
         observation, action = jnp.zeros(env.observation_size), jnp.zeros(env.action_size)
-        critic_rngs = jax.random.split(rngs[1], _sizes(config).critics)
+        critic_rngs = jax.random.split(rngs[1], self.critics)
         both = jnp.concatenate([observation, action])
         networks = Networks(
             actor=_actor_network(config, env.action_size).init(rngs[0], observation),
@@ -75,6 +122,14 @@ class TD3Learner(Learner):
         )
         optimizer = Networks(*(optax.scale_by_adam().init(params) for params in networks))
         return TD3State(networks, networks, optimizer, jnp.zeros((), jnp.int32))
+
+    def init_buffer(self, env: GoalEnv) -> EpisodeBuffer:
+        """See `Learner`."""
+        return init_buffer(env, self.buffer_episodes)
+
+    def phase_updates(self) -> Mapping[Phase, Update]:
+        """See `Learner`; the first phase fills the buffer."""
+        return {PRETRAIN: self.begin, POLICY: self.update}
 
     def policy(
         self, env: GoalEnv, config: Config, state: TrainState, noise: jax.Array | float, axis: str | None = None
@@ -103,62 +158,58 @@ class TD3Learner(Learner):
 
     def progress(self, config: Config, state: TrainState) -> jax.Array:
         """See `Learner`; from the count of gradient steps."""
-        return _progress(config, state.learner)
+        return _progress(config, self, state.learner.steps)
 
     def phase_table(self, config: Config) -> np.ndarray:
         """See `Learner`; row 0 fills the buffer with random actions."""
-        rollouts = _sizes(config).rollouts
-        first = [PRETRAIN] + [SKIP] * (rollouts - 1) + [EVALUATE]
-        return np.array([first] + [[POLICY] * rollouts + [EVALUATE]] * config.rounds)
+        first = [PRETRAIN] + [SKIP] * (self.rollouts - 1) + [EVALUATE]
+        return np.array([first] + [[POLICY] * self.rollouts + [EVALUATE]] * config.rounds)
 
     def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
         """See `Learner`."""
         return dense_layers(state.learner.target.actor)
 
+    def begin(
+        self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        """Adds the first roll-out to the buffer, and to the expert samples where those are kept."""
+        state = _fill(env, state, trajectory)
+        if config.expert_source != RELABELLED:
+            expert, _ = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
+            state = state.replace(expert=expert)
+        return state, {}
 
-def fill(env: GoalEnv, state: TrainState, trajectory: Trajectory) -> TrainState:
+    def update(
+        self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of all of it."""
+        discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
+        hyper = state.hyperparameters
+        state = _fill(env, state, trajectory)
+        state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
+        drawn = draw(env, hyper, state.buffer, draw_rng, self.updates * self.batch, hyper.p_ht)
+        batch = _Batch(
+            observation=state.normalize(drawn.observation),
+            action=drawn.action,
+            next_observation=state.normalize(drawn.next_observation),
+            reward=_reward(config, state, drawn),
+            weight=drawn.weight,
+            noise=jax.random.normal(noise_rng, drawn.action.shape),
+        )
+        shape = self.updates, self.batch
+        minibatches = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), batch)
+        networks = _actor_network(config, env.action_size), _critic_network(config)
+        step: Callable[[TD3State, _Batch], tuple[TD3State, Metrics]] = _Step(config, self, hyper, *networks)
+        learner, measured = jax.lax.scan(step, state.learner, minibatches)
+        metrics |= {name: values.mean() for name, values in measured.items()}
+        metrics |= {"reward": batch.reward.mean(), "reached": drawn.reached.mean()}
+        return state.replace(learner=learner), metrics
+
+
+def _fill(env: GoalEnv, state: TrainState, trajectory: Trajectory) -> TrainState:
     """Adds a roll-out to the buffer and to the statistics of observations."""
-    samples = policy_samples(env, trajectory)
-    state = state.count(samples.observation, (samples.weight > 0).astype(jnp.float32))
+    state = state.count(policy_samples(env, trajectory))
     return state.replace(buffer=add_episodes(state.buffer, trajectory))
-
-
-def update(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of the whole buffer."""
-    discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
-    hyper, sizes = state.hyperparameters, _sizes(config)
-    state = fill(env, state, trajectory)
-    state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
-    drawn = draw(env, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
-    batch = _Batch(
-        observation=state.normalize(drawn.observation),
-        action=drawn.action,
-        next_observation=state.normalize(drawn.next_observation),
-        reward=_reward(config, state, drawn),
-        weight=drawn.weight,
-        noise=jax.random.normal(noise_rng, drawn.action.shape),
-    )
-    minibatches = jax.tree.map(lambda leaf: leaf.reshape(sizes.updates, sizes.batch, *leaf.shape[1:]), batch)
-    learner, measured = jax.lax.scan(_make_step(env, config, hyper), state.learner, minibatches)
-    metrics |= {name: values.mean() for name, values in measured.items()}
-    metrics |= {"reward": batch.reward.mean(), "reached": drawn.reached.mean()}
-    return state.replace(learner=learner), metrics
-
-
-def begin(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
-) -> tuple[TrainState, Metrics]:
-    """Adds the first roll-out to the buffer, and to the expert samples where those are kept."""
-    state = fill(env, state, trajectory)
-    if config.expert_source != RELABELLED:
-        expert, _ = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
-        state = state.replace(expert=expert)
-    return state, {}
-
-
-TD3Learner.updates = {PRETRAIN: begin, POLICY: update}
 
 
 class _Batch(NamedTuple):
@@ -216,70 +267,72 @@ def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
     return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * goal_test
 
 
-def _make_step(env: GoalEnv, config: Config, hyper: Hyperparameters) -> Any:
-    """Returns a gradient step: the state and a minibatch to the new state and the step's metrics."""
-    actor, critic = _actor_network(config, env.action_size), _critic_network(config)
-    least = -1.0 / (1.0 - hyper.discount)  # the return of -1 at every step for ever, which no value can be below
+class _Step(NamedTuple):
+    """A gradient step of critics and actor; called with a state and a minibatch, as `jax.lax.scan` calls it."""
 
-    def values(critics: Any, observation: jax.Array, action: jax.Array) -> jax.Array:
-        inputs = jnp.concatenate([observation, action], axis=-1)
-        return jax.vmap(lambda params: apply(critic, params, inputs)[..., 0])(critics)
+    config: Config
+    sizes: TD3
+    hyper: Hyperparameters
+    actor: MLP
+    critic: MLP
 
-    def critic_loss(critics: Any, batch: _Batch, target: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value = values(critics, batch.observation, batch.action)
-        return jnp.mean(batch.weight[None] * jnp.square(value - target[None]), axis=-1).sum(), value
-
-    def actor_loss(params: Any, critics: Any, batch: _Batch, value: jax.Array) -> jax.Array:
-        preactivation = apply(actor, params, batch.observation)
-        action = jnp.tanh(preactivation)
-        gained = values(critics, batch.observation, action).mean(axis=0)
-        loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
-        # `value` is from before the critics' step, which saves evaluating them a second time
-        better = jnp.where(value.mean(axis=0) > jax.lax.stop_gradient(gained), batch.weight, 0.0)
-        cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
-        return loss + hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
-
-    def step(state: TD3State, batch: _Batch) -> tuple[TD3State, Metrics]:
-        decay = 1.0 + (_sizes(config).final_learning_rate - 1.0) * _progress(config, state)
-        rate = hyper.policy_learning_rate * decay
-        noise = hyper.target_noise * jnp.clip(batch.noise, -_NOISE_CLIP, _NOISE_CLIP)
-        following = jnp.tanh(apply(actor, state.target.actor, batch.next_observation))
-        following = jnp.clip(following + noise, -1.0, 1.0)
-        bootstrap = values(state.target.critics, batch.next_observation, following).min(axis=0)
-        target = jnp.clip(batch.reward + hyper.discount * bootstrap, least, 0.0)
-        (value_loss, value), gradient = jax.value_and_grad(critic_loss, has_aux=True)(
-            state.online.critics, batch, target
+    def __call__(self, state: TD3State, batch: _Batch) -> tuple[TD3State, Metrics]:
+        """Returns the new state and the step's metrics."""
+        hyper, final = self.hyper, self.sizes.final_learning_rate
+        rate = hyper.policy_learning_rate * (1.0 + (final - 1.0) * _progress(self.config, self.sizes, state.steps))
+        target = self.target_value(state.target, batch)
+        adam, online, optimizer = optax.scale_by_adam(), state.online, state.optimizer
+        (value_loss, value), gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
+            online.critics, batch, target
         )
-        critics, critics_optimizer = _descend(rate, state.online.critics, state.optimizer.critics, gradient)
-        policy_loss, gradient = jax.value_and_grad(actor_loss)(state.online.actor, critics, batch, value)
-        actor_params, actor_optimizer = _descend(rate, state.online.actor, state.optimizer.actor, gradient)
-        online = Networks(actor_params, critics)
-        follow = lambda kept, new: kept + hyper.target_rate * (new - kept)  # noqa: E731
+        critics, critics_optimizer = gradient_step(adam, online.critics, optimizer.critics, gradient, rate)
+        policy_loss, gradient = jax.value_and_grad(self.actor_loss)(online.actor, critics, batch, value)
+        actor, actor_optimizer = gradient_step(adam, online.actor, optimizer.actor, gradient, rate)
+        online = Networks(actor, critics)
         after = TD3State(
             online=online,
-            target=jax.tree.map(follow, state.target, online),
+            target=jax.tree.map(lambda kept, new: kept + hyper.target_rate * (new - kept), state.target, online),
             optimizer=Networks(actor_optimizer, critics_optimizer),
             steps=state.steps + 1,
         )
         return after, {"value_loss": value_loss, "policy_loss": policy_loss, "value": value.mean()}
 
-    return step
+    def target_value(self, target: Networks, batch: _Batch) -> jax.Array:
+        """Returns the critics' targets, `[B]`: the least of the target critics' values after a noisy target action."""
+        noise = self.hyper.target_noise * jnp.clip(batch.noise, -_NOISE_CLIP, _NOISE_CLIP)
+        following = jnp.tanh(apply(self.actor, target.actor, batch.next_observation))
+        following = jnp.clip(following + noise, -1.0, 1.0)
+        bootstrap = self.values(target.critics, batch.next_observation, following).min(axis=0)
+        least = -1.0 / (1.0 - self.hyper.discount)  # the return of -1 at every step for ever, the least of all values
+        return jnp.clip(batch.reward + self.hyper.discount * bootstrap, least, 0.0)
+
+    def values(self, critics: Any, observation: jax.Array, action: jax.Array) -> jax.Array:
+        """Returns the values of all critics, `[critics, B]`."""
+        inputs = jnp.concatenate([observation, action], axis=-1)
+        return jax.vmap(lambda params: apply(self.critic, params, inputs)[..., 0])(critics)
+
+    def critic_loss(self, critics: Any, batch: _Batch, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Returns the critics' squared error, `[]`, and their values, `[critics, B]`."""
+        value = self.values(critics, batch.observation, batch.action)
+        return jnp.mean(batch.weight[None] * jnp.square(value - target[None]), axis=-1).sum(), value
+
+    def actor_loss(self, params: Any, critics: Any, batch: _Batch, value: jax.Array) -> jax.Array:
+        """Returns the actor's loss, `[]`: its value in units of the mean value, BC where the buffer did better, decay.
+
+        `value` is the critics' before their step, which saves evaluating them a second time.
+        """
+        preactivation = apply(self.actor, params, batch.observation)
+        action = jnp.tanh(preactivation)
+        gained = self.values(critics, batch.observation, action).mean(axis=0)
+        loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
+        better = jnp.where(value.mean(axis=0) > jax.lax.stop_gradient(gained), batch.weight, 0.0)
+        cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
+        return loss + self.hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
 
 
-def _descend(rate: jax.Array, params: Any, optimizer: Any, gradient: Any) -> tuple[Any, Any]:
-    with promotion():
-        update, optimizer = optax.scale_by_adam().update(gradient, optimizer)
-    scaled = jax.tree.map(lambda leaf: -rate * leaf, update)
-    return optax.apply_updates(params, scaled), optimizer
-
-
-def _progress(config: Config, state: TD3State) -> jax.Array:
-    sizes = _sizes(config)
-    return jnp.minimum(state.steps / max(config.rounds * sizes.rollouts * sizes.updates, 1), 1.0)
-
-
-def _sizes(config: Config) -> TD3:
-    return cast(TD3, config.learner)
+def _progress(config: Config, sizes: TD3, steps: jax.Array) -> jax.Array:
+    """Returns the fraction of the run's gradient steps that is done, `[]`."""
+    return jnp.minimum(steps / max(config.rounds * sizes.rollouts * sizes.updates, 1), 1.0)
 
 
 def _actor_network(config: Config, action_size: int) -> MLP:

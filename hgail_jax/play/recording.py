@@ -8,10 +8,10 @@ import numpy as np
 
 import hgail_envs
 from hgail_envs.validation import check_count, check_name, counted
-from hgail_jax.defaults import platform_name, task_preset
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.provenance import installed
 from hgail_jax.rollout import Trajectory, rollout
+from hgail_jax.settings.defaults import platform_name, task_preset
 
 
 def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:

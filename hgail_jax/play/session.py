@@ -11,7 +11,7 @@ import numpy as np
 
 from hgail_envs import GoalEnv
 from hgail_envs.scenes import load_scene
-from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.policy import MeanPolicy
 
 _REST = 1.0  # seconds that the scene stands still after an episode
 _SAMPLED_GOALS = 1024  # from which the bounds of the target are taken

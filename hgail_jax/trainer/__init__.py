@@ -10,6 +10,6 @@ A run goes through these modules: `options` (plans it), `folder` (opens its fold
 """
 
 from hgail_jax.trainer.options import TrainOptions
-from hgail_jax.trainer.trainer import Trainer
+from hgail_jax.trainer.training import Trainer
 
 __all__ = ["TrainOptions", "Trainer"]

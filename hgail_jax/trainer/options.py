@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -14,18 +14,20 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
-from hgail_jax.config import LEARNERS, PPO, RELABELLED, REWARDS, STRATEGIES, TD3
-from hgail_jax.defaults import EVALUATION_EPISODES, default_learner, task_preset
+from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
-from hgail_jax.methods import BC_BATCH, METHODS
-from hgail_jax.presets import PRESETS, Preset
+from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.seeds import check_seeds
+from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
+from hgail_jax.settings.methods import METHODS
+from hgail_jax.settings.presets import PRESETS, Preset
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
 
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that are options of `TrainOptions`, or follow from them."""
+_EPISODES = f"{EVALUATION_EPISODES['cpu']} on a CPU, {EVALUATION_EPISODES['gpu']} on a GPU"
 
 
 def _choices(text: str, names: Any) -> Any:
@@ -43,7 +45,8 @@ class TrainOptions:
 
     task: str = "reach"
     """A task's name, or module:Class for a GoalEnv of your own."""
-    method: Annotated[str, _choices("Method to train", METHODS)] = "hgail"
+    method: Annotated[str | None, unless_given("the task's", f"{{{','.join(METHODS)}}}")] = None
+    """Method to train."""
     learner: Annotated[str | None, unless_given("the task's", f"{{{','.join(LEARNERS)}}}")] = None
     """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer."""
     demos: Annotated[Path | None, unless_given("none", "FILE")] = None
@@ -89,41 +92,63 @@ class TrainOptions:
     """Rounds from one checkpoint to the next; more where saving would take a twentieth of the time."""
     evaluate_every: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds from one evaluation to the next; the last round always has one. Training does not depend on it."""
-    evaluation_episodes: Annotated[int | None, unless_given("128 on a CPU, 512 on a GPU", "INT")] = None
+    evaluation_episodes: Annotated[int | None, unless_given(_EPISODES, "INT")] = None
     """Episodes per seed in the final evaluation, rounded up to whole roll-outs."""
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
-def choose_learner(task: str, method: str, preset: str, learner: str | None = None) -> str:
-    """Returns the learner that is named, or else the task's if the method and the preset have it.
+class Choice(NamedTuple):
+    """The method of a run, and its preset before the options that the user gave."""
+
+    method: str
+    preset: Preset
+
+
+def choose(
+    task: str, platform: str, method: str | None, preset: str, learner: str | None, randomize: str = "none"
+) -> Choice:
+    """Returns the method and the settings of a task; where method or learner are None they are the task's.
 
     Raises:
-      ValueError: there is no such learner, or the method does not have it.
+      ValueError: there is no such task, method, learner or preset, or they do not go together.
 
     """
+    check_name("randomize", randomize, LEVELS)
+    task_class = _find(task)
+    if method is not None:
+        check_name("method", method, METHODS)
     if learner is not None:
         check_name("learner", learner, LEARNERS)
-        check_name(f"learner of the method {method}", learner, METHODS[method].learners)
-        return learner
-    usual = default_learner(_find(task)) if preset == "parallel" else PPO.name
-    return usual if usual in METHODS[method].learners else METHODS[method].learners[0]
+        if method is not None:
+            check_name(f"learner of the method {method}", learner, METHODS[method].learners)
+    else:
+        learner = default_learner(task_class) if preset == "parallel" else PPO.name
+        if method is not None and learner not in METHODS[method].learners:
+            learner = METHODS[method].learners[0]
+    found = task_preset(task_class, platform, preset, learner, randomize != TrainOptions.randomize)
+    chosen = method or found.method
+    return Choice(chosen, METHODS[chosen].apply(found))
 
 
 def task_defaults(
-    task: str, method: str, preset: str, platform: str, learner: str | None = None, randomize: str = "none"
+    task: str,
+    platform: str,
+    method: str | None = None,
+    preset: str = "parallel",
+    learner: str | None = None,
+    randomize: str = "none",
 ) -> dict[str, Any]:
     """Returns the task's, or the method's, values of the options that are None by default.
 
     Raises:
-      ValueError: there is no such task, method or preset.
+      ValueError: see `choose`.
 
     """
-    check_name("method", method, METHODS)
-    chosen = choose_learner(task, method, preset, learner)
-    whole = METHODS[method].apply(task_preset(_find(task), platform, preset, chosen, _randomizes(randomize)))
+    chosen, whole = choose(task, platform, method, preset, learner, randomize)
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
-        "learner": chosen,
+        "method": chosen,
+        "learner": config.learner.name,
         "num_envs": config.num_envs,
         "iterations": config.rounds,
         **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
@@ -132,7 +157,7 @@ def task_defaults(
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
     }
-    return {name: value for name, value in values.items() if name not in METHODS[method].without_effect}
+    return {name: value for name, value in values.items() if name not in METHODS[chosen].without_effect}
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -146,10 +171,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
-    learner = choose_learner(options.task, options.method, options.preset, options.learner)
-    _refuse_without_effect(options, learner)
-    found = task_preset(_find(options.task), platform, options.preset, learner, _randomizes(options.randomize))
-    preset = METHODS[options.method].apply(found)
+    method, preset = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
+    _refuse_without_effect(options, method, preset.config.learner.name)
     preset = _with_options(options, preset)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
@@ -162,17 +185,17 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hgail_envs.check_task(env)
     env = randomize(env, options.randomize)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
-    if (demonstrations is None) != (options.method != "gail-demo"):
+    if (demonstrations is None) != (method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
     return Run(
         task=options.task,
-        method=options.method,
+        method=method,
         seeds=options.seeds,
         first_seed=options.first_seed,
         env=env,
         task_options=task_options,
         config=preset.config.validate(env),
-        hyperparameters=preset.hyperparameters.validate(env.action_size),
+        hyperparameters=preset.hyperparameters.validate(env.action_size, preset.config),
         evaluation_episodes=options.evaluation_episodes or EVALUATION_EPISODES[platform],
         checkpoint_every=options.checkpoint_every,
         evaluate_every=options.evaluate_every or preset.evaluate_every,
@@ -193,22 +216,19 @@ def _check(options: TrainOptions) -> None:
         check_count("iterations", options.iterations, least=0)
     if options.evaluation_episodes is not None:
         check_count("evaluation_episodes", options.evaluation_episodes)
-    check_name("method", options.method, METHODS)
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
-    check_name("randomize", options.randomize, LEVELS)
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:
         raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
 
 
-def _refuse_without_effect(options: TrainOptions, learner: str) -> None:
-    method = METHODS[options.method]
+def _refuse_without_effect(options: TrainOptions, method: str, learner: str) -> None:
     for names, why in (
-        (method.without_effect, f"changes nothing for the method {options.method}"),
+        (METHODS[method].without_effect, f"changes nothing for the method {method}"),
         (LEARNERS[learner].without_effect, f"changes nothing for the learner {learner}"),
-        (method.decides, f"is decided by the method {options.method}"),
+        (METHODS[method].decides, f"is decided by the method {method}"),
     ):
         for name in names:
             if getattr(options, name) != (default := getattr(TrainOptions, name)):
@@ -221,9 +241,8 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
     if not options.pretrain:
         sizes["pretrain"] = False
-    if options.bc_weight is not None and isinstance(preset.config.learner, PPO):
-        # A weight of 0 leaves the BC loss out of the program, even for a method that has it by default.
-        sizes["bc_batch"] = (getattr(preset.config.learner, "bc_batch", 0) or BC_BATCH) if options.bc_weight else 0
+    if options.bc_weight is not None:
+        sizes["learner"] = preset.config.learner.with_bc(options.bc_weight)
     std = options.action_std
     scalars = {
         "p_ht": options.p_ht,
@@ -235,22 +254,11 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "standardize_reward": options.standardize_reward,
     }
     hyperparameters = preset.hyperparameters.replace(**_given(scalars))
-    if isinstance(preset.config.learner, TD3) and hyperparameters.environment_reward == 1.0:
-        if preset.config.expert_source != RELABELLED:
-            raise ValueError(
-                f"environment_reward is 1, with which {options.method} would learn nothing from its expert samples; it"
-                " must be below 1"
-            )
-        sizes["discriminator_minibatches"] = 0  # the discriminator has no say, and is not trained
     return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
 
 
 def _given(values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _randomizes(level: str) -> bool:
-    return level != TrainOptions.randomize
 
 
 def _find(task: str) -> type[hgail_envs.GoalEnv]:

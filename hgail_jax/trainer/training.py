@@ -1,30 +1,88 @@
-"""One run from its compilation to its results, in an open folder."""
+"""One run from its compilation to its results, and the trainer, by which a notebook has one."""
 
 import contextlib
+import dataclasses
 import json
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
 from typing import Any, cast
 
 import jax
 
 from hgail_envs import GoalEnv
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax.config import TD3
 from hgail_jax.devices.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
+from hgail_jax.io.policy import load_policy
 from hgail_jax.io.provenance import provenance
+from hgail_jax.policy import MeanPolicy
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
+from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal.status import StatusLine
-from hgail_jax.trainer.folder import RunFolder
+from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
+from hgail_jax.trainer.options import TrainOptions, plan
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
 
 _MOST_OF_SAVING = 0.05  # of the time of a run with a replay buffer
+
+
+class Trainer:
+    """Trains a run and keeps its folder.
+
+        trainer = Trainer(task="reach", seeds=2)
+        summary = trainer.train()
+        action = trainer.policy(seed=0)(observation)
+
+    Nothing is written before `train`. A training that was stopped goes on, in this process or another, with
+    `resume=trainer.folder`, and ends with the bits of one that was not. Of several processes that train together each
+    has a trainer; the first writes the folder.
+
+    Args:
+      options: settings of the run.
+      **changes: fields of `TrainOptions` that differ from `options`.
+
+    Raises:
+      ValueError: an option has a value that it cannot have.
+
+    """
+
+    def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:
+        self.options = dataclasses.replace(options or TrainOptions(), **changes)
+        self.run: Run = plan(self.options, platform_name())
+        self._folder: Path | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The run's folder."""
+        if self._folder is None:
+            raise ValueError("the run has no folder yet; train it")
+        return self._folder
+
+    def policy(self, seed: int) -> MeanPolicy:
+        """Returns the trained policy of a seed.
+
+        Raises:
+          FileNotFoundError: it is not trained yet, or not by this run.
+
+        """
+        return load_policy(self.folder / "policies" / f"seed-{seed}.npz")
+
+    def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
+        """Trains and evaluates all seeds, and writes everything into the folder; see `train_run`.
+
+        Raises:
+          ValueError: the folder, or its checkpoints, cannot be used.
+
+        """
+        with open_run_folder(self.run, self.options.out, self.options.resume) as folder:
+            self._folder = folder.path
+            return train_run(self.run, folder, stop)
 
 
 def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:
@@ -131,7 +189,7 @@ def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progres
 
     log(progress)
     # a replay buffer of hundreds of megabytes takes a second to copy
-    saving = SavingPolicy(run.checkpoint_every, most=_MOST_OF_SAVING if run.config.learner.name == TD3.name else 1.0)
+    saving = SavingPolicy(run.checkpoint_every, most=1.0 if progress.states.buffer is None else _MOST_OF_SAVING)
     folder.in_rounds.set()
     try:
         with folder.checkpoints as checkpoints:

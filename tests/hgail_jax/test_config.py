@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import hgail_envs
 from hgail_envs.validation import MOST
 from hgail_jax import PPO, Config, Hyperparameters, evaluate, init_state, relabel, rollout
-from hgail_jax.config import LEARNERS
 from hgail_jax.evaluate import whole_rollouts
+from hgail_jax.learners import LEARNERS
 from hgail_jax.seeds import seed_keys
 
 many = settings(max_examples=300, deadline=None, derandomize=True, database=None)
@@ -69,7 +69,7 @@ def test_bad_sizes_are_refused_by_name(bad):
     with pytest.raises(ValueError, match=name) as error:
         sizes(**{name: value})
     assert len(str(error.value).splitlines()) == 1
-    config = Config() if sizes is Config else Config(learner=sizes())
+    config = Config(PPO()) if sizes is Config else Config(learner=sizes())
     with pytest.raises(ValueError, match=name):
         config.replace(**{name: value})
 
@@ -86,7 +86,7 @@ def test_bad_sizes_are_refused_by_name(bad):
 def test_bad_hyperparameters_are_refused_by_name(bad):
     name, value = bad
     with pytest.raises(ValueError, match=name) as error:
-        init_state(hgail_envs.make("point"), Config(), Hyperparameters(**{name: value}), jax.random.key(0))
+        init_state(hgail_envs.make("point"), Config(PPO()), Hyperparameters(**{name: value}), jax.random.key(0))
     assert len(str(error.value).splitlines()) == 1
 
 
@@ -128,7 +128,7 @@ def test_minibatches_must_not_outnumber_samples():
     with pytest.raises(ValueError, match="minibatches is 101; it must be at most 100"):
         Config(num_envs=2, learner=PPO(minibatches=101)).validate(env)
     with pytest.raises(ValueError, match="is not a GoalEnv"):
-        Config().validate("point")
+        Config(PPO()).validate("point")
 
 
 def test_a_config_is_changed_by_the_names_of_its_own_fields_and_of_its_learner_s():
@@ -139,7 +139,7 @@ def test_a_config_is_changed_by_the_names_of_its_own_fields_and_of_its_learner_s
     assert given == Config(rounds=3, learner=PPO(epochs=5))
     with pytest.raises(ValueError, match="Config has no field 'phases', nor has the learner ppo"):
         given.replace(phases=2)
-    for learner in ("ppo", None, Config()):
+    for learner in ("ppo", None, Config(PPO())):
         with pytest.raises(ValueError, match=r"learner is .*; it must be one of ppo, .*with its sizes"):
             Config(learner=learner)
 

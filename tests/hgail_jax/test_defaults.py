@@ -11,10 +11,10 @@ from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
 from hgail_jax import PRESETS, TrainOptions
-from hgail_jax.config import LEARNERS
-from hgail_jax.defaults import DEFAULTS, task_preset
 from hgail_jax.evaluate import whole_rollouts
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.learners import LEARNERS
+from hgail_jax.settings.defaults import DEFAULTS, task_preset
+from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.options import plan
 

@@ -9,7 +9,7 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, phase_table
-from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.seeds import init_sweep, seed_keys
 from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
 from tests.support import TINY

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_jax import METHODS, Config, Hyperparameters, Preset, init_state, rollout, train_step
+from hgail_jax import METHODS, PPO, Config, Hyperparameters, Preset, init_state, rollout, train_step
 from hgail_jax.config import BEST, DEMONSTRATIONS
 from hgail_jax.experts import init_expert, keep_best
-from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.samples import Samples
 from tests.support import TINY
 
@@ -63,7 +63,7 @@ def test_demonstrations_must_fit(config, given, message):
 
 def test_an_unknown_source_is_refused():
     with pytest.raises(ValueError, match="expert_source is 'dreams'; it must be one of relabelled, frozen"):
-        Config(expert_source="dreams")
+        Config(PPO(), expert_source="dreams")
 
 
 def test_every_roll_out_to_learn_from_can_enter_the_buffer_and_no_other():

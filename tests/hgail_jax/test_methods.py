@@ -13,10 +13,10 @@ from hgail_envs.fetch.push import Push
 from hgail_envs.point import Point
 from hgail_jax import METHODS, PPO, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
-from hgail_jax.defaults import DEFAULTS
 from hgail_jax.play.recording import record
-from hgail_jax.presets import FEW_UPDATES
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
+from hgail_jax.settings.defaults import DEFAULTS
+from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax.trainer.options import TrainOptions, choose_learner, plan
 
 SEEDS = 2

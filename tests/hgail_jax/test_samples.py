@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
-from hgail_jax import Config, Hyperparameters
+from hgail_jax import PPO, Config, Hyperparameters
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN, RELABELLED
 from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.experts import BestEpisodes, expert_samples, init_expert, keep_best
@@ -246,7 +246,7 @@ def test_a_rare_kind_ahead_is_drawn_as_often_as_it_is_pursued():
 
 
 def best_episodes(count):
-    config = Config(expert_source=BEST, best_episodes=count, num_envs=EPISODES)
+    config = Config(PPO(), expert_source=BEST, best_episodes=count, num_envs=EPISODES)
     return init_expert(ENV, config, None)
 
 
@@ -292,7 +292,7 @@ def test_places_that_no_valid_episode_fills_have_no_weight():
 
 
 def learn_from(source, expert, given, seed=0):
-    config, key = Config(expert_source=source, best_episodes=5, num_envs=EPISODES), jax.random.key(seed)
+    config, key = Config(PPO(), expert_source=source, best_episodes=5, num_envs=EPISODES), jax.random.key(seed)
     return expert_samples(ENV, config, jax.tree.map(jnp.asarray, Hyperparameters()), expert, given, key)
 
 
@@ -306,34 +306,34 @@ def test_each_source_gives_its_expert_samples():
     kept, samples = learn_from(RELABELLED, None, first)
     assert kept is None
     assert_same(samples, fresh)
-    frozen = init_expert(ENV, Config(expert_source=FROZEN, num_envs=EPISODES), None)
+    frozen = init_expert(ENV, Config(PPO(), expert_source=FROZEN, num_envs=EPISODES), None)
     assert_same(frozen, jax.tree.map(jnp.zeros_like, fresh))
     for given, seed in ((first, 0), (second, 1)):
         frozen, samples = learn_from(FROZEN, frozen, given, seed)
         assert_same((frozen, samples), (fresh, fresh))
     mine = Samples(jnp.ones((7, 3)), jnp.ones((7, 1)), jnp.arange(7.0))
-    config = Config(expert_source=DEMONSTRATIONS)
+    config = Config(PPO(), expert_source=DEMONSTRATIONS)
     assert_same(init_expert(ENV, config, mine), mine)
     assert_same(learn_from(DEMONSTRATIONS, mine, first), (mine, mine))
     best, samples = learn_from(BEST, best_episodes(5), second)
     assert_same(best, keep_best(ENV, Hyperparameters(), best_episodes(5), second))
     assert_same(samples, flatten(best.samples))
-    assert init_expert(ENV, Config(), None) is None
+    assert init_expert(ENV, Config(PPO()), None) is None
 
 
 def test_demonstrations_are_given_where_they_are_asked_for_and_nowhere_else():
     mine = Samples(jnp.ones((7, 3)), jnp.ones((7, 1)), jnp.ones(7))
     with pytest.raises(ValueError, match="demonstrations are given"):
-        init_expert(ENV, Config(), mine)
+        init_expert(ENV, Config(PPO()), mine)
     with pytest.raises(ValueError, match="none are given"):
-        init_expert(ENV, Config(expert_source=DEMONSTRATIONS), None)
+        init_expert(ENV, Config(PPO(), expert_source=DEMONSTRATIONS), None)
     for bad in (
         mine.replace(weight=jnp.ones(6)),
         mine.replace(action=jnp.ones((7, 2))),
         mine.replace(weight=1.0 * jnp.ones(())),
     ):
         with pytest.raises(ValueError, match="demonstrations have"):
-            init_expert(ENV, Config(expert_source=DEMONSTRATIONS), bad)
+            init_expert(ENV, Config(PPO(), expert_source=DEMONSTRATIONS), bad)
 
 
 # Roll-outs and their outcome

@@ -12,8 +12,7 @@ from hgail_envs.point import Point
 from hgail_jax import Hyperparameters, env_steps, init_state, make_policy, phase_table, rollout, train_step
 from hgail_jax.config import BEST, RELABELLED
 from hgail_jax.evaluate import mean_outcome, whole_rollouts
-from hgail_jax.learners import find_learner
-from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
@@ -179,7 +178,7 @@ def test_evaluations_are_of_the_mean_action_and_training_has_noise():
 
 def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
     config = TINY.replace(policy_phases=0)
-    assert find_learner(config).progress(config, start(0)) == 1.0
+    assert config.learner.progress(config, start(0)) == 1.0
 
 
 def test_an_evaluation_changes_nothing_in_the_training():

@@ -38,7 +38,7 @@ def flat(layers):
 
 def test_the_bare_loop_changes_networks_as_the_learner_does():
     env = make("point")
-    state = td3.TD3Learner().init(env, CONFIG, jax.random.split(jax.random.key(0)))
+    state = td3.TD3().init(env, CONFIG, jax.random.split(jax.random.key(0)))
     noise = np.random.default_rng(0)  # so that no bias is 0, no scale 1, no action small and no target as its network
     state = state.replace(online=jax.tree.map(lambda leaf: leaf + 0.3 * noise.normal(size=leaf.shape), state.online))
     batches = random_batches(jax.random.key(1), (3, 32), env.observation_size, env.action_size)

@@ -18,8 +18,8 @@ from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json, work_out
 from experiments.paper.work import Unfinished
 from hgail_jax import PRESETS, env_steps, phase_table
-from hgail_jax.defaults import DEFAULTS
-from hgail_jax.presets import AS_WRITTEN
+from hgail_jax.settings.defaults import DEFAULTS
+from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.loop import Program
 

@@ -14,7 +14,7 @@ from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
 from hgail_envs.randomization import Randomization
 from hgail_jax import save_policy
-from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.policy import MeanPolicy
 from tests.support import ROOT
 
 SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]

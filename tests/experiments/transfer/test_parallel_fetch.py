@@ -10,7 +10,8 @@ import hgail_envs
 from experiments.transfer.parallel_fetch import ParallelFetch
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.io.policy import load_policy
+from hgail_jax.policy import MeanPolicy
 from hgail_jax.rollout import rollout
 
 

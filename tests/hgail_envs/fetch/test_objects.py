@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import kstest, uniform
 
 import hgail_envs
-from hgail_jax import Config, init_state, phase_table, train_step
-from hgail_jax.defaults import DEFAULTS
+from hgail_jax import PPO, Config, init_state, phase_table, train_step
 from hgail_jax.play.recording import run_controller
-from hgail_jax.presets import FEW_UPDATES
+from hgail_jax.settings.defaults import DEFAULTS
+from hgail_jax.settings.presets import FEW_UPDATES
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -326,7 +326,7 @@ def test_mjx_jax_moves_as_c_mujoco(name):
 @pytest.mark.parametrize("name", TASKS)
 def test_a_round_of_training_runs(name, tasks):
     env = tasks[name]
-    config = Config().replace(num_envs=16, rounds=1, policy_phases=1, discriminator_phases=1, **FEW_UPDATES)
+    config = Config(PPO()).replace(num_envs=16, rounds=1, policy_phases=1, discriminator_phases=1, **FEW_UPDATES)
     hyperparameters = DEFAULTS[name]["ppo"]["cpu"].hyperparameters
     state = init_state(env, config, hyperparameters, jax.random.key(0))
     step = jax.jit(functools.partial(train_step, env, config))

@@ -14,9 +14,9 @@ import hgail_envs
 from hgail_envs.fetch.arm import settle
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax.defaults import DEFAULTS
 from hgail_jax.play.recording import run_controller
 from hgail_jax.rollout import rollout
+from hgail_jax.settings.defaults import DEFAULTS
 from tests.support import check_a_round
 
 ENV = hgail_envs.make("tower", impl="c", substeps=8)

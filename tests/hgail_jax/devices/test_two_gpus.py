@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_jax import Config, Hyperparameters, phase_table
+from hgail_jax import PPO, Config, Hyperparameters, phase_table
 from hgail_jax.devices.sharding import make_mesh, shard
 from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
 
@@ -16,7 +16,7 @@ pytestmark = [
 
 
 def test_gpus_that_share_a_seed_hold_the_same_bits_after_a_training():
-    config = Config(num_envs=256, rounds=4)
+    config = Config(PPO(), num_envs=256, rounds=4)
     mesh = make_mesh(1, config.num_envs, jax.devices()[:2])
     env = hgail_envs.make("reach", substeps=4, worlds=config.num_envs // 2)
     env.prepare()

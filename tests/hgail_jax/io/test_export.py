@@ -13,7 +13,7 @@ from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax import load_policy
 from hgail_jax.io.export import check_described, export_onnx
-from hgail_jax.io.policy import MeanPolicy
+from hgail_jax.policy import MeanPolicy
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")

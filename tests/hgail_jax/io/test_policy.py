@@ -11,6 +11,7 @@ from jaxlib.mlir.dialects import stablehlo
 
 import hgail_envs
 from hgail_jax import (
+    PPO,
     TD3,
     Config,
     Hyperparameters,
@@ -31,14 +32,14 @@ def policy(shipped_policy):
 
 def test_a_saved_policy_is_the_mean_action(tmp_path):
     env = hgail_envs.make("point")
-    state = init_state(env, Config(), Hyperparameters(), jax.random.key(0))
+    state = init_state(env, Config(PPO()), Hyperparameters(), jax.random.key(0))
     state = state.count(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
     # weights large enough that some actions are clipped
     networks = jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.learner.actor_critic)
     state = state.replace(learner=state.learner.replace(actor_critic=networks))
     observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2
-    expected, _ = make_policy(env, Config(), state, noise=0.0)(observation, jax.random.key(3))
-    save_policy(tmp_path / "p.npz", from_state("point", env, Config(), state))
+    expected, _ = make_policy(env, Config(PPO()), state, noise=0.0)(observation, jax.random.key(3))
+    save_policy(tmp_path / "p.npz", from_state("point", env, Config(PPO()), state))
     policy = load_policy(tmp_path / "p.npz")
     np.testing.assert_allclose(policy(np.asarray(observation)), np.clip(expected, -1, 1), rtol=1e-4, atol=1e-5)
     assert (policy.task, policy.goal_size, policy.observation_size, policy.action_size) == ("point", 3, 6, 3)

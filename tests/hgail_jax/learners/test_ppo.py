@@ -32,17 +32,12 @@ from hgail_jax.discriminator import (
     imitation_reward,
 )
 from hgail_jax.evaluate import mean_outcome
-from hgail_jax.learners.base import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.ppo import (
-    PPOLearner,
     _expert_samples,
-    _optimizer,
     _policy_network,
     _ppo_batch,
     _value_network,
-    pretrain,
-    update_discriminator,
-    update_policy,
 )
 from hgail_jax.learners.ppo_loss import policy_loss, standardize, weighted_mean
 from hgail_jax.networks import MLP, gaussian_log_prob
@@ -205,7 +200,7 @@ def test_networks_are_tanh_layers_of_the_sizes_asked_for():
 
 
 def test_the_first_policy_hardly_moves_and_the_first_value_does():
-    for network, scale in ((MLP((), 200), 1.0), (_policy_network(Config(policy_hidden=()), 200), 1e-4)):
+    for network, scale in ((MLP((), 200), 1.0), (_policy_network(Config(PPO(), policy_hidden=()), 200), 1e-4)):
         kernel = network.init(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
         assert np.std(kernel) == pytest.approx(np.sqrt(scale / 100), rel=0.05)
         assert np.abs(kernel).max() < 2.6 * np.sqrt(scale / 100)
@@ -289,7 +284,7 @@ def test_keys_of_a_state_are_all_different():
 def test_steps_shrink_over_the_rounds_to_their_final_length(final, pretraining):
     """Adam's steps along a gradient that stays are all as long as the learning rate."""
     config = CONFIG.replace(final_learning_rate=final, pretrain=pretraining)
-    optimizer, before, steps = _optimizer(config), 4 if pretraining else 0, 2 * 2 * 2 * 3
+    optimizer, before, steps = config.learner.optimizer(config), 4 if pretraining else 0, 2 * 2 * 2 * 3
     state = optimizer.init(jnp.zeros(1))
     lengths = []
     for _ in range(before + steps + 3):
@@ -442,7 +437,7 @@ def whole_batch(bc_batch):
 
 
 WITH_CLONING, WITHOUT = whole_batch(4), whole_batch(0)
-update = jax.jit(lambda config, *rest: update_policy(ENV, config, *rest), static_argnums=0)
+update = jax.jit(lambda config, *rest: config.learner.update_policy(ENV, config, *rest), static_argnums=0)
 
 
 @pytest.mark.parametrize("config", [WITH_CLONING, WITHOUT], ids=["with cloning", "without"])
@@ -539,7 +534,7 @@ def discriminator_by_hand(state, given, steps):
 
 @jax.jit
 def discriminate(state, given, rng):
-    return update_discriminator(ENV, WITHOUT, state, given, rng)
+    return WITHOUT.learner.update_discriminator(ENV, WITHOUT, state, given, rng)
 
 
 def test_a_discriminator_update_is_adam_on_the_cross_entropy_and_leaves_the_policy_alone():
@@ -557,7 +552,9 @@ PRETRAINED = WITHOUT.replace(pretrain=True)
 
 def test_pretraining_is_adam_on_the_cloning_and_on_the_cross_entropy():
     state, given = make_state(PRETRAINED, demonstrations=DEMONSTRATION), still_trajectory()
-    after, metrics = jax.jit(functools.partial(pretrain, ENV, PRETRAINED))(state, given, jax.random.key(0))
+    after, metrics = jax.jit(functools.partial(PRETRAINED.learner.fit_to_first, ENV, PRETRAINED))(
+        state, given, jax.random.key(0)
+    )
     # A sample's weight says how often to draw it; the statistics count it once if it has any.
     np.testing.assert_allclose(after.statistics.mean, DEMONSTRATION.observation[0], rtol=1e-5)
     assert int(after.statistics.count.lo) == 2
@@ -582,7 +579,7 @@ def test_statistics_count_each_sample_once_and_none_of_a_broken_episode():
     weights = RNG.integers(0, 4, (LENGTH, EPISODES)).astype(np.float32)
     config = CONFIG.replace(expert_source=DEMONSTRATIONS)
     expert = policy_samples(ENV, given).replace(weight=jnp.asarray(weights).reshape(-1))
-    learn = jax.jit(functools.partial(pretrain, ENV, config))
+    learn = jax.jit(functools.partial(config.learner.fit_to_first, ENV, config))
     after, _ = learn(state.replace(expert=expert), given, jax.random.key(0))
     for weight, statistics in ((weights, after.statistics),):
         counted = seen[weight > 0]
@@ -665,7 +662,7 @@ def test_an_evaluation_is_the_mean_action_s_roll_out_with_a_key_of_its_own():
     assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
 
 
-UPDATES = {PRETRAIN: pretrain, POLICY: update_policy, DISCRIMINATOR: update_discriminator}
+UPDATES = CONFIG.learner.phase_updates()
 OF_DISCRIMINATOR = {"discriminator_loss", "discriminator_accuracy"}
 MEASURED = {
     PRETRAIN: {"bc_loss"} | OF_DISCRIMINATOR,
@@ -694,7 +691,7 @@ def test_a_phase_learns_from_a_noisy_roll_out_to_the_training_goals(phase):
     assert_close(after.replace(rng=None), learnt.replace(rng=None))
     assert same_key(after.rng, keys.following)
     assert set(update) == MEASURED[phase]
-    assert set(metrics.update) == set(PPOLearner.metrics)
+    assert set(metrics.update) == set(PPO.metrics)
     for name, value in metrics.update.items():
         assert_close(value, update.get(name, np.inf))
     assert all(np.isinf(leaf) for leaf in jax.tree.leaves(metrics.evaluation))
@@ -759,14 +756,13 @@ def test_without_training_goals_no_roll_out_goes_for_them(monkeypatch):
         axes.append(axis)
         return rollout(env, policy, rng, num_envs, training_goals, axis=axis, **options)
 
-    class Watched(PPOLearner):
+    class Watched(PPO):
         def policy(self, env, config, state, noise, axis):
             axes.append(axis)
             return super().policy(env, config, state, noise, axis)
 
     monkeypatch.setattr("hgail_jax.train.rollout", watched)
-    monkeypatch.setattr("hgail_jax.train.find_learner", lambda config: Watched())
-    config = CONFIG.replace(training_goals=False)
+    config = CONFIG.replace(learner=Watched(**vars(CONFIG.learner)), training_goals=False)
     step = functools.partial(train_step, ENV, config, axis="devices")
     on_two = jax.vmap(step, in_axes=(None, None), axis_name="devices", axis_size=2)
     jax.eval_shape(on_two, make_state(), phase_table(config)[0])

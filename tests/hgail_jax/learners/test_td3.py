@@ -10,17 +10,27 @@ import pytest
 from scipy.stats import binomtest, kstest, norm
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
-from hgail_jax import METHODS, TD3, Config, Hyperparameters, Preset, Trajectory, init_state, phase_table, train_step
+from hgail_jax import (
+    METHODS,
+    TD3,
+    Config,
+    Hyperparameters,
+    Preset,
+    Trajectory,
+    init_state,
+    make_policy,
+    phase_table,
+    train_step,
+)
 from hgail_jax.buffer import add_episodes, draw
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN
-from hgail_jax.defaults import DEFAULTS
 from hgail_jax.discriminator import fit_discriminator
 from hgail_jax.experts import expert_samples
-from hgail_jax.learners.base import EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.learners.td3 import TD3Learner, begin, fill, update
+from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learners.td3 import _fill
 from hgail_jax.samples import Samples, relabelled_samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
-from hgail_jax.train import make_policy
+from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import training
 from tests.hgail_jax.trainer.test_resume import crash, fail_in_round, outcome, start
 from tests.support import compile_once, make_runs_tiny
@@ -78,7 +88,7 @@ DEMONSTRATION = Samples(
     jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
 )
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
-learn = jax.jit(update, static_argnums=(0, 1))
+learn = jax.jit(CONFIG.learner.update, static_argnums=(0, 1))
 round_of = jax.jit(train_step, static_argnums=(0, 1))
 
 
@@ -156,7 +166,7 @@ def equal(one, other):
 
 def test_filling_adds_the_episodes_and_counts_the_observations_of_sound_ones():
     given, state = trajectory(), init(CONFIG, HYPER, jax.random.key(0))
-    after = jax.jit(functools.partial(fill, ENV))(state, given)
+    after = jax.jit(functools.partial(_fill, ENV))(state, given)
     equal(after.buffer, add_episodes(state.buffer, given))
     seen = np.concatenate([given.features, given.desired], axis=-1)[:-1][:, np.asarray(given.valid)].reshape(-1, 4)
     assert_close(after.statistics.mean, seen.mean(axis=0))
@@ -230,7 +240,7 @@ def learnt_by_hand(config, state, given, rng):
     """Returns the state after an update, its metrics, and what was cut off on the way."""
     discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, config.learner
-    state, metrics = fill(ENV, state, given), {}
+    state, metrics = _fill(ENV, state, given), {}
     if config.discriminator_minibatches:
         expert_rng, policy_rng, fit_rng = jax.random.split(discriminator_rng, 3)
         count, pick = 3 * 7, functools.partial(draw, ENV, hyper, state.buffer)
@@ -286,7 +296,7 @@ def test_an_update_is_that_of_td3_with_hindsight(source, changes):
     given, rng = trajectory(), jax.random.key(5)
     after, metrics = learn(ENV, config, state, given, rng)
     expected, numbers, cuts = learnt_by_hand(config, state, given, rng)
-    assert set(metrics) == set(numbers) <= set(TD3Learner.metrics)
+    assert set(metrics) == set(numbers) <= set(TD3.metrics)
     assert_close(metrics, numbers)
     assert_close(after.replace(rng=None), expected.replace(rng=None))
     if source == "no discriminator":
@@ -332,7 +342,7 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
 def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
     config = CONFIG.replace(expert_source=source, best_episodes=EPISODES)
     state, first = init(config, HYPER, jax.random.key(0)), trajectory(1)
-    after = begin(ENV, config, state, first, jax.random.key(1))[0]
+    after = config.learner.begin(ENV, config, state, first, jax.random.key(1))[0]
     sound = np.asarray(first.valid)
     assert after.buffer.added == EPISODES
     if source == BEST:
@@ -347,7 +357,7 @@ def test_actions_are_the_actor_s_from_the_first_gradient_step_on(steps, random):
     state = make_state(steps=steps, random_actions=0.0, action_std=1e-6)
     observation = jnp.ones((500, ENV.observation_size))
     explored, mean = (
-        np.asarray(TD3Learner().policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))[0])
+        np.asarray(CONFIG.learner.policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))[0])
         for noise in (1.0, 0.0)
     )
     assert (np.abs(explored - mean).max() > 0.1) == random
@@ -379,7 +389,7 @@ def test_a_run_fills_the_buffer_and_then_learns_in_every_roll_out():
 def test_progress_is_the_fraction_of_the_gradient_steps(steps, rounds, done):
     state = init(CONFIG, HYPER, jax.random.key(0))
     state = state.replace(learner=state.learner.replace(steps=jnp.int32(steps)))
-    assert TD3Learner().progress(CONFIG.replace(rounds=rounds), state) == done
+    assert CONFIG.learner.progress(CONFIG.replace(rounds=rounds), state) == done
 
 
 def test_networks_start_apart_with_targets_that_are_theirs():
@@ -462,15 +472,14 @@ class Short(Plane):
         return jax.random.uniform(rng, (1,), minval=-0.5, maxval=0.5)
 
 
-def test_hindsight_solves_a_line_by_the_goal_test_and_by_the_discriminator_alone():
-    """HER and HGAIL in one program: beside the rewards' weights HER differs in a discriminator that it does not ask."""
+@pytest.mark.parametrize("method", ["hgail", pytest.param("her", marks=pytest.mark.slow)])
+def test_hindsight_solves_a_line_by_the_discriminator_alone_and_by_the_goal_test(method):
     sizes = TD3(rollouts=4, updates=32, batch=128, buffer_episodes=1024)
-    config = Config(num_envs=32, rounds=3, learner=sizes, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
+    config = Config(sizes, num_envs=32, rounds=3, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
     usual = DEFAULTS["point"]["td3"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, target_rate=0.05)
     preset = Preset(config.replace(discriminator_minibatches=16, discriminator_batch=128, layer_norm=True), usual)
-    settings = [METHODS[method].apply(preset).hyperparameters for method in ("her", "hgail")]
-    assert [setting.environment_reward for setting in settings] == [1.0, 0.0]
-    states = init_sweep(Short(), preset.config, settings, seed_keys(0, 1))
+    preset = METHODS[method].apply(preset)
+    states = init_sweep(Short(), preset.config, [preset.hyperparameters], seed_keys(0, 1))
     table = phase_table(preset.config)
     step = compile_train_step(Short(), preset.config, states, table[0])
     success = []
@@ -479,6 +488,16 @@ def test_hindsight_solves_a_line_by_the_goal_test_and_by_the_discriminator_alone
         success.append(np.asarray(metrics.evaluation.success))
     assert np.max(success[0]) < 0.5
     assert np.min(success[-1]) >= 0.95
+
+
+def test_the_discriminator_is_trained_where_it_has_a_say_and_only_there():
+    her = CONFIG.replace(discriminator_minibatches=0)
+    HYPER.replace(environment_reward=0.9).validate(2, CONFIG)
+    HYPER.replace(environment_reward=1.0).validate(2, her)
+    with pytest.raises(ValueError, match=r"environment_reward is 1, .* that is the method her"):
+        init_state(ENV, CONFIG, HYPER.replace(environment_reward=1.0), jax.random.key(0))
+    with pytest.raises(ValueError, match=r"environment_reward is 0\.9; without discriminator_minibatches it must be 1"):
+        init_sweep(ENV, her, [HYPER.replace(environment_reward=0.9)], seed_keys(0, 1))
 
 
 def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch):

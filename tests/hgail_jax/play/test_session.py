@@ -7,8 +7,9 @@ import pytest
 
 import hgail_envs
 from hgail_envs.scenes import assets_directory
-from hgail_jax.io.policy import MeanPolicy, load_policy
+from hgail_jax.io.policy import load_policy
 from hgail_jax.play.session import Phase, Session
+from hgail_jax.policy import MeanPolicy
 
 
 @pytest.fixture(scope="module")

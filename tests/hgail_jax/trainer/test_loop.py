@@ -11,7 +11,7 @@ import pytest
 
 import hgail_envs
 from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics, phase_table
-from hgail_jax.learners.ppo import PPOLearner
+from hgail_jax.learners import PPO
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
@@ -29,7 +29,7 @@ def measured(success, distance, **changes):
     """What a round of as many seeds as there are distances measured."""
     zero = np.zeros(len(distance))
     episodes = EpisodeMetrics(np.array(success), zero, zero, np.array(distance), np.array(distance))
-    update = {name: zero + 0.5 for name in PPOLearner.metrics}
+    update = {name: zero + 0.5 for name in PPO.metrics}
     return RoundMetrics(
         **(
             {"evaluation": episodes, "training": episodes, "update": update}

@@ -14,7 +14,7 @@ import pytest
 
 import hgail_envs
 from hgail_jax import TD3, Checkpoints, Config, Preset, Trainer, TrainOptions, load_policy
-from hgail_jax.defaults import DEFAULTS
+from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import results, training
 from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.options import plan

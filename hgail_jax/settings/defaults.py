@@ -6,18 +6,20 @@ from typing import Any
 import jax
 
 from hgail_envs import TASKS, GoalEnv
+from hgail_envs.base import TrainingDefaults
 from hgail_envs.validation import check_name
-from hgail_jax.config import PPO, Config, Hyperparameters
-from hgail_jax.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, td3, wide
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.learners import LEARNERS, PPO
+from hgail_jax.settings.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, td3, wide
 
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Least number of episodes per seed in a final evaluation, by platform."""
 
 _REACH_SUBSTEPS = {"substeps": 4}
 
-# The goal test alone, and neither noise on target actions nor many random ones: where a hit or a grasp must be exact,
-# the critics have to tell such actions from those beside them (docs/lab/off-policy.md).
-_EXACT: dict[str, Any] = {"environment_reward": 1.0, "target_noise": 0.0, "random_actions": 0.1}
+# Neither noise on target actions nor many random ones: where a hit or a grasp must be exact, the critics have to tell
+# such actions from those beside them (docs/lab/off-policy.md).
+_EXACT: dict[str, Any] = {"target_noise": 0.0, "random_actions": 0.1}
 
 # Sixteen rounds are enough on a CPU (grasp-hgail-cpu-8: .995, worst .975), with a BC weight of 1. On a GPU runs of
 # 16 rounds leave a seed behind now and then (study grasp-sizes and suite/grasp-smaller-trainings), so 40 stay.
@@ -37,8 +39,8 @@ def _td3_grasp(**options: Any) -> dict[str, Preset]:
         "cpu": {"rounds": 12},
         "gpu": {"num_envs": 256, "rounds": 8, "buffer_episodes": 16384, "final_learning_rate": 0.1},
     }
-    on_cpu = {"environment_reward": 1.0}
-    return td3(sizes, OBJECT_SUBSTEPS | options, on_cpu, **_EXACT | {"environment_reward": 0.5})
+    method = {"cpu": "her", "gpu": "hgail"}
+    return td3(sizes, OBJECT_SUBSTEPS | options, method, environment_reward=0.5, **_EXACT)
 
 
 # Solved samples count in full: holding still at the goal is a skill here, and at .3 half the success is lost (study
@@ -53,11 +55,12 @@ def _stacking(**sizes: dict[str, Any]) -> dict[str, Preset]:
     """Returns the settings of stack and tower with TD3, by platform, as `sizes` are.
 
     Target networks that follow slowly decide stack: after 781 k steps two seeds had .22 at .02 and .85 at .01. A p_ht
-    of .6 ends at .99, one of .8 at .95. Half a discriminator's reward learns it later, all of it not at all.
+    of .6 ends at .99, one of .8 at .95. With half of the discriminator's reward it is
+    learnt later, with all of it not at all.
     """
     shared = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
     changes = {platform: shared | own for platform, own in sizes.items()}
-    return td3(changes, OBJECT_SUBSTEPS, environment_reward=1.0, target_rate=0.01, p_ht=0.6)
+    return td3(changes, OBJECT_SUBSTEPS, "her", target_rate=0.01, p_ht=0.6)
 
 
 def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
@@ -71,13 +74,20 @@ def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
         "cpu": {"rounds": 36, "buffer_episodes": 16384, "final_learning_rate": 0.1},
         "gpu": {"num_envs": 256, "rounds": gpu_rounds, "buffer_episodes": 16384, "final_learning_rate": 0.1},
     }
-    return td3(sizes, OBJECT_SUBSTEPS | options, **_EXACT | {"p_ht": 0.6})
+    return td3(sizes, OBJECT_SUBSTEPS | options, "her", **_EXACT | {"p_ht": 0.6})
+
+
+SHARED: dict[str, dict[str, Preset]] = {
+    "ppo": {"cpu": Preset(Config(PPO(), num_envs=64, rounds=6)), "gpu": Preset(Config(PPO(), num_envs=256, rounds=4))},
+    "td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 10}}),
+}
+"""Settings of tasks that have none here, by learner and platform; `GoalEnv.training` changes them."""
 
 
 DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "point": {
-        "ppo": {"cpu": Preset(Config(num_envs=64, rounds=6)), "gpu": Preset(Config(num_envs=256, rounds=4))},
-        "td3": td3({"cpu": {"rounds": 4, "updates": 64}, "gpu": {"rounds": 4}}, {}),
+        "ppo": SHARED["ppo"],
+        "td3": td3({"cpu": {"rounds": 4, "updates": 64}, "gpu": {"rounds": 4}}),
     },
     "reach": {
         "ppo": {
@@ -85,15 +95,15 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             # quarter learn as well (suite/reach-on-two-cores: without BC one or two of eight seeds end below .98).
             "cpu": Preset(
                 Config(
+                    PPO(policy_phases=2, discriminator_phases=1, bc_batch=512, pretrain_policy_batch=128),
                     num_envs=64,
                     rounds=4,
-                    learner=PPO(policy_phases=2, discriminator_phases=1, bc_batch=512, pretrain_policy_batch=128),
                     discriminator_batch=128,
                 ),
                 Hyperparameters(bc_weight=3.0),
                 task_options=_REACH_SUBSTEPS,
             ),
-            "gpu": Preset(Config(num_envs=256, rounds=4), task_options=_REACH_SUBSTEPS),
+            "gpu": Preset(Config(PPO(), num_envs=256, rounds=4), task_options=_REACH_SUBSTEPS),
         },
         "td3": td3(
             {
@@ -101,6 +111,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
                 "gpu": {"num_envs": 16, "rounds": 5, "rollouts": 1},
             },
             _REACH_SUBSTEPS,
+            "her",
             **_EXACT,
         ),
     },
@@ -172,6 +183,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
                 },
             },
             OBJECT_SUBSTEPS | {"achieved": "passed"},
+            "her",
             solved_weight=0.3,
             final_action_std=0.1,
             **_EXACT,
@@ -196,7 +208,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     },
 }
 """Settings of each task that comes with the package, by learner and platform; the learner that stands first is the
-task's default. A task of one's own brings `GoalEnv.training`."""
+task's default."""
 
 RANDOMIZED: dict[str, dict[str, Preset]] = {
     "grasp": _td3_randomized(24, cube="tracked"),
@@ -207,8 +219,9 @@ RANDOMIZED: dict[str, dict[str, Preset]] = {
 
 
 def default_learner(task_class: type[GoalEnv]) -> str:
-    """Returns the name of a task's default learner; it is PPO's for a task of one's own with no settings here."""
-    return next(iter(DEFAULTS.get(_name(task_class) or "", ())), PPO.name)
+    """Returns the name of a task's default learner: the first in its settings, or PPO's where it has none."""
+    name = _name(task_class)
+    return next(iter(DEFAULTS[name] if name else task_class.training), PPO.name)
 
 
 def platform_name() -> str:
@@ -228,10 +241,11 @@ def task_preset(
     Only `parallel` takes a task's own sizes and hyperparameters; another preset has its own for all tasks.
 
     Args:
-      task_class: the task; one that is not in `DEFAULTS` has those of its own `training`, or of the class it extends.
+      task_class: the task; one that is not in `DEFAULTS` has those of the class it extends, or `SHARED` with the
+        changes of its own `training`.
       platform: `"cpu"` or `"gpu"`.
       preset: a name in `PRESETS`.
-      learner: a name in `hgail_jax.config.LEARNERS`.
+      learner: a name in `hgail_jax.LEARNERS`.
       randomized: whether episodes are randomised, for which some tasks have other settings of TD3.
 
     Raises:
@@ -239,35 +253,37 @@ def task_preset(
 
     """
     check_name("preset", preset, PRESETS)
-    own = _own_preset(task_class, platform)
-    if learner != PPO.name:
-        if preset != "parallel":
-            raise ValueError(f"the preset {preset} is of the learner {PPO.name}")
-        name = _name(task_class)
-        settings = DEFAULTS[name or "point"][learner]
-        if randomized and name is not None:
-            settings = RANDOMIZED.get(name, settings)
-        found = settings[platform]
-        return found if name else dataclasses.replace(found, task_options=own.task_options)
+    if preset != "parallel" and learner != PPO.name:
+        raise ValueError(f"the preset {preset} is of the learner {PPO.name}")
+    name = _name(task_class)
+    if name is None:
+        own = _changed(SHARED[learner][platform], task_class, learner, platform)
+    elif randomized and learner == "td3" and name in RANDOMIZED:
+        own = RANDOMIZED[name][platform]
+    else:
+        own = DEFAULTS[name][learner][platform]
     if preset == "parallel":
         return own
     return dataclasses.replace(PRESETS[preset], task_options=own.task_options, evaluate_every=own.evaluate_every)
 
 
-def _own_preset(task_class: type[GoalEnv], platform: str) -> Preset:
-    if (name := _name(task_class)) is not None:
-        return DEFAULTS[name][PPO.name][platform]
+def _changed(shared: Preset, task_class: type[GoalEnv], learner: str, platform: str) -> Preset:
+    """Returns shared settings with the changes that a task brings for a learner and a platform, if it brings any."""
+    where = f"{task_class.__name__}.training"
+    if not set(task_class.training) <= set(LEARNERS):
+        raise ValueError(f"{where} has the keys {', '.join(task_class.training)}; they must be {', '.join(LEARNERS)}")
+    changes = task_class.training.get(learner, {}).get(platform, TrainingDefaults())
     try:
-        changes, parallel = task_class.training[platform], PRESETS["parallel"]
         return Preset(
-            parallel.config.replace(**changes.config),
-            parallel.hyperparameters.replace(**changes.hyperparameters),
+            shared.config.replace(**changes.config),
+            shared.hyperparameters.replace(**changes.hyperparameters),
+            changes.method,
             changes.options,
             changes.evaluate_every,
         )
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (TypeError, AttributeError, ValueError) as error:
         raise ValueError(
-            f"{task_class.__name__}.training[{platform!r}] is not TrainingDefaults of fields that there are: {error}"
+            f"{where}[{learner!r}][{platform!r}] is not TrainingDefaults of fields that there are: {error}"
         ) from error
 
 

@@ -2,11 +2,10 @@
 
 import dataclasses
 
-from hgail_jax.config import BEST, DEMONSTRATIONS, LEARNERS, TD3
-from hgail_jax.presets import Preset
-
-BC_BATCH = 512
-"""Expert samples of the BC loss beside a minibatch of PPO, where a method or a user asks for it without a number."""
+from hgail_jax.config import BEST, DEMONSTRATIONS
+from hgail_jax.learners import LEARNERS
+from hgail_jax.learners.ppo import BC_BATCH
+from hgail_jax.settings.presets import Preset
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,8 +23,8 @@ class Method:
     """Options that the method itself decides, and that are refused."""
     learners: tuple[str, ...] = tuple(LEARNERS)
     """Learners that it makes sense with."""
-    off_policy: dict = dataclasses.field(default_factory=dict)
-    """Changes to the hyperparameters with the learner td3."""
+    with_learner: dict[str, dict] = dataclasses.field(default_factory=dict)
+    """Further changes to the hyperparameters, by learner."""
 
     def apply(self, preset: Preset) -> Preset:
         """Returns `preset` as this method runs it.
@@ -42,9 +41,7 @@ class Method:
         return dataclasses.replace(
             preset,
             config=preset.config.replace(**self.config, **raised),
-            hyperparameters=preset.hyperparameters.replace(
-                **self.hyperparameters | (self.off_policy if learner == TD3.name else {})
-            ),
+            hyperparameters=preset.hyperparameters.replace(**self.hyperparameters | self.with_learner.get(learner, {})),
         )
 
 
@@ -58,7 +55,7 @@ METHODS = {
         {"bc_batch": BC_BATCH},
         without_effect=("p_ht", "strategy"),
         # with TD3 it is the discriminator-actor-critic (Kostrikov et al. 2019), which relabels nothing
-        off_policy={"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0},
+        with_learner={"td3": {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0}},
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
@@ -66,7 +63,7 @@ METHODS = {
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "training_goals": False},
         without_effect=("p_ht", "strategy"),
-        off_policy={"p_ht": 0.0, "environment_reward": 0.0},
+        with_learner={"td3": {"p_ht": 0.0, "environment_reward": 0.0}},
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",

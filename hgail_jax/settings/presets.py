@@ -4,15 +4,18 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from hgail_jax.config import PPO, TD3, Config, Hyperparameters
+from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.learners import PPO, TD3
 
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
     """Settings that belong together."""
 
-    config: Config = dataclasses.field(default_factory=Config)
+    config: Config = dataclasses.field(default_factory=lambda: Config(PPO()))
     hyperparameters: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
+    method: str = "hgail"
+    """Name of the default method, see `hgail_jax.settings.methods.METHODS`."""
     task_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of the task's class, e.g. `substeps` of the Fetch tasks."""
     evaluate_every: int = 1
@@ -26,9 +29,7 @@ PRESETS = {
     # the policy to three of the discriminator, where it has 16.
     "paper": Preset(
         Config(
-            num_envs=64,
-            rounds=40,
-            learner=PPO(
+            PPO(
                 policy_phases=1,
                 discriminator_phases=3,
                 epochs=1,
@@ -38,6 +39,8 @@ PRESETS = {
                 pretrain_discriminator_minibatches=500,
                 final_learning_rate=1.0,
             ),
+            num_envs=64,
+            rounds=40,
             discriminator_minibatches=50,
             discriminator_batch=64,
         ),
@@ -84,9 +87,7 @@ def ppo_with_object(
     }
     return Preset(
         Config(
-            num_envs=num_envs,
-            rounds=rounds,
-            learner=PPO(
+            PPO(
                 # four policy phases to one of the discriminator: with as many of either fewer seeds learn grasp
                 policy_phases=4,
                 discriminator_phases=1,
@@ -96,6 +97,8 @@ def ppo_with_object(
                 bc_batch=2048,
                 pretrain_policy_batch=1024,
             ),
+            num_envs=num_envs,
+            rounds=rounds,
             discriminator_batch=1024,
             **widths,
         ),
@@ -121,8 +124,9 @@ _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
 
 
 def td3(
-    sizes: Mapping[str, Mapping[str, Any]],
-    task_options: Mapping[str, Any],
+    sizes: Mapping[str, Mapping[str, Any]] | None = None,
+    task_options: Mapping[str, Any] | None = None,
+    method: str | Mapping[str, str] = "hgail",
     on_cpu: Mapping[str, Any] | None = None,
     **hyperparameters: Any,
 ) -> dict[str, Preset]:
@@ -131,6 +135,7 @@ def td3(
     Args:
       sizes: changes to the `Config`, by platform.
       task_options: see `Preset`.
+      method: the default method, for both platforms or by platform.
       on_cpu: hyperparameters that a CPU has instead.
       hyperparameters: on either platform.
 
@@ -150,7 +155,14 @@ def td3(
     }
     presets = {}
     for platform, (usual, learner) in _TD3_SIZES.items():
-        config = Config(learner=learner, layer_norm=True, **usual)  # untried without
+        config = Config(learner, layer_norm=True, **usual).replace(
+            **(sizes or {}).get(platform, {})
+        )  # norm: untried without
         own = hyperparameters | (dict(on_cpu or {}) if platform == "cpu" else {})
-        presets[platform] = Preset(config.replace(**sizes[platform]), Hyperparameters(**shared | own), task_options)
+        presets[platform] = Preset(
+            config,
+            Hyperparameters(**shared | own),
+            method if isinstance(method, str) else method[platform],
+            task_options or {},
+        )
     return presets
