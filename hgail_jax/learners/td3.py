@@ -5,7 +5,7 @@ computed for that goal. Below, `U` is the gradient steps after a roll-out and `B
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -199,7 +199,8 @@ class TD3(Learner):
         shape = self.updates, self.batch
         minibatches = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), batch)
         networks = _actor_network(config, env.action_size), _critic_network(config)
-        step: Callable[[TD3State, _Batch], tuple[TD3State, Metrics]] = _Step(config, self, hyper, *networks)
+        step = _Step(config, self, hyper, *networks)
+        measured: Metrics
         learner, measured = jax.lax.scan(step, state.learner, minibatches)
         metrics |= {name: values.mean() for name, values in measured.items()}
         metrics |= {"reward": batch.reward.mean(), "reached": drawn.reached.mean()}
@@ -267,7 +268,8 @@ def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
     return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * goal_test
 
 
-class _Step(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Step:
     """A gradient step of critics and actor; called with a state and a minibatch, as `jax.lax.scan` calls it."""
 
     config: Config

@@ -29,6 +29,8 @@ _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that are options of `TrainOptions`, or follow from them."""
 _EPISODES = f"{EVALUATION_EPISODES['cpu']} on a CPU, {EVALUATION_EPISODES['gpu']} on a GPU"
 
+_OTHER_METHOD = ", the task's default; name another by --method"
+
 
 def _choices(text: str, names: Any) -> Any:
     return tyro.conf.arg(help=f"{text}: {', '.join(names)}.")
@@ -228,7 +230,7 @@ def _refuse_without_effect(options: TrainOptions, method: str, learner: str) -> 
     for names, why in (
         (METHODS[method].without_effect, f"changes nothing for the method {method}"),
         (LEARNERS[learner].without_effect, f"changes nothing for the learner {learner}"),
-        (METHODS[method].decides, f"is decided by the method {method}"),
+        (METHODS[method].decides, f"is decided by the method {method}" + ("" if options.method else _OTHER_METHOD)),
     ):
         for name in names:
             if getattr(options, name) != (default := getattr(TrainOptions, name)):

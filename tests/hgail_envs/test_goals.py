@@ -165,12 +165,10 @@ def test_defaults_of_a_task():
         np.testing.assert_array_equal(env.training_start(key, goal, training_goals), goal)
         np.testing.assert_array_equal(GoalEnv.plan_goals(env, key, 0, training_goals), env.sample_goal(key, 0))
     np.testing.assert_array_equal(GoalEnv.current_goal(env, goal, jnp.ones(2), 3), goal)
-    assert {name: dict(chosen.config) for name, chosen in env.training.items()} == {
-        "cpu": {"num_envs": 64, "rounds": 6},
-        "gpu": {"num_envs": 256, "rounds": 4},
-    }
+    assert env.training == {}
     assert set(vars(EpisodeMetrics()).values()) == {0.0}
-    assert vars(TrainingDefaults()) == {"config": {}, "hyperparameters": {}, "options": {}, "evaluate_every": 1}
+    usual = {"config": {}, "hyperparameters": {}, "options": {}, "evaluate_every": 1, "method": "hgail"}
+    assert vars(TrainingDefaults()) == usual
 
 
 def test_an_outcome_is_distances_and_whether_they_are_small():

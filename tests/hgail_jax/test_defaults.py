@@ -10,10 +10,10 @@ from experiments.paths import RESULTS
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
-from hgail_jax import PRESETS, TrainOptions
+from hgail_jax import METHODS, PRESETS, TrainOptions
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
-from hgail_jax.settings.defaults import DEFAULTS, task_preset
+from hgail_jax.settings.defaults import DEFAULTS, SHARED, task_preset
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.options import plan
@@ -81,7 +81,8 @@ class Own(Reach):
     """Reach, with defaults of its own."""
 
     training: ClassVar = {
-        "cpu": TrainingDefaults({"num_envs": 7, "minibatches": 2}, {"p_ht": 0.5}, EIGHT, evaluate_every=3)
+        "ppo": {"cpu": TrainingDefaults({"num_envs": 7, "minibatches": 2}, {"p_ht": 0.5}, EIGHT, evaluate_every=3)},
+        "td3": {"cpu": TrainingDefaults({"updates": 9}, method="her")},
     }
 
 
@@ -97,6 +98,10 @@ def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwis
         assert preset.config == PRESETS["parallel"].config.replace(num_envs=7, minibatches=2)
         assert preset.hyperparameters == PRESETS["parallel"].hyperparameters.replace(p_ht=0.5)
         assert (preset.task_options, preset.evaluate_every) == (EIGHT, 3)
+        off_policy = task_preset(task, "cpu", learner="td3")
+        assert off_policy.config == SHARED["td3"]["cpu"].config.replace(updates=9)
+        assert (off_policy.method, off_policy.task_options) == ("her", {})
+        assert task_preset(task, "gpu", learner="td3") == SHARED["td3"]["gpu"]
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
@@ -117,12 +122,19 @@ def test_randomised_episodes_have_settings_of_their_own_with_td3_alone(platform)
 
 
 @pytest.mark.parametrize(
-    "training",
-    [{}, {"cpu": None}, {"cpu": TrainingDefaults({"phases": 2})}, {"cpu": TrainingDefaults({}, {"p_h": 0.2})}],
+    "changes",
+    [None, TrainingDefaults({"phases": 2}), TrainingDefaults({}, {"p_h": 0.2}), TrainingDefaults({"rounds": -1})],
 )
-def test_defaults_that_name_no_fields_are_refused(training):
-    with pytest.raises(ValueError, match=r"Odd\.training\['cpu'\] is not TrainingDefaults of fields that there are"):
-        task_preset(type("Odd", (Point,), {"training": training}), "cpu")
+def test_defaults_that_name_no_fields_are_refused(changes):
+    odd = type("Odd", (Point,), {"training": {"ppo": {"cpu": changes}}})
+    with pytest.raises(ValueError, match=r"Odd\.training\['ppo'\]\['cpu'\] is not TrainingDefaults of fields that"):
+        task_preset(odd, "cpu")
+
+
+def test_defaults_of_no_learner_are_refused():
+    odd = type("Odd", (Point,), {"training": {"cpu": TrainingDefaults()}})
+    with pytest.raises(ValueError, match=r"Odd\.training has the keys cpu; they must be ppo, td3"):
+        task_preset(odd, "cpu")
 
 
 made = functools.cache(hgail_envs.make)
@@ -137,7 +149,8 @@ def test_every_task_of_the_package_has_defaults_on_either_platform_that_it_can_b
             assert preset.config.learner.name == learner
             env = made(task, **preset.task_options)
             preset.config.validate(env)
-            preset.hyperparameters.validate(env.action_size)
+            applied = METHODS[preset.method].apply(preset)
+            applied.hyperparameters.validate(env.action_size, applied.config)
 
 
 def test_the_paper_s_sizes_are_those_it_tells():

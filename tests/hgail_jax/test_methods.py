@@ -17,7 +17,7 @@ from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.settings.presets import FEW_UPDATES
-from hgail_jax.trainer.options import TrainOptions, choose_learner, plan
+from hgail_jax.trainer.options import TrainOptions, choose, plan
 
 SEEDS = 2
 SMALL = Config(
@@ -138,7 +138,7 @@ def test_a_learner_that_a_method_does_not_have_is_refused(method, learner, messa
     with pytest.raises(ValueError, match=message):
         METHODS[method].apply(preset)
     with pytest.raises(ValueError, match=f"learner of the method {method}"):
-        choose_learner("point", method, "parallel", learner)
+        choose("point", "cpu", method, "parallel", learner)
 
 
 def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
@@ -169,9 +169,9 @@ class HeavyPush(Push):
 
 
 class OwnSizes(Push):
-    """One with settings of its own, which are PPO's."""
+    """One with settings of its own, for PPO alone."""
 
-    training: ClassVar = {"cpu": TrainingDefaults({"num_envs": 8})}
+    training: ClassVar = {"ppo": {"cpu": TrainingDefaults({"num_envs": 8})}}
 
 
 @pytest.mark.parametrize(
@@ -186,27 +186,52 @@ class OwnSizes(Push):
         ("reach", "hgail", "parallel", None, "ppo"),
         ("reach", "her", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", "td3", "td3"),
-        ("hgail_envs.fetch.grasp:GraspPosition", "gail-demo", "parallel", None, "ppo"),
+        ("hgail_envs.fetch.grasp:Grasp", "gail-demo", "parallel", None, "ppo"),
         ("tests.hgail_jax.test_methods:HeavyPush", "hgail", "parallel", None, "td3"),
         ("tests.hgail_jax.test_methods:OwnSizes", "hgail", "parallel", None, "ppo"),
     ],
 )
 def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, method, preset, given, chosen):
-    assert choose_learner(task, method, preset, given) == chosen
+    assert choose(task, "cpu", method, preset, given).preset.config.learner.name == chosen
+
+
+@pytest.mark.parametrize(
+    ("task", "platform", "learner", "randomize", "method"),
+    [
+        ("push", "gpu", None, "none", "hgail"),
+        ("push", "gpu", None, "full", "her"),
+        ("slide", "cpu", None, "none", "her"),
+        ("slide", "cpu", "ppo", "none", "hgail"),
+        ("grasp", "cpu", "td3", "none", "her"),
+        ("grasp", "gpu", "td3", "none", "hgail"),
+        ("stack", "gpu", None, "none", "her"),
+        ("tower", "gpu", None, "none", "her"),
+        ("reach", "gpu", None, "none", "hgail"),
+        ("reach", "gpu", "td3", "none", "her"),
+    ],
+)
+def test_a_task_s_default_method_is_the_one_that_trains_it(task, platform, learner, randomize, method):
+    chosen = choose(task, platform, None, "parallel", learner, randomize)
+    assert chosen.method == method
+    weight, minibatches = (
+        chosen.preset.hyperparameters.environment_reward,
+        chosen.preset.config.discriminator_minibatches,
+    )
+    assert (weight == 1.0) == (minibatches == 0) == (method == "her")
 
 
 def test_an_unknown_learner_is_refused():
     with pytest.raises(ValueError, match="learner"):
-        choose_learner("point", "hgail", "parallel", "sac")
+        choose("point", "cpu", "hgail", "parallel", "sac")
 
 
 @pytest.mark.parametrize(
     ("task", "changes", "trained"),
     [
         ("slide", {}, False),
-        ("slide", {"environment_reward": 0.5}, True),
+        ("slide", {"method": "hgail"}, True),
+        ("slide", {"method": "hgail", "environment_reward": 0.5}, True),
         ("push", {}, True),
-        ("push", {"environment_reward": 1.0}, False),
         ("push", {"method": "her"}, False),
         ("push", {"method": "gasil"}, True),
         ("slide", {"method": "gasil"}, True),
@@ -224,6 +249,14 @@ def test_off_policy_a_discriminator_is_trained_where_it_has_a_say(task, changes,
     [
         ({"method": "her", "environment_reward": 0.5}, "--environment-reward is decided by the method her"),
         ({"method": "ppo", "environment_reward": 0.5}, "--environment-reward is decided by the method ppo"),
+        (
+            {"task": "slide", "environment_reward": 0.5},
+            "is decided by the method her, the task's default",
+        ),
+        (
+            {"learner": "td3", "environment_reward": 1.0},
+            "discriminator has no say: that is the method her",
+        ),
         ({"learner": "td3", "reward": "r2"}, "--reward changes nothing for the learner td3"),
         ({"method": "her", "pretrain": False}, "--no-pretrain changes nothing for the learner td3"),
         ({"learner": "td3", "standardize_reward": False}, "--no-standardize-reward changes nothing for the learner"),

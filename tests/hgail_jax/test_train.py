@@ -13,7 +13,6 @@ from hgail_jax import Hyperparameters, env_steps, init_state, make_policy, phase
 from hgail_jax.config import BEST, RELABELLED
 from hgail_jax.evaluate import mean_outcome, whole_rollouts
 from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.learners.ppo import pretrain, update_discriminator, update_policy
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
 from hgail_jax.trainer.options import TrainOptions, plan
@@ -281,7 +280,7 @@ def two_rollouts():
     return [jax.jit(lambda key: rollout(ENV, policy, key, 8))(jax.random.key(seed)) for seed in (3, 4)]
 
 
-@pytest.mark.parametrize("update", [pretrain, update_policy, update_discriminator])
+@pytest.mark.parametrize("update", TINY.learner.phase_updates().values())
 @pytest.mark.parametrize("source", [RELABELLED, BEST])
 def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source):
     """Not even where it is not blank: whatever is put there, all that is learnt is the same to the bit."""
