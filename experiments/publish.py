@@ -1,12 +1,14 @@
 """Adds runs and studies to the published results: `python -m experiments.publish runs/push-td3-1`.
 
-A run's folder becomes a row of `results/runs.json`, and the settings of a study's file, `<study>-<task>.json`, rows of
-`results/studies.json`. A row replaces an older one of the same name. Curves stay where they are.
+A run's folder becomes a row of `results/runs.json`, the settings of a study's file, `<study>-<task>.json`, rows of
+`results/studies.json`; they replace older ones of the same name. A `table4.json` becomes the one of `results`. Curves stay
+where they are.
 """
 
 import csv
 import itertools
 import json
+import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -16,11 +18,13 @@ from typing import Any
 from experiments.paper.trials import hash_json
 from experiments.paths import RESULTS
 from hgail_jax.io.files import replace_file
+from hgail_jax.trainer.statistics import confidence_interval
 
 Row = dict[str, Any]
 
 RUNS = RESULTS / "runs.json"
 STUDIES = RESULTS / "studies.json"
+TABLE4 = RESULTS / "table4.json"
 _MADE_BY = ("command", "commit", "device", "cpu_cores", "versions")
 _LEAST = ("0.80", "0.95")  # success rates of which the first time is kept
 
@@ -34,6 +38,7 @@ def run_row(folder: Path) -> Row:
     """
     config, summary = (json.loads((folder / name).read_text()) for name in ("config.json", "summary.json"))
     success, nominal = summary["success_rate"], summary.get("nominal_success_rate")
+    half = float(confidence_interval(success["per_seed"]))
     first = config.get("first_seed", 0)
     with (folder / "metrics.csv").open(newline="") as file:
         tests = list(_tests(csv.DictReader(file)))
@@ -47,6 +52,7 @@ def run_row(folder: Path) -> Row:
         "seeds": list(range(first, first + summary["seeds"])),
         "episodes_per_seed": summary["evaluation_episodes_per_seed"],
         "success": success,
+        "success_ci95": half if math.isfinite(half) else None,
         "worst": min(success["per_seed"]),
         "nominal_success": nominal,
         "distance_l1": summary["distance_l1"]["mean"],
@@ -132,15 +138,19 @@ def _write(path: Path, text: str) -> None:
 
 
 def main(paths: Sequence[str]) -> None:
-    """Publishes runs' folders and studies' files; of a file or folder that is neither, one line says so."""
+    """Publishes runs' folders, studies' files and table 4; ends with a line about a file or folder that is none."""
     for path in map(Path, paths):
         try:
             if path.is_dir():
                 add_runs(RUNS, [run_row(path)])
+            elif path.name == TABLE4.name:
+                write_table(TABLE4, **json.loads(path.read_text()))
             else:
                 add_studies(STUDIES, study_rows(path))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SystemExit(f"publish: {path} is no finished run's folder and no study's file: {error!r}") from error
+            raise SystemExit(
+                f"publish: {path} is not a finished run's folder, a study's file or table 4: {error!r}"
+            ) from error
 
 
 if __name__ == "__main__":
