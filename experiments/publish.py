@@ -1,8 +1,8 @@
 """Adds runs and studies to the published results: `python -m experiments.publish runs/push-td3-1`.
 
 A run's folder becomes a row of `results/runs.json`, the settings of a study's file, `<study>-<task>.json`, rows of
-`results/studies.json`; they replace older ones of the same name. A `table4.json` becomes the one of `results`. Curves stay
-where they are.
+`results/studies.json`; they replace older ones of the same name. A `table4.json` becomes the one of `results`. Curves
+stay where they are.
 """
 
 import csv
