@@ -15,9 +15,9 @@ test: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadfile
 
-# Fills today's figures into the pages and builds them into .cache/site; any warning is an error.
+# Writes the tables of docs/tables.py into the pages and builds the site in .cache/site; any warning is an error.
 docs: $(VENV)/.installed
-	$(BIN)/python -m docs._generate.pages
+	$(BIN)/python -m docs.tables
 	-$(BIN)/python -m docs._generate.demo  # without Node.js the pages come without it
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # with --quiet it would count no warnings
 

@@ -1,8 +1,8 @@
-"""Paths of the repository's results."""
+"""Paths of the repository's results, and of the weights of its detector."""
 
 from pathlib import Path
 
 RESULTS = Path(__file__).resolve().parent / "results"
-"""The committed results of all experiments; written to only when `--out` names a folder in it."""
-WEIGHTS = RESULTS / "localisation" / "weights.npz"
+"""The published results of all experiments; see its README."""
+WEIGHTS = Path(__file__).resolve().parent / "localisation" / "weights.npz"
 """Weights of the repository's detector, see `localisation.keypoint_network.load_detector`."""

@@ -19,6 +19,8 @@ from hgail_jax.trainer import loop, training
 
 ROOT = Path(__file__).parent.parent
 """The project's folder."""
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+"""README and the pages of `docs`."""
 SOURCES = f"{ROOT}:{ROOT / 'envs'}"
 """PYTHONPATH of a process that imports this checkout, whichever is installed."""
 

@@ -57,7 +57,7 @@ class Options:
     quick: bool = False
     """Take tiny sizes that show in a minute or two that everything runs."""
     out: Annotated[Path | None, unless_given("runs/paper; runs/quick with --quick", "FOLDER")] = None
-    """Folder to write to; the published one is experiments/results/paper."""
+    """Folder to write to."""
 
 
 def plan(options: Options, platform: str) -> list[Work]:

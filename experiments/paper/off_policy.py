@@ -40,7 +40,6 @@ _REWARDS = Study(
     "off-policy-rewards",
     "TD3 by its reward and its goals, beside HGAIL with PPO",
     (
-        _change("as it is"),
         _change("no reward: the discriminator alone", environment_reward=0.0),
         _change("goal test × 0.5", environment_reward=0.5),
         _change("the goal test alone (HER)", environment_reward=1.0),

@@ -17,13 +17,13 @@ from hgail_jax.policy import MeanPolicy
 
 PLAIN = "plain"
 """Label of the policies that were trained without randomisation."""
-RUNS = {
-    PLAIN: "{task}-hgail",
-    "other arms": "{task}-td3-other-arms",
-    "known delay": "{task}-td3-known-delay",
-    "robust": "{task}-hgail-robust",
+FILES = {
+    PLAIN: "{task}",
+    "other arms": "{task}-other-arms",
+    "known delay": "{task}-full-known-delay",
+    "robust": "{task}-robust",
 }
-"""Folders of the runs that made the repository's policies, by label; those of TD3 see a cube at each step."""
+"""Names of the package's policies, by label; those of grasp for `other-arms` and `full-known-delay` track the cube."""
 SCRIPT = "script"
 """Label of the scripted controllers, and what stands for a policy's file."""
 SCRIPTED_TASKS = ("grasp", "pick-and-place")
@@ -54,10 +54,10 @@ class Script:
 
 
 def policy_paths(task: str, label: str = PLAIN) -> list[Path]:
-    """Returns the files of a task's policies in the repository: its run's, else the package's, else none."""
-    run = RUNS[label].format(task=task)
-    of_run = sorted((RESULTS / "runs" / run / "policies").glob("*.npz"))
-    return of_run or sorted((assets_directory() / "policies").glob(f"{run.replace('-hgail', '')}.npz"))
+    """Returns the files of a task's policies: the package's, if there is one, and other seeds of the same run."""
+    name = FILES[label].format(task=task)
+    seeds = sorted((RESULTS / "policies").glob(f"{name}-[0-9].npz"))
+    return [*(assets_directory() / "policies").glob(f"{name}.npz"), *seeds]
 
 
 def load(path: Path, task: str) -> MeanPolicy | Script:
@@ -109,12 +109,12 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
 
     """
     found: dict[str, dict[str, list[Path]]] = {}
-    for label in RUNS:
+    for label in FILES:
         found[label] = {task: paths for task in tasks if (paths := policy_paths(task, label))}
     for entry in more:
         label, separator, path = entry.partition("=")
-        if not (label and separator and path) or label in RUNS:
-            raise ValueError(f"policies {entry!r} is not label=path, with another label than {', '.join(RUNS)}")
+        if not (label and separator and path) or label in FILES:
+            raise ValueError(f"policies {entry!r} is not label=path, with another label than {', '.join(FILES)}")
         if not Path(path).exists():
             raise ValueError(f"there is no file or folder {path}")
         for file in policy_files(Path(path)):

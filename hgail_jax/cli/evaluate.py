@@ -39,7 +39,7 @@ class Options:
     """A task's name, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
     """The policy's file, or a run's folder for all its seeds. Of those that come with the package the plain one, or
-    with --randomize the robust one, if there is one."""
+    with --randomize the one trained under that level, else the robust one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 200

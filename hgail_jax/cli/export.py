@@ -34,9 +34,9 @@ class Options:
     """A task's name, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
     """The policy's file, or the folder of a run of one seed. Of those that come with the package the plain one, or with
-    --randomize the robust one, if there is one."""
+    --randomize the one trained under that level, else the robust one."""
     randomize: Annotated[str | None, unless_given("the plain policy", "|".join(LEVELS))] = None
-    """Level that chooses the robust one of the policies that come with the package."""
+    """Level of the training of the policy, of those that come with the package."""
     out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
     """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
     episodes: int = 100
@@ -55,8 +55,6 @@ def main(arguments: list[str] | None = None) -> None:
         if len(found) > 1:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]
-        if options.randomize not in (None, "none") and not path.stem.endswith("-robust"):
-            raise ValueError(f"no robust policy of {policy.task} comes with the package; leave out --randomize")
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         _check_file(out)
         success = None

@@ -32,7 +32,7 @@ class Options:
     """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
     """The policy's file, or a run's folder for its first seed. Of those that come with the package the plain one, or
-    with --randomize the robust one, if there is one."""
+    with --randomize the one trained under that level, else the robust one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 3
@@ -148,7 +148,7 @@ def _serve(options: Options, shown: str) -> None:
         return Session(env, policy, seed)
 
     port = free_port(options.host, options.port, _FIRST_PORT)
-    others = [task for task in hgail_envs.TASKS if task != shown and shipped(task)]
+    others = [task for task in hgail_envs.TASKS if task != shown and shipped(task, options.randomize)]
     print(f"compiling {shown} ...", flush=True)
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)

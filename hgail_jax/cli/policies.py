@@ -75,7 +75,7 @@ def find_policies(task: str | None, path: Path | None, level: str | None = None)
         hgail_envs.find_class(task)
         path = shipped(task, level)
     if path is None:
-        raise ValueError(f"no policy of {task} comes with the package; name one by --policy")
+        raise ValueError(_none_is_shipped(task, level))
     loaded = [(file, load_policy(file)) for file in policy_files(path)]
     for _, policy in loaded:
         if task not in (None, policy.task):
@@ -84,10 +84,26 @@ def find_policies(task: str | None, path: Path | None, level: str | None = None)
 
 
 def shipped(task: str, level: str | None = None) -> Path | None:
-    """Returns the file of the policy that comes with the package, for randomised episodes if a level is named."""
-    folder = assets_directory() / "policies"
-    robust = [folder / f"{task}-robust.npz"] if level not in (None, "none") else []
-    return next((path for path in (*robust, folder / f"{task}.npz") if path.exists()), None)
+    """Returns the file of the policy that comes with the package, or None.
+
+    Args:
+      task: its name.
+      level: of the randomisation; the policy is then the one trained under it, else the robust one of the task.
+
+    """
+    names = [task] if level in (None, "none") else [f"{task}-{level}", f"{task}-robust"]
+    paths = (assets_directory() / "policies" / f"{name}.npz" for name in names)
+    return next((path for path in paths if path.exists()), None)
+
+
+def _none_is_shipped(task: str | None, level: str | None) -> str:
+    """Returns a line that says which policies of a task come with the package, none of which is for the level."""
+    names = [f"{task}.npz", *(f"{task}-{name}.npz" for name in (*LEVELS, "robust"))]
+    paths = [path for name in names if (path := assets_directory() / "policies" / name).exists()]
+    if not paths:
+        return f"no policy of {task} comes with the package; name one by --policy"
+    known = ", ".join(str(from_here(path)) for path in paths)
+    return f"no policy of {task} for --randomize {level} comes with the package; name one by --policy, e.g. {known}"
 
 
 def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int) -> hgail_envs.GoalEnv:

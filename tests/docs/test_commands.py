@@ -7,13 +7,13 @@ import tomllib
 
 import pytest
 
-from docs._generate import pages
 from experiments.bench.__main__ import Options as Bench
 from experiments.localisation.__main__ import Evaluate, Train
 from experiments.paper.__main__ import Options as Paper
 from experiments.parity.__main__ import Command as Parity
 from experiments.transfer.__main__ import Options as Transfer
 from hgail_jax.cli import command_line, demos, evaluate, export, play, train
+from tests import support
 from tests.support import ROOT
 
 COMMANDS = {
@@ -31,7 +31,7 @@ COMMANDS = {
 }
 PLACEHOLDERS = {"<robot>": "ur5e"}
 OF_OTHERS = {"--help", "--gpus-per-task", "--gpu-bind", "--sample"}  # Slurm's, and the mutants'
-PAGES = [ROOT / "CONTRIBUTING.md", ROOT / "experiments" / "README.md", *pages.pages()]
+PAGES = [ROOT / "CONTRIBUTING.md", ROOT / "experiments" / "README.md", *support.PAGES]
 
 _BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")

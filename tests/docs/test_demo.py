@@ -1,5 +1,6 @@
 """The page of `make demo`: its tasks and policies are Python's, and a visitor's browser runs them."""
 
+import fnmatch
 import functools
 import gzip
 import http.server
@@ -19,7 +20,7 @@ from hgail_jax.io.policy import load_policy
 from tests.support import ROOT
 
 SHIPPED = (path.stem for path in (ROOT / "assets" / "policies").glob("*.npz"))
-POLICIES = sorted(name for name in SHIPPED if name not in demo.ABSENT)
+POLICIES = sorted(name for name in SHIPPED if not any(fnmatch.fnmatch(name, absent) for absent in demo.ABSENT))
 # The seed of the starts. From most of slide's a ten-millionth of a radian more grows to a millimetre at the hit, in
 # Python's engine too; from this one it stays below a hundredth of that.
 SEED = 7

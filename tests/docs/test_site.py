@@ -11,8 +11,8 @@ from PIL import Image
 
 import hgail_envs
 import hgail_jax
-from docs._generate import pages, task_pages
-from tests.support import ROOT
+from docs._generate import starts
+from tests.support import PAGES, ROOT
 
 _PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(?:\]\(|src=\")([^)\"#{]+)")
@@ -40,10 +40,10 @@ def test_a_broken_link_is_an_error(tmp_path):
 
 def test_the_picture_of_the_starts_has_a_panel_of_each_task():
     width, height = 300, 225 + 24  # with its name above it
-    picture = np.asarray(Image.open(task_pages.PICTURE).convert("L"))
+    picture = np.asarray(Image.open(starts.PICTURE).convert("L"))
     rows, columns = picture.shape[0] // height, picture.shape[1] // width
     panels = picture[: rows * height].reshape(rows, height, columns, width).swapaxes(1, 2)
-    assert (panels[:, :, 24:].std(axis=(2, 3)) > 1).sum() == len(task_pages._RUNS)
+    assert (panels[:, :, 24:].std(axis=(2, 3)) > 1).sum() == len(starts.TASKS)
 
 
 def test_a_page_fetches_nothing(tmp_path):
@@ -54,7 +54,7 @@ def test_a_page_fetches_nothing(tmp_path):
         assert not loaded.findall(path.read_text()), path.name
 
 
-@pytest.mark.parametrize("path", [ROOT / "CONTRIBUTING.md", *pages.pages()], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda path: path.name)
 def test_links_lead_somewhere_in_the_repository_too(path):
     for target in _LINK.findall(re.sub(r"```.*?```|`[^`]*`", "", path.read_text(), flags=re.DOTALL)):
         assert target.startswith("http") or (path.parent / target).exists(), target
@@ -99,7 +99,7 @@ def blocks(page):
 
 
 def test_all_examples_are_among_those_that_run():
-    have = {path.stem for path in pages.pages() if _PYTHON.search(path.read_text())}
+    have = {path.stem for path in PAGES if _PYTHON.search(path.read_text())}
     assert have == {*QUICK, *TRAINING}
 
 

@@ -397,8 +397,8 @@ def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_ste
 def test_rewards_are_compared_in_one_program_beside_other_goals_and_ppo():
     trials = trials_of(BY_NAME["off-policy-rewards"], "stack", "gpu")
     alike, own_goals, ppo = group_by_program(trials)
-    assert [trial.hyperparameters.environment_reward for trial in alike] == [1.0, 0.0, 0.5, 1.0]
-    assert [trial.config.training_goals for trial in (*alike, *own_goals, *ppo)] == [True] * 4 + [False, True]
+    assert [trial.hyperparameters.environment_reward for trial in alike] == [0.0, 0.5, 1.0]
+    assert [trial.config.training_goals for trial in (*alike, *own_goals, *ppo)] == [True] * 3 + [False, True]
     (row,) = ppo
     assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
 

@@ -15,7 +15,7 @@ from experiments.transfer import __main__ as transfer
 from experiments.transfer import camera_goal, policies, results
 from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
-from experiments.transfer.policies import RUNS, find_policies
+from experiments.transfer.policies import FILES, find_policies
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS
@@ -32,8 +32,8 @@ def read(folder, name="table4"):
 
 @pytest.fixture(autouse=True)
 def plain_alone(monkeypatch):
-    for label in set(RUNS) - {"plain"}:
-        monkeypatch.delitem(RUNS, label)
+    for label in set(FILES) - {"plain"}:
+        monkeypatch.delitem(FILES, label)
     monkeypatch.setattr(policies, "SCRIPTED_TASKS", ())
 
 

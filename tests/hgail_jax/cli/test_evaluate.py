@@ -159,7 +159,10 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
         (["--out", "run/policies/seed-9.npz"], "exists already"),
         (["--randomize", "wild"], "randomize is 'wild'"),
         (["--randomize", "full", "--policy", "run"], "leave out --policy"),
-        (["--task", "push", "--randomize", "full"], "no robust policy of push comes with the package"),
+        (
+            ["--task", "push", "--randomize", "full"],
+            "no policy of push for --randomize full comes with the package; name one",
+        ),
         (["--episodes", "-1"], "episodes is -1"),
         (["--policy", "odd.npz", "--out", "new/folder/p.onnx"], "which is no observation of push"),
         (["--policy", "official.npz"], "observation of reach is 'official'; choose from compact"),
@@ -186,6 +189,21 @@ def refused(program, arguments, message, capsys, folder, monkeypatch):
 def test_onnx_without_its_package_is_refused_before_anything_is_written(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     refused(export.main, ["--task", "reach"], "pip install 'hgail-jax[onnx]'", capsys, tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("level", "name"),
+    [("other-arms", "grasp-other-arms"), ("full", "grasp-robust"), ("none", "grasp"), (None, "grasp")],
+)
+def test_the_policy_that_was_trained_under_a_level_is_exported(level, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    export.main(["--task", "grasp", "--out", "p.npz", *(["--randomize", level] if level else [])])
+    written, expected = (
+        load_policy(path) for path in ("p.npz", hgail_envs.scenes.assets_directory() / "policies" / f"{name}.npz")
+    )
+    assert (written.randomization, written.task_options) == (expected.randomization, expected.task_options)
+    observation = np.random.default_rng(0).normal(size=(5, expected.observation_size)).astype(np.float32)
+    np.testing.assert_array_equal(written(observation), expected(observation))
 
 
 def test_a_policy_is_exported_in_each_format(capsys, tmp_path, monkeypatch, run_folder):

@@ -317,11 +317,12 @@ def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder)
         (("reach", "reach-robust"), None, "reach"),
         (("reach", "reach-robust"), "none", "reach"),
         (("reach", "reach-robust"), "mild", "reach-robust"),
-        (("reach",), "mild", "reach"),
+        (("reach", "reach-robust", "reach-mild"), "mild", "reach-mild"),
+        (("reach", "reach-mild"), "full", None),
         ((), "mild", None),
     ],
 )
-def test_randomised_episodes_are_played_with_the_robust_policy_if_there_is_one(
+def test_randomised_episodes_are_played_with_the_policy_of_their_level_else_the_robust_one(
     files, level, expected, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(policies, "assets_directory", lambda: tmp_path)
