@@ -4,5 +4,3 @@ from pathlib import Path
 
 RESULTS = Path(__file__).resolve().parent / "results"
 """The committed results of all experiments; written to only when `--out` names a folder in it."""
-WEIGHTS = RESULTS / "localisation" / "weights.npz"
-"""Weights of the repository's detector, see `localisation.keypoint_network.load_detector`."""
