@@ -1,4 +1,6 @@
+import gc
 import os
+import sys
 from pathlib import Path
 
 # One cache for all tests and for the processes that they start: the same program is compiled once.
@@ -21,6 +23,15 @@ def pytest_configure(config):
     flags = os.environ.get("XLA_FLAGS", "")
     if config.option.markexpr == "not slow" and "optimization_level" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_QUICKLY}".strip()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs_of_one_file():
+    """Frees the programs of a file's tests, which would fill the memory; the next file has others."""
+    yield
+    if jax := sys.modules.get("jax"):
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

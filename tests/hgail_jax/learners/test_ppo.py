@@ -108,12 +108,19 @@ DEMONSTRATION = Samples(
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
 
 
+@functools.partial(jax.jit, static_argnums=0)
+def act(config, state, noise, observation, rng):
+    return make_policy(ENV, config, state, noise)(observation, rng)
+
+
 def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
     """A state with statistics of its own, whose networks have all their weights."""
     state = init(config, HYPER.replace(**changes), jax.random.key(seed), demonstrations=demonstrations)
     rng = np.random.default_rng(seed)
     statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
-    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.3 * rng.normal(size=leaf.shape).astype(np.float32))
+    vary = functools.partial(
+        jax.tree.map, lambda leaf: np.asarray(leaf) + 0.3 * rng.normal(size=leaf.shape).astype(np.float32)
+    )
     learner = state.learner.replace(actor_critic=vary(state.learner.actor_critic))
     return state.replace(statistics=statistics, learner=learner, discriminator=vary(state.discriminator))
 
@@ -143,9 +150,9 @@ def logits(state, observation, action, params=None, xp=np):
 def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
     """Adam as in the paper (Kingma & Ba 2015); returns the parameters and the mean of the losses."""
     first, second = (jax.tree.map(np.zeros_like, params) for _ in range(2))
-    losses = []
+    losses, value_and_gradient = [], jax.jit(jax.value_and_grad(gradient_of))
     for step in range(steps):
-        loss, gradient = jax.value_and_grad(gradient_of)(params)
+        loss, gradient = jax.device_get(value_and_gradient(params))
         losses.append(loss)
         first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, gradient)
         second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g**2, second, gradient)
@@ -153,6 +160,7 @@ def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
         params = jax.tree.map(
             lambda p, m, v, a=scale, b=root: p - a * m / (np.sqrt(v) / b + 1e-8), params, first, second
         )
+    jax.effects_barrier()  # what the loss notes by a callback is all there
     return params, np.mean(losses)
 
 
@@ -198,15 +206,15 @@ def test_networks_are_tanh_layers_of_the_sizes_asked_for():
         (_network(CONFIG), [4, 7, 1]),
     ):
         inputs = RNG.normal(size=(9, 4)).astype(np.float32)
-        params = network.init(jax.random.key(0), inputs[0])
+        params = jax.jit(network.init)(jax.random.key(0), inputs[0])
         shapes = [params["params"][f"Dense_{index}"]["kernel"].shape for index in range(len(widths) - 1)]
         assert shapes == list(itertools.pairwise(widths))
-        np.testing.assert_allclose(network.apply(params, inputs), mlp(params, inputs), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(jax.jit(network.apply)(params, inputs), mlp(params, inputs), rtol=1e-4, atol=1e-5)
 
 
 def test_the_first_policy_hardly_moves_and_the_first_value_does():
     for network, scale in ((MLP((), 200), 1.0), (_policy_network(Config(policy_hidden=()), 200), 1e-4)):
-        kernel = network.init(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
+        kernel = jax.jit(network.init)(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
         assert np.std(kernel) == pytest.approx(np.sqrt(scale / 100), rel=0.05)
         assert np.abs(kernel).max() < 2.6 * np.sqrt(scale / 100)
 
@@ -222,7 +230,7 @@ def test_the_log_density_is_the_normal_one():
 def test_the_policy_acts_about_its_mean_by_its_own_deviations(noise):
     state = make_state()
     observation = RNG.normal(size=(2000, 4)).astype(np.float32)
-    action, log_prob = make_policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))
+    action, log_prob = act(CONFIG, state, noise, observation, jax.random.key(0))
     mean = mlp(state.learner.actor_critic["policy"], normalized(state, observation))
     np.testing.assert_allclose(log_prob, log_density(action, mean, np.array([0.3, 0.6])), rtol=1e-3, atol=1e-3)
     away = (np.asarray(action) - mean) / np.array([0.3, 0.6])
@@ -259,7 +267,7 @@ def test_networks_start_apart_and_the_state_holds_what_it_is_given():
     assert np.abs(first[0] - first[1]).min() > 0
     assert state.discriminator["params"]["Dense_0"]["kernel"].shape == (6, 7)
     wide = CONFIG.replace(discriminator_hidden=(6,), policy_hidden=(6,))
-    wide = init_state(ENV, wide, HYPER, jax.random.key(0))
+    wide = init(wide, HYPER, jax.random.key(0))
     drawn = [
         tree["params"]["Dense_0"]["kernel"][0] for tree in (*wide.learner.actor_critic.values(), wide.discriminator)
     ]
@@ -503,7 +511,7 @@ def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretra
         late = state.replace(learner=state.learner.replace(optimizer=optimizer))
         seen = given.observation(ENV)[:-1]
         mean = mlp(state.learner.actor_critic["policy"], normalized(state, seen))
-        action, log_prob = make_policy(ENV, config, late, 1.0)(seen[0], jax.random.key(steps))
+        action, log_prob = act(config, late, 1.0, seen[0], jax.random.key(steps))
         np.testing.assert_allclose(log_prob, log_density(action, mean[0], std), rtol=1e-3, atol=1e-3)
         acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
         metrics = update(config, late, acted, jax.random.key(0))[1]

@@ -83,6 +83,8 @@ round_of = jax.jit(train_step, static_argnums=(0, 1))
 filled = jax.jit(functools.partial(fill, ENV))
 add = jax.jit(add_episodes)
 sampled = jax.jit(draw, static_argnums=(0, 4))
+keep = jax.jit(expert_samples, static_argnums=(0, 1))
+fit = jax.jit(fit_discriminator, static_argnums=(0, 4))
 
 
 def trajectory(seed=0, valid=None):
@@ -113,10 +115,12 @@ def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
     """A state amid a run: online and target networks, optimisers and statistics all differ."""
     state = init(config, HYPER.replace(**changes), jax.random.key(0), demonstrations=demonstrations)
     rng = np.random.default_rng(0)
-    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.4 * rng.normal(size=leaf.shape).astype(np.float32))
+    vary = functools.partial(
+        jax.tree.map, lambda leaf: np.asarray(leaf) + 0.4 * rng.normal(size=leaf.shape).astype(np.float32)
+    )
     learner = state.learner
     moments = [
-        adam._replace(count=jnp.int32(4), mu=vary(adam.mu), nu=jax.tree.map(jnp.square, vary(adam.nu)))
+        adam._replace(count=jnp.int32(4), mu=vary(adam.mu), nu=jax.tree.map(np.square, vary(adam.nu)))
         for adam in learner.optimizer
     ]
     learner = learner.replace(
@@ -244,13 +248,11 @@ def learnt_by_hand(config, state, given, rng):
         if config.expert_source == "relabelled":
             expert = pick(expert_rng, count, float(hyper.p_ht > 0), 2)
         else:
-            keep = jax.jit(functools.partial(expert_samples, ENV, config))
-            kept, expert = keep(hyper, state.expert, given, expert_rng)
+            kept, expert = keep(ENV, config, hyper, state.expert, given, expert_rng)
             state = state.replace(expert=kept)
         own = pick(policy_rng, count, 0.0)
         pairs = (Samples(one.observation, one.action, one.weight) for one in (expert, own))
-        fit = jax.jit(functools.partial(fit_discriminator, config), static_argnums=3)
-        state, metrics = fit(state, *pairs, 3, fit_rng)
+        state, metrics = fit(CONFIG, state, *pairs, 3, fit_rng)
     drawn = sampled(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
     state = state.replace(learner=jax.device_get(state.learner), discriminator=jax.device_get(state.discriminator))
     drawn, hyper = jax.device_get(drawn), jax.device_get(hyper)
@@ -491,6 +493,7 @@ def test_hindsight_solves_a_line_by_the_goal_test_and_by_the_discriminator_alone
     assert np.min(success[-1]) >= 0.95
 
 
+@pytest.mark.slow
 def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch):
     make_runs_tiny(monkeypatch)
     compile_once(monkeypatch)

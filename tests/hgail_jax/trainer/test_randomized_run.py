@@ -53,6 +53,7 @@ def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
     assert "run is complete" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_policy_of_td3_is_shown_the_actions_on_their_way(monkeypatch):
     monkeypatch.setitem(LEVELS, "known", dataclasses.replace(SMALL, history=0, known_delay=3))
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8, critics=1)
