@@ -105,6 +105,7 @@ HYPER = Hyperparameters(action_std=jnp.array([0.3, 0.6]), policy_learning_rate=1
 DEMONSTRATION = Samples(
     jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
 )
+SHOWN = jax.device_get(DEMONSTRATION)
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
 
 
@@ -135,7 +136,8 @@ def mlp(params, inputs, xp=np):
 
 
 def normalized(state, observation):
-    return np.clip((observation - state.statistics.mean) / state.statistics.std, -5, 5)
+    mean, std = np.asarray(state.statistics.mean), np.asarray(state.statistics.std)
+    return np.clip((np.asarray(observation) - mean) / std, -5, 5)
 
 
 def log_density(action, mean, std, xp=np):
@@ -143,7 +145,7 @@ def log_density(action, mean, std, xp=np):
 
 
 def logits(state, observation, action, params=None, xp=np):
-    inputs = xp.concatenate([normalized(state, observation), np.clip(action, -1, 1)], axis=-1)
+    inputs = xp.concatenate([normalized(state, observation), xp.clip(action, -1, 1)], axis=-1)
     return mlp(state.discriminator if params is None else params, inputs, xp)[..., 0]
 
 
@@ -471,8 +473,8 @@ def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_clo
         ratio = jnp.exp(log_prob - batch["log_prob"])
         gain = jnp.minimum(ratio * batch["advantage"], jnp.clip(ratio, 0.8, 1.2) * batch["advantage"])
         predicted = mlp(params["value"], batch["observation"], jnp)[:, 0]
-        mean = mlp(params["policy"], normalized(state, DEMONSTRATION.observation[0]), jnp)
-        cloning = -log_density(DEMONSTRATION.action[0], mean, std)
+        mean = mlp(params["policy"], normalized(state, SHOWN.observation[0]), jnp)
+        cloning = -log_density(SHOWN.action[0], mean, std)
         of = {
             "policy_loss": -(weight * gain).sum(),
             "value_loss": 0.5 * (weight * (predicted - batch["return"]) ** 2).sum(),
@@ -516,8 +518,8 @@ def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretra
         acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
         metrics = update(config, late, acted, jax.random.key(0))[1]
         assert abs(metrics["kl"]) < 1e-5
-        shown = mlp(state.learner.actor_critic["policy"], normalized(state, DEMONSTRATION.observation[0]))
-        cloning = log_density(DEMONSTRATION.action[0], shown, std)
+        shown = mlp(state.learner.actor_critic["policy"], normalized(state, SHOWN.observation[0]))
+        cloning = log_density(SHOWN.action[0], shown, std)
         np.testing.assert_allclose(metrics["bc_loss"], -cloning, rtol=1e-3)
 
 
@@ -532,11 +534,12 @@ def still_trajectory():
 
 
 def discriminator_by_hand(state, given, steps):
+    given = jax.device_get(given)
     seen = np.concatenate([given.features, given.desired], axis=-1)[0, 0]
     accuracy = []
 
     def loss(params):
-        expert = logits(state, DEMONSTRATION.observation[0], DEMONSTRATION.action[0], params, jnp)
+        expert = logits(state, SHOWN.observation[0], SHOWN.action[0], params, jnp)
         policy = logits(state, seen, given.action[0, 0], params, jnp)
         jax.debug.callback(lambda one, other: accuracy.append(0.5 * (one > 0) + 0.5 * (other <= 0)), expert, policy)
         return jnp.logaddexp(0.0, -expert) + jnp.logaddexp(0.0, policy)
@@ -567,13 +570,13 @@ def test_pretraining_is_adam_on_the_cloning_and_on_the_cross_entropy():
     state, given = make_state(PRETRAINED, demonstrations=DEMONSTRATION), still_trajectory()
     after, metrics = jax.jit(functools.partial(pretrain, ENV, PRETRAINED))(state, given, jax.random.key(0))
     # A sample's weight says how often to draw it; the statistics count it once if it has any.
-    np.testing.assert_allclose(after.statistics.mean, DEMONSTRATION.observation[0], rtol=1e-5)
+    np.testing.assert_allclose(after.statistics.mean, SHOWN.observation[0], rtol=1e-5)
     assert int(after.statistics.count.lo) == 2
     observed = state.replace(statistics=after.statistics)
 
     def loss(params):
-        mean = mlp(params["policy"], normalized(observed, DEMONSTRATION.observation[0]), jnp)
-        return -log_density(DEMONSTRATION.action[0], mean, np.array([0.3, 0.6]))
+        mean = mlp(params["policy"], normalized(observed, SHOWN.observation[0]), jnp)
+        return -log_density(SHOWN.action[0], mean, np.array([0.3, 0.6]))
 
     expected, cloning = adam(state.learner.actor_critic, loss, 1e-2, 4)
     assert_close(after.learner.actor_critic["policy"], expected["policy"])
