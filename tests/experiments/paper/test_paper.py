@@ -20,6 +20,7 @@ from hgail_jax import PRESETS, env_steps, phase_table
 from hgail_jax.defaults import DEFAULTS
 from hgail_jax.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
+from hgail_jax.trainer import statistics
 from hgail_jax.trainer.loop import Program
 
 QUICK = ["--quick", "--seeds", "3"]
@@ -79,6 +80,14 @@ def made(results, trials, commits=("c0ffee1",), dates=("2026-01-01",)):
         }
         for index, (result, trial) in enumerate(zip(results, trials, strict=True))
     ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_resamples():
+    """Bootstrap intervals have tests of their own; here they need not be fine."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(statistics, "_RESAMPLES", 200)
+        yield
 
 
 @pytest.fixture

@@ -184,7 +184,12 @@ PLAY = "from hgail_jax.cli import main; import sys; main(['play', *sys.argv[1:]]
 @pytest.mark.parametrize(
     ("environment", "options", "message"),
     [
-        ({"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "none"}, ["--out", "x.mp4"], "cannot render"),
+        pytest.param(
+            {"MUJOCO_GL": "osmesa", "PYOPENGL_PLATFORM": "none"},
+            ["--out", "x.mp4"],
+            "cannot render",
+            marks=pytest.mark.slow,
+        ),
         ({"DISPLAY": ":97"}, ["--out", "x.mp4"], "cannot render on DISPLAY=:97; set MUJOCO_GL=egl or"),
         ({"DISPLAY": ":97"}, [], "no window opens on DISPLAY=:97; --out writes a film, --web serves a page"),
     ],
