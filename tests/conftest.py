@@ -1,3 +1,5 @@
+import contextlib
+import ctypes
 import gc
 import os
 import sys
@@ -15,6 +17,7 @@ import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
 from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
 
+_MUCH_MEMORY = 8e8  # bytes; freeing it takes most of a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 
 
@@ -25,13 +28,22 @@ def pytest_configure(config):
         os.environ["XLA_FLAGS"] = f"{flags} {_QUICKLY}".strip()
 
 
+def _resident():
+    """Returns the bytes that this process has in memory; infinity where Linux does not say."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
+
+
 @pytest.fixture(scope="module", autouse=True)
-def programs_of_one_file():
-    """Frees the programs of a file's tests, which would fill the memory; the next file has others."""
+def programs_of_a_few_files():
+    """Frees compiled programs after a file's tests, once they fill much memory; the next file has others."""
     yield
-    if jax := sys.modules.get("jax"):
-        jax.clear_caches()
+    if "jax" in sys.modules and _resident() > _MUCH_MEMORY:
+        sys.modules["jax"].clear_caches()
         gc.collect()
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)  # else glibc keeps what was freed
 
 
 @pytest.fixture(scope="session")
