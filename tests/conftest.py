@@ -17,7 +17,7 @@ import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
 from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
 
-_MUCH_MEMORY = 8e8  # bytes; freeing it takes most of a second
+_MUCH_MEMORY = 1e9  # bytes; freeing it takes most of a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 
 

@@ -1,5 +1,6 @@
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import nbformat
@@ -20,13 +21,13 @@ make_runs_tiny()
 
 def test_its_cells_train_and_draw(monkeypatch, capsys):
     make_runs_tiny(monkeypatch)
-    monkeypatch.setattr("matplotlib.pyplot.show", lambda: None)
+    updates, names = [], {}
+    monkeypatch.setattr("IPython.display.display", lambda *_, **__: SimpleNamespace(update=updates.append))
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
-    names = {}
     for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
         if cell.cell_type == "code":
             exec(cell.source, names)
-    assert len(names["history"]) == 7
+    assert len(names["history"]) == len(updates) == 7
     assert capsys.readouterr().out.count("reached at step") == 3
     assert len(names["curves"].axes[0].lines[0].get_xdata()) == 7
     assert len(names["axes"][0].lines) == 2 * 6
