@@ -1,4 +1,8 @@
+import contextlib
+import ctypes
+import gc
 import os
+import sys
 from pathlib import Path
 
 # One cache for all tests and for the processes that they start: the same program is compiled once.
@@ -13,6 +17,7 @@ import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
 from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
 
+_MUCH_MEMORY = 1e9  # bytes; freeing it takes most of a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 
 
@@ -21,6 +26,24 @@ def pytest_configure(config):
     flags = os.environ.get("XLA_FLAGS", "")
     if config.option.markexpr == "not slow" and "optimization_level" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_QUICKLY}".strip()
+
+
+def _resident():
+    """Returns the bytes that this process has in memory; infinity where Linux does not say."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs_of_a_few_files():
+    """Frees compiled programs after a file's tests, once they fill much memory; the next file has others."""
+    yield
+    if "jax" in sys.modules and _resident() > _MUCH_MEMORY:
+        sys.modules["jax"].clear_caches()
+        gc.collect()
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)  # else glibc keeps what was freed
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
-"""Measures speed: stepping, roll-outs and training beside the engine's bare loop, and beside other projects."""
+"""Measures speed: stepping, roll-outs, training, its scaling with seeds and devices, and whole runs."""
 
 import dataclasses
-import importlib.util
 import itertools
 import os
 import subprocess
@@ -11,11 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from experiments.bench import contrastive, speed
-from experiments.bench.engine_options import measure_options
-from experiments.bench.figures import draw_learners
-from experiments.bench.learners import CRL, LEARNERS, OWN, SAC_HER, contrastive_rows, own_rows, sac_her_rows
-from experiments.bench.peers import PACKAGES, peer_rows
+from experiments.bench import speed
 from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
 from experiments.bench.whole_runs import measure_compilation, measure_time_to_success
@@ -23,11 +18,10 @@ from experiments.bench.workload import Workload, default_preset, default_substep
 from hgail_envs import TASKS, find_class
 from hgail_envs.engines import ENGINES
 from hgail_envs.fetch.arm import FetchEnv
-from hgail_envs.validation import check_count, check_name, check_positive
+from hgail_envs.validation import check_count, check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.io.provenance import provenance
-from hgail_jax.learners import TD3
-from hgail_jax.settings.defaults import default_learner, platform_name
+from hgail_jax.settings.defaults import platform_name
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "bench"
@@ -36,7 +30,6 @@ _OUT = Path("runs") / "bench" / "bench.json"
 _QUICK_OUT = Path("runs") / "quick" / "bench.json"
 _IMPLS = ("auto", *ENGINES)
 _NUM_ENVS = {"cpu": (64,), "gpu": (1024, 4096, 16384, 65536)}
-_NUM_ENVS_OF_UPDATES = {"cpu": (256,), "gpu": (256, 1024, 4096)}
 _QUICK_NUM_ENVS = (4,)
 _QUICK_SEEDS = (1, 2)
 _OF_WHOLE_RUNS = {"compile", "time-to-success"}
@@ -47,39 +40,21 @@ class Options:
     """Measures speed and adds the rows to a file."""
 
     section: tuple[
-        Literal[
-            "physics",
-            "rollout",
-            "train",
-            "shares",
-            "engine-options",
-            "updates",
-            "seeds",
-            "devices",
-            "compile",
-            "time-to-success",
-            "peers",
-            "learners",
-        ],
+        Literal["physics", "rollout", "train", "shares", "seeds", "devices", "compile", "time-to-success"],
         ...,
     ] = ("physics", "rollout", "train", "shares")
-    """Sections to measure. The first four are columns of one row for each size; engine-options needs warp-lang."""
+    """Sections to measure. The first four are columns of one row for each size."""
     task: tuple[str, ...] = ("reach",)
     """Tasks, one after the other."""
     impl: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Physics engines: {', '.join(_IMPLS)}.")] = ("auto",)
     num_envs: Annotated[tuple[int, ...] | None, unless_given("by platform", "INT [INT ...]")] = None
-    """Environments, one row for each; for seeds and devices the first is the number per seed. In updates one seed has
-    them, and several have the task's number each."""
+    """Environments, one row for each; for seeds and devices the first is the number per seed."""
     substeps: Annotated[tuple[int, ...] | None, unless_given("what the task is trained with", "INT [INT ...]")] = None
     """Physics steps per action, one row for each."""
     seeds: tuple[int, ...] = (1, 8)
     """Numbers of seeds to compare, the first of them 1."""
     run: tuple[str, ...] = ()
     """Further options of hgail train for compile and time-to-success, as one word each: --run=--num-envs=64."""
-    learner: Annotated[tuple[str, ...], tyro.conf.arg(help=f"Learners to train: {', '.join(LEARNERS)}.")] = LEARNERS
-    time_limit: float = 900.0
-    """Seconds after which a learner of learners or peers is stopped, successful or not; one that trains its seeds one
-    after the other has them for each."""
     quick: bool = False
     """Take tiny sizes that show that everything runs; the figures mean nothing."""
     out: Annotated[Path | None, unless_given(f"{_OUT}; {_QUICK_OUT} with --quick", "FILE")] = None
@@ -105,41 +80,19 @@ def main(arguments: list[str] | None = None) -> None:
         rows = [row for row in results.added if row["section"] == section]
         if len(rows) > 1:  # one has been printed
             print(f"\n{table(rows)}")
-    for task in dict.fromkeys(row["task"] for row in results.added if row["section"] == "learners"):
-        print(f"-> {_draw(results, task)}")
-
-
-def _draw(results: Results, task: str) -> Path:
-    """Draws a task's learners on the device of the file's last row, and returns the picture's path."""
-    rows = [row for row in results.rows if (row["section"], row["task"]) == ("learners", task)]
-    device = rows[-1]["made_by"]["device"]
-    path = results.path.with_name(f"learners-{task}-{device['platform']}.png")
-    draw_learners([row for row in rows if row["made_by"]["device"] == device], path)
-    return path
 
 
 def _check(options: Options) -> None:
     """Raises a ValueError if a list of options is empty or has an invalid value."""
-    for name in ("section", "task", "impl", "seeds", "num_envs", "substeps", "learner"):
+    for name in ("section", "task", "impl", "seeds", "num_envs", "substeps"):
         if getattr(options, name) == ():
             raise ValueError(f"--{name.replace('_', '-')} names nothing")
     if options.run and not _OF_WHOLE_RUNS & set(options.section):
         raise ValueError(f"--run is for --section {' and '.join(sorted(_OF_WHOLE_RUNS))}")
     for task in options.task:
         check_name("task", task, [name for name in TASKS if issubclass(find_class(name), FetchEnv)])
-        if "learners" in options.section and CRL in options.learner:
-            check_name(f"task of the learner {CRL}", task, contrastive.TASKS)
-        if "updates" in options.section and (usual := default_learner(find_class(task))) != TD3.name:
-            raise ValueError(f"updates is of the learner {TD3.name}; {task} has {usual}")
-    if "engine-options" in options.section and importlib.util.find_spec("warp") is None:
-        raise ValueError("engine-options needs warp-lang, which is not installed; choose another --section")
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
-    for learner in options.learner:
-        check_name("learner", learner, LEARNERS)
-    if options.learner != LEARNERS and "learners" not in options.section:
-        raise ValueError("--learner is for --section learners")
-    check_positive("time_limit", options.time_limit)
     for name in ("seeds", "num_envs", "substeps"):
         for count in getattr(options, name) or ():
             check_count(name, count)
@@ -154,13 +107,9 @@ def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
         for task in options.task if section in options.section else ():
             row, made_by = call(task, options.run, options.quick)
             yield {"section": section, **row}, made_by
-    for task in options.task if "learners" in options.section else ():
-        own = [name for name in options.learner if name in OWN]
-        for row, made_by in own_rows(task, own, options.quick, options.time_limit):
-            yield {"section": "learners", **row}, made_by
     for task in options.task:
         for row in _rows(options, task):
-            yield row, provenance(*(PACKAGES if row["section"] in {"peers", "learners"} else ()))
+            yield row, provenance()
 
 
 def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
@@ -169,13 +118,6 @@ def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
     if columns:
         for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
             yield {"section": "speed", **speed.speed_row(workload, columns)}
-    if "engine-options" in options.section:
-        for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
-            for row in measure_options(workload):
-                yield {"section": "engine-options", **row}
-    for seeds, count in _sizes(options, task) if "updates" in options.section else ():
-        for workload in _workloads(options, task, (count,)):
-            yield {"section": "updates", **speed.update_row(workload, seeds)}
     per_seed = options.num_envs or (default_preset(task).config.num_envs,)
     for workload in _workloads(options, task, per_seed[:1]):
         if "seeds" in options.section:
@@ -184,24 +126,6 @@ def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
         if "devices" in options.section:
             for row in measure_devices(workload):
                 yield {"section": "devices", **row}
-    if "peers" in options.section:
-        for row in peer_rows(task, options.quick, options.time_limit):
-            yield {"section": "peers", **row}
-    others = {CRL: contrastive_rows, SAC_HER: sac_her_rows}
-    for learner in options.learner if "learners" in options.section else ():
-        try:
-            for row in others[learner](task, options.quick, options.time_limit) if learner in others else ():
-                yield {"section": "learners", **row}
-        except ImportError as error:
-            print(f"left out: {learner} ({error})")
-
-
-def _sizes(options: Options, task: str) -> list[tuple[int, int]]:
-    """Returns the seeds and the environments of each that updates measures: more seeds, then more environments."""
-    usual = default_preset(task).config.num_envs
-    seeds = [(count, usual) for count in (_QUICK_SEEDS if options.quick else options.seeds)]
-    grown = (usual,) if options.quick else options.num_envs or _NUM_ENVS_OF_UPDATES[platform_name()]
-    return list(dict.fromkeys([*seeds, *((1, count) for count in grown)]))
 
 
 def _workloads(options: Options, task: str, num_envs: Sequence[int]) -> Iterator[Workload]:

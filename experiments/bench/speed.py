@@ -1,16 +1,23 @@
-"""Rows of a workload: its speed of stepping, roll-outs and training, and their ratios."""
+"""Rows of a workload: its speed of stepping, roll-outs and training, and the fractions of a round's time."""
 
-import dataclasses
 import functools
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
-from experiments.bench.floors import measure_floors
-from experiments.bench.stepping import Stepping
-from experiments.bench.timing import seconds_side_by_side
-from experiments.bench.training import Learning, PPOPhases, RollingOut, Training, round_fractions
-from experiments.bench.updates import UpdateParts, update_fractions
+import jax
+
+from experiments.bench.timing import compile_timed, seconds_side_by_side
+from experiments.bench.training import (
+    Learning,
+    PPOPhases,
+    RollingOut,
+    TD3Phases,
+    Training,
+    ppo_fractions,
+    td3_fractions,
+)
 from experiments.bench.workload import Workload
+from hgail_envs import GoalEnv, State
 from hgail_jax.learners import TD3
 
 COLUMNS = ("physics", "rollout", "train", "shares")
@@ -23,6 +30,34 @@ class _Part(Protocol):
     calls: dict[str, Callable[[], Any]]
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]: ...
+
+
+class Stepping:
+    """An episode of random actions in one compiled program, to be timed.
+
+    Args:
+      workload: to step.
+
+    """
+
+    def __init__(self, workload: Workload) -> None:
+        self._env_steps = workload.env_steps
+        start, actions = workload.reset(), workload.actions()
+        step, self._compile_seconds = compile_timed(functools.partial(_step, workload.env), start, actions)
+        self.calls: dict[str, Callable[[], Any]] = {"raw": functools.partial(step, start, actions)}
+        """The call by its name."""
+
+    def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
+        """Returns the row's columns from the seconds of each call."""
+        return {
+            "raw_env_steps_per_second": self._env_steps / seconds["raw"],
+            "raw_compile_seconds": self._compile_seconds,
+        }
+
+
+def _step(env: GoalEnv, states: State, actions: jax.Array) -> State:
+    """Steps `N` environments by actions `[T, N, action_size]`; returns the last states, `[N, ...]`."""
+    return jax.lax.scan(lambda states, action: (jax.vmap(env.step)(states, action), None), states, actions)[0]
 
 
 def speed_row(workload: Workload, columns: Collection[str]) -> dict[str, Any]:
@@ -39,49 +74,17 @@ def speed_row(workload: Workload, columns: Collection[str]) -> dict[str, Any]:
     parts: list[_Part] = []
     if "physics" in wanted:
         parts.append(Stepping(workload))
-        row |= measure_floors(workload)
     if "rollout" in wanted:
         parts.append(RollingOut(workload))
     if "train" in wanted:
         training = Training(workload)
         parts.append(Learning(training))
         if "shares" in wanted:
-            parts.append(UpdateParts(training) if off_policy else PPOPhases(training))
-    row |= _measured(parts)
+            parts.append(TD3Phases(training) if off_policy else PPOPhases(training))
+    seconds = seconds_side_by_side({name: call for part in parts for name, call in part.calls.items()})
+    row |= {name: value for part in parts for name, value in part.row(seconds).items()}
     if {"physics", "train"} <= wanted:
         row["train_to_raw"] = row["train_env_steps_per_second"] / row["raw_env_steps_per_second"]
-    if "shares" not in wanted:
-        return row
-    stepping = workload.env_steps / row["raw_env_steps_per_second"]
-    return row | (update_fractions(row, stepping) if off_policy else round_fractions(workload, row))
-
-
-def update_row(workload: Workload, seeds: int) -> dict[str, Any]:
-    """Measures an update phase of the learner TD3 by parts, of seeds with `workload.num_envs` environments each.
-
-    Stepping and the engine's bare loops are of all their environments in one batch.
-    """
-    together = seeds * workload.num_envs
-    row: dict[str, Any] = {
-        "task": workload.task,
-        "impl": workload.env.impl,
-        "substeps": workload.substeps,
-        "seeds": seeds,
-        "num_envs_per_seed": workload.num_envs,
-        **_stepping_row(dataclasses.replace(workload, num_envs=together)),
-    }
-    training = Training(dataclasses.replace(workload, worlds=together), seeds)
-    row |= {"train_compile_seconds": training.compile_seconds} | _measured([UpdateParts(training)])
-    return row | update_fractions(row, seeds * workload.env_steps / row["raw_env_steps_per_second"])
-
-
-@functools.cache
-def _stepping_row(workload: Workload) -> dict[str, float]:
-    """Measures stepping alone; several numbers of seeds and environments have the same worlds."""
-    return _measured([Stepping(workload)])
-
-
-def _measured(parts: Collection[_Part]) -> dict[str, float]:
-    """Returns the columns of all parts, whose calls are timed in turn."""
-    seconds = seconds_side_by_side({name: call for part in parts for name, call in part.calls.items()})
-    return {name: value for part in parts for name, value in part.row(seconds).items()}
+    if "shares" in wanted:
+        row |= (td3_fractions if off_policy else ppo_fractions)(workload, row)
+    return row

@@ -1,23 +1,17 @@
 """Times calls on a device."""
 
-import functools
 import statistics
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from hgail_jax.devices.compilation import compile_program
 
 _ENOUGH_SECONDS = 4.0
 _FEWEST_CALLS = 5
 _MOST_CALLS = 50
-_COPIED = 2**28  # numbers
-_QUICK_COPIED = 2**22
-_MULTIPLIED = 2**12  # rows and columns
-_QUICK_MULTIPLIED = 2**8
 
 
 def compile_timed(function: Callable, *arguments: Any) -> tuple[Callable, float]:
@@ -53,20 +47,3 @@ def _seconds(call: Callable[[], Any]) -> float:
     started = time.perf_counter()
     jax.block_until_ready(call())
     return time.perf_counter() - started
-
-
-@functools.cache
-def memory_bandwidth(quick: bool = False) -> float:
-    """Returns the bytes per second, read and written, of a large copy within a device's memory."""
-    numbers = jnp.ones(_QUICK_COPIED if quick else _COPIED)
-    copy = jax.jit(lambda array: array + 1.0)
-    return 2 * numbers.nbytes / seconds_per_call(lambda: copy(numbers))
-
-
-@functools.cache
-def arithmetic_rate(quick: bool = False) -> float:
-    """Returns the operations per second, in single precision, of a product of large matrices."""
-    size = _QUICK_MULTIPLIED if quick else _MULTIPLIED
-    matrix = jax.random.normal(jax.random.key(0), (size, size))
-    multiply = jax.jit(lambda array: jnp.matmul(array, array, precision="highest"))
-    return 2 * size**3 / seconds_per_call(lambda: multiply(matrix))

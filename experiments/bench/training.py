@@ -3,7 +3,7 @@
 import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -120,21 +120,19 @@ class Learning:
         }
 
 
-class PPOPhases:
-    """Each kind of PPO's phases alone, to be timed.
+class _Phases:
+    """Phases of a round, each alone, to be timed.
 
     Args:
       training: of one seed.
 
     """
 
+    _PHASES: ClassVar[dict[str, Phase]]
+    """Phases by their names in the row."""
+
     def __init__(self, training: Training) -> None:
-        self.calls = {
-            "ppo_phase": training.call(Phase.POLICY),
-            "discriminator_phase": training.call(Phase.DISCRIMINATOR),
-            "pretrain_phase": training.call(Phase.PRETRAIN),
-            "evaluation_phase": training.call(Phase.EVALUATE),
-        }
+        self.calls = {name: training.call(phase) for name, phase in self._PHASES.items()}
         """Calls by name."""
 
     def row(self, seconds: Mapping[str, float]) -> dict[str, float]:
@@ -142,7 +140,24 @@ class PPOPhases:
         return {f"{name}_seconds": seconds[name] for name in self.calls}
 
 
-def round_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
+class PPOPhases(_Phases):
+    """PPO's phases, see `_Phases`."""
+
+    _PHASES: ClassVar[dict[str, Phase]] = {
+        "ppo_phase": Phase.POLICY,
+        "discriminator_phase": Phase.DISCRIMINATOR,
+        "pretrain_phase": Phase.PRETRAIN,
+        "evaluation_phase": Phase.EVALUATE,
+    }
+
+
+class TD3Phases(_Phases):
+    """TD3's phases, of which pre-training only fills the buffer, see `_Phases`."""
+
+    _PHASES: ClassVar[dict[str, Phase]] = {"update_phase": Phase.POLICY, "rollout_phase": Phase.PRETRAIN}
+
+
+def ppo_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
     """Returns the fractions of the time of a round of PPO, which add up to 1, from a row's measurements.
 
     A phase is a roll-out, the relabelling of its samples if it needs them, and an update, which is the rest.
@@ -160,5 +175,19 @@ def round_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]
         "ppo": policy * (row["ppo_phase_seconds"] - rolling_out - policy_relabelling),
         "discriminator": discriminator * (row["discriminator_phase_seconds"] - rolling_out - relabelling),
     }
-    total = policy * row["ppo_phase_seconds"] + discriminator * row["discriminator_phase_seconds"]
-    return {f"share_{name}": taken / total for name, taken in seconds.items()}
+    return _fractions(seconds)
+
+
+def td3_fractions(workload: Workload, row: dict[str, Any]) -> dict[str, float]:
+    """Returns the fractions of the time of TD3's update phase, which add up to 1, from a row's measurements."""
+    stepping = workload.env_steps / row["raw_env_steps_per_second"]
+    seconds = {
+        "physics": stepping,
+        "policy_and_bookkeeping": row["rollout_phase_seconds"] - stepping,
+        "updates": row["update_phase_seconds"] - row["rollout_phase_seconds"],
+    }
+    return _fractions(seconds)
+
+
+def _fractions(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {f"share_{name}": taken / sum(seconds.values()) for name, taken in seconds.items()}

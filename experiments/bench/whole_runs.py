@@ -22,15 +22,6 @@ _SUCCESS_ELSE = 0.95
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _TRAIN = (sys.executable, "-m", "hgail_jax.cli.train")
 _QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
-_PLAN = """
-import json, sys
-from hgail_jax.cli.command_line import parse
-from hgail_jax.settings.defaults import platform_name
-from hgail_jax.trainer.options import TrainOptions, plan
-
-runs = [plan(parse(TrainOptions, "hgail train", "", words), platform_name()) for words in json.loads(sys.argv[1])]
-print(json.dumps([run.identity() for run in runs]))
-"""
 
 
 def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -54,7 +45,7 @@ def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple
             summary, _ = train(folder / run, arguments, folder / programs, folder / "kernels")
             measured[f"{run}_compile_seconds"] = summary["wall_seconds"]["compile"]
             measured[f"{run}_total_seconds"] = summary["wall_seconds"]["total"]
-    return measured | _given(options), made_by(summary)
+    return measured | _given(options), _made_by(summary)
 
 
 def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -80,7 +71,7 @@ def measure_time_to_success(task: str, options: Sequence[str], quick: bool) -> t
         "final_success_mean": summary["success_rate"]["mean"],
         "final_success_worst_seed": min(summary["success_rate"]["per_seed"]),
     }
-    return measured | _given(options), made_by(summary)
+    return measured | _given(options), _made_by(summary)
 
 
 def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | None, int | None]:
@@ -103,18 +94,6 @@ def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | No
 def train(
     folder: Path, arguments: Sequence[str], programs: Path, kernels: Path | None = None
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """Trains as `run_training` does, and returns the run's summary and the rows of metrics.csv."""
-    run_training(folder, arguments, programs, kernels)
-    return json.loads((folder / "summary.json").read_text()), metrics_rows(folder)
-
-
-def run_training(
-    folder: Path,
-    arguments: Sequence[str],
-    programs: Path,
-    kernels: Path | None = None,
-    time_limit: float | None = None,
-) -> None:
     """Trains in a process of its own, its output shown.
 
     Args:
@@ -122,41 +101,21 @@ def run_training(
       arguments: of `hgail train`.
       programs: the run's cache of programs.
       kernels: its cache of MuJoCo Warp's kernels; None is the user's.
-      time_limit: seconds after which the run is told to stop, which it does after the round that it is in; it is then
-        left without a summary. None lets it end.
+
+    Returns:
+      The run's summary, and the rows of metrics.csv, one for each round and seed.
 
     Raises:
-      subprocess.CalledProcessError: the run failed before it was told to stop.
+      subprocess.CalledProcessError: the run failed.
 
     """
     environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
     environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH") or user_cache() / "warp")
     environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
     command = [*_TRAIN, *arguments, "--out", str(folder)]
-    with subprocess.Popen(command, env=environment, preexec_fn=_end_with_parent) as process:
-        try:
-            code = process.wait(time_limit)
-        except subprocess.TimeoutExpired:
-            process.terminate()  # its exit code says no more than whether it was between two rounds
-            return
-    if code:
-        raise subprocess.CalledProcessError(code, command)
-
-
-def metrics_rows(folder: Path) -> list[dict[str, str]]:
-    """Returns the rows of a run's metrics.csv, a row for each round and seed."""
+    subprocess.run(command, env=environment, preexec_fn=_end_with_parent, check=True)
     with (folder / "metrics.csv").open() as file:
-        return list(csv.DictReader(file))
-
-
-def planned(arguments: Sequence[Sequence[str]]) -> list[dict[str, Any]]:
-    """Returns the settings that `hgail train` would take from each list of arguments, see `Run.identity`.
-
-    They depend on the platform, which a process of its own finds out: here JAX would keep a part of the GPU's memory.
-    """
-    command = [sys.executable, "-c", _PLAN, json.dumps([list(words) for words in arguments])]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, preexec_fn=_end_with_parent)
-    return json.loads(done.stdout.splitlines()[-1])  # Warp prints lines of its own before it
+        return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
 
 
 def _end_with_parent() -> None:
@@ -169,6 +128,6 @@ def _given(options: Sequence[str]) -> dict[str, str]:
     return {"options": " ".join(options)} if options else {}
 
 
-def made_by(content: dict[str, Any]) -> dict[str, Any]:
-    """Returns the provenance in a run's summary or config, with this process's command."""
-    return {"command": own_command()} | {name: content[name] for name in ("commit", "device", "cpu_cores", "versions")}
+def _made_by(summary: dict[str, Any]) -> dict[str, Any]:
+    """Returns the provenance in a run's summary, with this process's command."""
+    return {"command": own_command()} | {name: summary[name] for name in ("commit", "device", "cpu_cores", "versions")}

@@ -2,21 +2,17 @@
 
 import contextlib
 import dataclasses
-import os
-import threading
 from pathlib import Path
 from typing import Annotated, Literal
 
 import hgail_envs
-from experiments.paper.spread import carry_out
 from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.study import Study, choose_seeds
 from experiments.paper.tables import write_means_over_tasks
-from experiments.paper.trials import Scale
-from experiments.paper.work import Unfinished, Work, redraw, time_one_program
-from hgail_envs.validation import check_count, check_name
+from experiments.paper.trials import Scale, work_out
+from experiments.paper.work import Unfinished, Work, carry_out, redraw, time_one_program
+from hgail_envs.validation import check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
-from hgail_jax.devices.gpus import visible_gpus
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal.signals import stop_on_signal
 from hgail_jax.trainer.folder import sole_user
@@ -52,8 +48,6 @@ class Options:
     """Tasks by name; by default reach, or point with --quick."""
     seeds: Annotated[int | None, unless_given("8; 4 where settings are chosen; 2 with --quick", "INT")] = None
     """Number of seeds."""
-    processes: Annotated[int | None, unless_given("as many as GPUs", "INT")] = None
-    """Programs to train at a time, each on a GPU of its own where there are any."""
     quick: bool = False
     """Take tiny sizes that show in a minute or two that everything runs."""
     out: Annotated[Path | None, unless_given("runs/paper; runs/quick with --quick", "FOLDER")] = None
@@ -70,18 +64,17 @@ def plan(options: Options, platform: str) -> list[Work]:
     tasks = dict.fromkeys(options.task or (["point"] if options.quick else ["reach"]))
     seeds = _QUICK_SEEDS if options.quick and options.seeds is None else options.seeds
     choose_seeds(tuning=False, count=seeds)
-    if options.processes is not None:
-        check_count("processes", options.processes)
     for name in options.study:
         check_name("study", name, [study.name for study in STUDIES])
     folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
     works = []
     for task in tasks:
         hgail_envs.find_class(task)
-        studies = _wanted(options, task)
+        studies, scale = _wanted(options, task), Scale(task, platform, options.quick)
         for study in studies:
             _check_options(study, task)
-        works.append(Work(Scale(task, platform, options.quick), seeds, folder, studies, options.sweep))
+            _check_rewards(study, scale)
+        works.append(Work(scale, seeds, folder, studies, options.sweep))
     if not (any(work.studies for work in works) or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
     return works
@@ -91,6 +84,16 @@ def _check_options(study: Study, task: str) -> None:
     asked = {option for setting in study.settings for option in setting.task_options}
     if lacking := asked - set(hgail_envs.accepted_options(task)):
         raise ValueError(f"study {study.name!r} is for tasks with the option {min(lacking)!r}; {task!r} has none")
+
+
+def _check_rewards(study: Study, scale: Scale) -> None:
+    """Raises a ValueError if two rows of a study would be HER: HGAIL whose reward is the goal test alone is, too."""
+    if not any(setting.method == "her" for setting in study.settings):
+        return
+    for setting in study.settings:
+        named_hgail = (setting.method, setting.learner) == ("hgail", "td3")
+        if named_hgail and work_out(scale, setting, range(1)).hyperparameters.environment_reward == 1.0:
+            raise ValueError(f"study {study.name!r} has HER twice on {scale.task!r}: its {setting.name!r} is HER there")
 
 
 def _wanted(options: Options, task: str) -> tuple[Study, ...]:
@@ -110,12 +113,9 @@ def _wanted(options: Options, task: str) -> tuple[Study, ...]:
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, _PROGRAM, __doc__, arguments)
-    gpus = _places(options)
     with contextlib.ExitStack() as held:
         try:
             works = plan(options, platform_name())
-            if works[0].scale.platform == "cpu" and options.processes is None:
-                gpus = gpus[:1]
             folder = works[0].folder
             if options.plots_only:
                 return redraw(folder)
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> None:
             fail(_PROGRAM, error, 2)
         try:
             with stop_on_signal() as stop:
-                _carry_out(unfinished, gpus, stop)
+                carry_out(unfinished, stop)
             if stop.is_set():
                 print("stopped; the same command goes on")
                 return
@@ -136,26 +136,6 @@ def main(arguments: list[str] | None = None) -> None:
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:
             fail(_PROGRAM, f"stopped: {error}; the same command goes on", 1)
-
-
-def _places(options: Options) -> list[str]:
-    """Returns the GPU of each process that trains; empty names on a machine without GPUs."""
-    gpus = visible_gpus() or [""]
-    count = len(gpus) if options.processes is None else max(options.processes, 1)
-    if count > 1:  # JAX in this process must leave their memory to those that train
-        os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
-    return [gpus[index % len(gpus)] for index in range(count)]
-
-
-def _carry_out(unfinished: list[Unfinished], gpus: list[str], stop: threading.Event) -> None:
-    """Trains the missing trials, and writes each study once all of its trials are there."""
-
-    def write() -> None:
-        for of_task in unfinished:
-            of_task.write_complete()
-
-    write()
-    carry_out([job for of_task in unfinished for job in of_task.jobs()], gpus, stop, write)
 
 
 if __name__ == "__main__":

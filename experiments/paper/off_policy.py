@@ -1,15 +1,20 @@
 """Studies of the learner TD3: what each part of it adds, and what other methods learn by it."""
 
+import dataclasses
 from typing import Any
 
 from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
-    return Setting(name, learner="td3", config=config or {}, hyperparameters=hyperparameters)
+    """Returns the task's default method with changes, or HGAIL with another weight of the goal test."""
+    method = "hgail" if "environment_reward" in hyperparameters else None
+    return Setting(name, method=method, learner="td3", config=config or {}, hyperparameters=hyperparameters)
 
 
-# These differ in numbers alone, and are one program.
+_HER = Setting("HER", method="her", learner="td3")
+
+# But for HER, which has no discriminator, these differ in numbers alone and are one program.
 _NUMBERS = Study(
     "off-policy",
     "TD3, parts left out or changed",
@@ -17,7 +22,7 @@ _NUMBERS = Study(
         _change("as it is"),
         _change("no reward: the discriminator alone", environment_reward=0.0),
         *(_change(f"goal test × {weight:g}", environment_reward=weight) for weight in (0.25, 0.5)),
-        _change("the goal test alone (HER)", environment_reward=1.0),
+        _HER,
         *(_change(f"p_ht {p_ht:g}", p_ht=p_ht) for p_ht in (0.5, 1.0)),
         _change("BC weight 0.1", bc_weight=0.1),
         _change("solved samples × 0.3", solved_weight=0.3),
@@ -40,18 +45,18 @@ _REWARDS = Study(
     "off-policy-rewards",
     "TD3 by its reward and its goals, beside HGAIL with PPO",
     (
+        _HER,
         _change("no reward: the discriminator alone", environment_reward=0.0),
         _change("goal test × 0.5", environment_reward=0.5),
-        _change("the goal test alone (HER)", environment_reward=1.0),
-        _change("the task's own goals to learn from", {"training_goals": False}),
+        dataclasses.replace(_HER, name="HER, the task's own goals to learn from", config={"training_goals": False}),
         Setting("HGAIL with PPO, no reward", learner="ppo"),
     ),
     curves=True,
 )
 
 
-def _method(name: str, method: str, demonstrations: int = 0, reward: float = 0.0) -> Setting:
-    changes = {"environment_reward": reward}
+def _method(name: str, method: str, demonstrations: int = 0) -> Setting:
+    changes = {"environment_reward": 0.0}
     return Setting(name, method=method, learner="td3", hyperparameters=changes, demonstrations=demonstrations)
 
 
@@ -63,7 +68,7 @@ _METHODS = Study(
         _method("HGAIL-no", "hgail-no"),
         *(_method(f"GAIL-demo ({count})", "gail-demo", count) for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)),
         _method("GASIL", "gasil"),
-        _method("HER", "her", reward=1.0),
+        _HER,
     ),
     curves=True,
 )

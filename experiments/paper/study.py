@@ -22,7 +22,8 @@ class Setting:
     name: str
     panel: str = ""
     """Row of the figure that has the line."""
-    method: str = "hgail"
+    method: str | None = None
+    """Name of the method; None is the task's default."""
     learner: str = "ppo"
     config: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Changes to the method's config."""

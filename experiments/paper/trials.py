@@ -83,6 +83,7 @@ class Trial:
 
     task: str
     setting: Setting
+    method: str
     config: Config
     hyperparameters: Hyperparameters
     seeds: range
@@ -97,7 +98,7 @@ class Trial:
         physics = {"impl": resolve_impl("auto")} if "impl" in hgail_envs.accepted_options(self.task) else {}
         identity = {
             "task": self.task,
-            "method": self.setting.method,
+            "method": self.method,
             "seeds": list(self.seeds),
             "evaluation_episodes": self.evaluation_episodes,
             "physics": physics | self.task_options,
@@ -139,7 +140,9 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
 
     """
     env = scale.task_class
-    base = METHODS[setting.method].apply(scale.preset(setting.preset, setting.learner))
+    usual = scale.preset(setting.preset, setting.learner)
+    method = setting.method or usual.method
+    base = METHODS[method].apply(usual)
     config = base.config.replace(**setting.config)
     if "rounds" not in setting.config:
         wanted = setting.steps_on(scale.task) * _steps(env, scale.preset(learner=setting.learner).config)
@@ -149,8 +152,9 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
     return Trial(
         task=scale.task,
         setting=setting,
+        method=method,
         config=config,
-        hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(),
+        hyperparameters=base.hyperparameters.replace(**setting.hyperparameters).validate(config=config),
         seeds=seeds,
         task_options=dict(base.task_options) | setting.task_options,
         evaluation_episodes=scale.evaluation_episodes,

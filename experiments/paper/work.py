@@ -18,7 +18,7 @@ from experiments.paper.tables import json_path, read_study, set_aside, write_mar
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import write_json
-from hgail_jax.io.provenance import own_command, provenance
+from hgail_jax.io.provenance import provenance
 from hgail_jax.play.recording import load_or_record, make_for_demonstrations
 from hgail_jax.trainer.checkpoint import AnotherRunError, refuse_another_run
 
@@ -34,8 +34,6 @@ class Work:
     studies: tuple[Study, ...]
     sweep: bool = False
     """True to time many settings as one program."""
-    command: str = dataclasses.field(default_factory=own_command)
-    """The command line, kept here because another process may carry it out."""
 
     @property
     def task(self) -> str:
@@ -58,7 +56,7 @@ class Work:
     def made_by(self) -> dict[str, Any]:
         """Returns the provenance of a result made now."""
         date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        return provenance() | {"command": self.command, "date": date}
+        return provenance() | {"date": date}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +116,31 @@ class Unfinished:
             if all(path.exists() for path in parts):
                 _write(self.work, study, trials, [read_study(path) for path in parts])
                 self._studies.remove((study, trials))
+
+
+def carry_out(unfinished: Sequence[Unfinished], stop: threading.Event) -> None:
+    """Trains the missing trials, a program after the other, and writes each study once all of its trials are there.
+
+    It ends early, with a checkpoint, once `stop` is set.
+
+    Raises:
+      OSError: a file cannot be written.
+      OverflowError, FloatingPointError: see `train_program`.
+
+    """
+
+    def write() -> None:
+        for of_task in unfinished:
+            of_task.write_complete()
+
+    write()
+    jobs = [job for of_task in unfinished for job in of_task.jobs()]
+    for index, job in enumerate(jobs):
+        if stop.is_set():
+            return
+        print(f"program {index + 1} of {len(jobs)}: {job.names}", flush=True)
+        job.carry_out(stop)
+        write()
 
 
 def _resolved(work: Work) -> list[tuple[Study, list[Trial]]]:

@@ -1,6 +1,5 @@
 """Runs policies that were trained on this package's Fetch, unchanged, in another simulator and on another robot."""
 
-import contextlib
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -201,11 +200,9 @@ def _run(options: Options) -> None:
     given = dict(parse_option("robot", option) for option in options.robot_options)
     robot = make_robot(options.to or "gymnasium", task, **{**robot_options(policies[0]), **given})
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
-    with contextlib.ExitStack() as stack:
-        if source != EXACT:
-            estimate = GOAL_SOURCES[source](robot, stack)
-            conditions = dataclasses.replace(conditions, estimate=estimate)
-        progress = stack.enter_context(progress_bar(total=episodes, unit="episode"))
+    if source != EXACT:
+        conditions = dataclasses.replace(conditions, estimate=GOAL_SOURCES[source](robot))
+    with progress_bar(total=episodes, unit="episode") as progress:
         outcomes = measure(robot, policies, range(episodes), options.seed, conditions, progress.update)
     row = measured(outcomes, len(policies), episodes)
     print(

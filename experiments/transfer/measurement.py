@@ -12,10 +12,9 @@ import jax
 import numpy as np
 from scipy import stats
 
-from experiments.localisation.localiser import TargetNotSeenError
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.episode import run_episodes
-from experiments.transfer.goal_sources import GOAL_SOURCES
+from experiments.transfer.goal_sources import GOAL_SOURCES, TargetNotSeenError
 from experiments.transfer.policies import load
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
@@ -107,11 +106,9 @@ class Point:
         """Runs some of its episodes; see `measure`."""
         robot = make_robot(self.to, self.task, **self.options)
         policies, conditions = [load(path, self.task) for path in self.policies], self.conditions
-        with contextlib.ExitStack() as stack:
-            if self.goal_source:
-                estimate = GOAL_SOURCES[self.goal_source](robot, stack)
-                conditions = dataclasses.replace(conditions, estimate=estimate)
-            return measure(robot, policies, indices, seed, conditions)
+        if self.goal_source:
+            conditions = dataclasses.replace(conditions, estimate=GOAL_SOURCES[self.goal_source](robot))
+        return measure(robot, policies, indices, seed, conditions)
 
     def row(self, measured: Measured) -> dict[str, Any]:
         """Returns the row, given the columns that were measured."""

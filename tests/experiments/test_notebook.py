@@ -1,11 +1,13 @@
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import matplotlib.pyplot as plt
 import nbformat
 import pytest
 from nbclient import NotebookClient
 
-from tests.support import SOURCES
+from tests.support import SOURCES, make_runs_tiny
 
 NOTEBOOK = Path(__file__).parent.parent.parent / "experiments" / "explore_train_step.ipynb"
 
@@ -17,6 +19,22 @@ make_runs_tiny()
 """
 
 
+def test_its_cells_train_and_draw(monkeypatch, capsys):
+    make_runs_tiny(monkeypatch)
+    updates, names = [], {}
+    monkeypatch.setattr("IPython.display.display", lambda *_, **__: SimpleNamespace(update=updates.append))
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    for cell in nbformat.read(NOTEBOOK, as_version=4).cells:
+        if cell.cell_type == "code":
+            exec(cell.source, names)
+    assert len(names["history"]) == len(updates) == 7
+    assert capsys.readouterr().out.count("reached at step") == 3
+    assert len(names["curves"].axes[0].lines[0].get_xdata()) == 7
+    assert len(names["axes"][0].lines) == 2 * 6
+    plt.close("all")
+
+
+@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(TINY))

@@ -48,7 +48,7 @@ def test_the_package_is_imported_without_gymnasium():
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space (m|min|max).*")
 @pytest.mark.filterwarnings("error:.*:UserWarning")
-@pytest.mark.parametrize("name", [POINT, REACH, GYMNASIUM_IDS["push"]])
+@pytest.mark.parametrize("name", [POINT, REACH, pytest.param(GYMNASIUM_IDS["push"], marks=pytest.mark.slow)])
 def test_gymnasium_s_checker_is_content(name, renders):
     options = {} if name == POINT else {"impl": "c", "substeps": 4, "render_mode": "rgb_array"}
     env = gymnasium.make(name, **options)

@@ -55,7 +55,14 @@ def train(config, states):
     return np.array(success), states
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if "ppo" in method.learners])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(name, marks=() if name in ("gasil", "ppo", "gcsl") else pytest.mark.slow)
+        for name, method in METHODS.items()
+        if "ppo" in method.learners
+    ],
+)
 def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method):
     changes = {
         "p_ht": {"p_ht": 0.4},

@@ -108,7 +108,7 @@ telling_step = jax.jit(functools.partial(train_step, Telling(), ONE))
 
 
 def start_telling(config):
-    return init_state(Telling(), config, Hyperparameters(), jax.random.key(0))
+    return jax.jit(functools.partial(init_state, Telling(), config))(Hyperparameters(), jax.random.key(0))
 
 
 @functools.cache
@@ -161,6 +161,7 @@ def test_evaluations_are_of_the_mean_action_and_training_has_noise():
     """Either is the roll-out that its key and its noise give alone."""
     state = start(0, action_std=1.0)
     keys = split_key(state.rng)
+    wide = functools.partial(start, 0, action_std=1.0)  # anew for each round, which uses its key
 
     @jax.jit
     def alone(rng, noise):
@@ -168,8 +169,8 @@ def test_evaluations_are_of_the_mean_action_and_training_has_noise():
         episodes = rollout(ENV, make_policy(ENV, TINY, state, noise), rollout_rng, TINY.num_envs, noise > 0)
         return mean_outcome(episodes).distance_l2
 
-    evaluation = unchecked_step(state, row(EVALUATE))[1].evaluation
-    training = unchecked_step(state, row(POLICY))[1].training
+    evaluation = tiny_step(wide(), row(EVALUATE))[1].evaluation
+    training = tiny_step(wide(), row(POLICY))[1].training
     for measured, key, noise in ((evaluation, keys.evaluation, 0.0), (training, keys.phase, 1.0)):
         np.testing.assert_allclose(measured.distance_l2, alone(key, noise), rtol=1e-5)
     assert abs(alone(keys.evaluation, 1.0) - alone(keys.evaluation, 0.0)) > 0.01
@@ -271,7 +272,7 @@ EIGHT = TINY.replace(num_envs=8, bc_batch=16, best_episodes=12)
 
 
 def start_wide(config):
-    return init_state(ENV, config, Hyperparameters(action_std=1.0), jax.random.key(0))
+    return jax.jit(functools.partial(init_state, ENV, config))(Hyperparameters(action_std=1.0), jax.random.key(0))
 
 
 @functools.cache
@@ -316,8 +317,8 @@ def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source)
         {"task": "point", "learner": "ppo"},
         {"task": "point", "learner": "ppo", "method": "gasil"},
         {"task": "point", "learner": "td3", "environment_reward": 0.5},
-        {"task": "slide", "impl": "c"},
-        {"task": "grasp", "impl": "c", "randomize": "full-history"},
+        pytest.param({"task": "slide", "impl": "c"}, marks=pytest.mark.slow),
+        pytest.param({"task": "grasp", "impl": "c", "randomize": "full-history"}, marks=pytest.mark.slow),
     ],
     ids=lambda options: " ".join(map(str, options.values())),
 )

@@ -1,9 +1,9 @@
-"""Calls are timed in turn."""
+"""Calls are timed in turn, and a round's time is split."""
 
 import pytest
 
 from experiments.bench import timing
-from experiments.bench.training import round_fractions
+from experiments.bench.training import ppo_fractions, td3_fractions
 from experiments.bench.workload import Workload
 
 
@@ -48,7 +48,7 @@ def test_fractions_add_up_to_one_and_find_what_was_put_in():
     workload = Workload("grasp", "c", 4, 8, quick=True)
     raw, policy, relabel, ppo, discriminator = 1.0, 0.25, 0.125, 0.5, 2.0
     rollout = raw + policy
-    found = round_fractions(
+    found = ppo_fractions(
         workload,
         {
             "raw_env_steps_per_second": workload.env_steps / raw,
@@ -66,3 +66,14 @@ def test_fractions_add_up_to_one_and_find_what_was_put_in():
         "discriminator": discriminator,
     }
     assert found == pytest.approx({f"share_{name}": part / sum(parts.values()) for name, part in parts.items()})
+
+
+def test_fractions_of_an_update_phase_add_up_to_one_and_find_what_was_put_in():
+    workload = Workload("push", "c", 4, 8, quick=True)
+    row = {
+        "raw_env_steps_per_second": workload.env_steps / 2.0,
+        "rollout_phase_seconds": 3.0,
+        "update_phase_seconds": 8.0,
+    }
+    found = td3_fractions(workload, row)
+    assert found == {"share_physics": 0.25, "share_policy_and_bookkeeping": 0.125, "share_updates": 0.625}

@@ -11,7 +11,6 @@ from experiments.paper import __main__ as paper
 from experiments.paper import tables, work
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.programs import group_by_program, make_program, train_program
-from experiments.paper.spread import carry_out
 from experiments.paper.studies import STUDIES, SWEEP, studies_of
 from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
 from experiments.paper.tables import make_rows, write_markdown
@@ -21,6 +20,7 @@ from hgail_jax import PRESETS, env_steps, phase_table
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
+from hgail_jax.trainer import statistics
 from hgail_jax.trainer.loop import Program
 
 QUICK = ["--quick", "--seeds", "3"]
@@ -80,6 +80,14 @@ def made(results, trials, commits=("c0ffee1",), dates=("2026-01-01",)):
         }
         for index, (result, trial) in enumerate(zip(results, trials, strict=True))
     ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_resamples():
+    """Bootstrap intervals have tests of their own; here they need not be fine."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(statistics, "_RESAMPLES", 200)
+        yield
 
 
 @pytest.fixture
@@ -317,6 +325,10 @@ def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_pat
         (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
+        (
+            ["--study", "off-policy", "--task", "slide"],
+            "study 'off-policy' has HER twice on 'slide': its 'as it is' is",
+        ),
         (["--study", "parts"], "study 'parts' is for tasks with the option 'observation'; 'reach' has none"),
         (["--plots-only"], "holds no figure's data"),
     ],
@@ -378,7 +390,7 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
 @pytest.mark.parametrize("task", ["push", "slide", "grasp"])
 def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
     numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
-    assert len(group_by_program(numbers)) == 1
+    assert [trial.setting.name for group in group_by_program(numbers)[1:] for trial in group] == ["HER"]
     preset = DEFAULTS[task]["td3"]["gpu"]
     of_task = env_steps(hgail_envs.find_class(task), preset.config, phase_table(preset.config)).sum()
     for trial in numbers + sizes:
@@ -389,16 +401,20 @@ def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_ste
         ]
         before, after = (vars(config) | vars(config.learner) for config in (preset.config, trial.config))
         changed += [name for name in before if before[name] != after[name] and name not in ("learner", "best_episodes")]
+        if trial.setting.method == "her":  # has no discriminator
+            changed.remove("discriminator_minibatches")
         assert len(changed) <= 1 and trial.task_options == preset.task_options
         assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
         assert not changed or trial.setting.name != "as it is"
 
 
-def test_rewards_are_compared_in_one_program_beside_other_goals_and_ppo():
+def test_rewards_are_compared_beside_other_goals_and_ppo():
     trials = trials_of(BY_NAME["off-policy-rewards"], "stack", "gpu")
-    alike, own_goals, ppo = group_by_program(trials)
-    assert [trial.hyperparameters.environment_reward for trial in alike] == [0.0, 0.5, 1.0]
-    assert [trial.config.training_goals for trial in (*alike, *own_goals, *ppo)] == [True] * 3 + [False, True]
+    her, alike, own_goals, ppo = group_by_program(trials)
+    assert [trial.hyperparameters.environment_reward for trial in (*her, *alike, *own_goals)] == [1.0, 0.0, 0.5, 1.0]
+    assert [trial.config.training_goals for trial in (*her, *alike, *own_goals, *ppo)] == [True] * 3 + [False, True]
+    assert [trial.setting.method for trial in (*her, *own_goals)] == ["her"] * 2
+    assert [trial.config.discriminator_minibatches for trial in (*her, *own_goals)] == [0, 0]
     (row,) = ppo
     assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
 
@@ -492,32 +508,6 @@ def test_sizes_stay_a_preset_s_where_nothing_is_said():
     assert Scale("reach", "gpu").preset("paper").config == dataclasses.replace(
         PRESETS["paper"].config, best_episodes=256
     )
-
-
-@pytest.mark.slow
-def test_several_processes_train_what_one_does(tmp_path, monkeypatch):
-    first, *_, last = BY_NAME["rewards"].settings  # with pre-training and without: two programs
-    settings = tuple(dataclasses.replace(setting, steps=1) for setting in (first, last))
-    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(BY_NAME["rewards"], settings=settings),))
-    for count in ("1", "2"):
-        paper.main(["--quick", "--figure", "7", "--processes", count, "--out", str(tmp_path / count)])
-    for one, two in zip(*(read(tmp_path / count / "rewards-point.json") for count in ("1", "2")), strict=True):
-        assert all(one[name] == two[name] for name in ("setting", "panel", "identity", "final", "curves"))
-        assert one["made_by"]["command"] == two["made_by"]["command"]
-    assert not [path for path in (tmp_path / "2" / "parts").iterdir() if path.is_dir()]
-
-
-@pytest.mark.slow
-def test_several_processes_stop_together(tmp_path):
-    stop = threading.Event()
-    stop.set()
-    (planned,) = paper.plan(paper.Options(quick=True, figure=(7,), out=tmp_path), "cpu")
-    (tmp_path / "parts").mkdir()
-    jobs = Unfinished(planned).jobs()
-    done = []
-    carry_out(jobs, ["0", "1"], stop, lambda: done.append(1))
-    assert len(done) == 2  # each process began one, and stopped
-    assert not list((tmp_path / "parts").glob("*.json"))
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ import pytest
 
 from experiments.paths import RESULTS
 from experiments.transfer import __main__ as transfer
-from experiments.transfer import goal_sources
 from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.quantities import QUANTITIES
@@ -144,8 +143,7 @@ def test_a_policy_that_tracks_the_cube_runs_on_a_robot_that_knows_no_such_option
 
 
 def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatch):
-    monkeypatch.setattr(goal_sources, "check_rendering", lambda: None)
-    monkeypatch.setitem(GOAL_SOURCES, "camera", lambda robot, stack: NoisyEstimate(offset=(0.3, 0.0, 0.0)))
+    monkeypatch.setitem(GOAL_SOURCES, "camera", lambda robot: NoisyEstimate(offset=(0.3, 0.0, 0.0)))
     transfer.main(["--task", "reach", "--episodes", "2", "--goal-source", "camera", "--delay", "3", "--stride", "0.5"])
     printed = capsys.readouterr().out
     assert "success 0.000" in printed

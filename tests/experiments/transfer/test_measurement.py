@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments.localisation.localiser import TargetNotSeenError
 from experiments.transfer import measurement
 from experiments.transfer.conditions import Conditions, NoisyEstimate
+from experiments.transfer.goal_sources import TargetNotSeenError
 from experiments.transfer.measurement import Point, measure, measure_rows, measured
 from experiments.transfer.policies import load_policies, policy_paths
 from experiments.transfer.robots import make_robot

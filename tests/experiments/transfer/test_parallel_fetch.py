@@ -64,6 +64,7 @@ def test_a_tracked_cube_is_seen_with_the_goal_s_error():
         np.testing.assert_allclose(fetch.outcomes(**sizes).distance_l2, still.distance_l2, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_policy_that_knows_its_delay_is_told_it():
     """The hand moves if an action is on its way, which the first number says."""
     weights = np.zeros((5 + 12, 4))
@@ -74,6 +75,7 @@ def test_a_policy_that_knows_its_delay_is_told_it():
     assert np.abs(moved.distance_l1 - still.distance_l1).min() > 0.05
 
 
+@pytest.mark.slow
 def test_a_posture_moves_the_start():
     """By as much as it says and no further: a hand that stands still is then elsewhere, beside the same cube."""
     fetch = ParallelFetch("grasp", [linear("grasp", np.zeros((12, 4)))], episodes=8, seed=0)

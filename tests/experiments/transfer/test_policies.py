@@ -1,22 +1,16 @@
-import contextlib
 import dataclasses
 import hashlib
 import json
 import shutil
 import types
-import typing
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from experiments.localisation.localiser import TargetNotSeenError
 from experiments.paths import RESULTS
-from experiments.transfer.camera_goal import LOOK_EVERY, camera_estimate
 from experiments.transfer.conditions import Conditions
-from experiments.transfer.episode import run_episode
-from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.measurement import measure
 from experiments.transfer.model_changes import changed
 from experiments.transfer.policies import SCRIPT, Script, find_policies, load_policies, policy_paths
@@ -77,72 +71,6 @@ def test_a_sweep_refuses_a_policy_of_other_task_options(shipped_policy, tmp_path
     save_policy(tmp_path / "p.npz", dataclasses.replace(load_policy(shipped_policy), task_options={"size": 3}))
     with pytest.raises(ValueError, match="trained with task options size=3; curves are of tasks as they are alone"):
         find_policies(["reach"], [f"other={tmp_path / 'p.npz'}"])
-
-
-@pytest.mark.parametrize("task", ["reach", "grasp"])
-def test_cameras_see_the_robot_s_own_frame(task):
-    """The ball is put where the target is in the scene; what is seen comes back in the policy's frame."""
-    offset, put = np.array([1.0, 2.0, 3.0]), []
-
-    def localiser(model, data, rng, marker):
-        put.append(marker)
-        return np.array([0.1, 0.2, 0.3])
-
-    robot = types.SimpleNamespace(task=task, offset=offset, model=None, data=None)
-    estimate = camera_estimate(robot, localiser)(np.random.default_rng(0))(np.array([1.5, 2.5, 3.5]))
-    np.testing.assert_allclose(estimate, [1.1, 2.2, 3.3])
-    if task == "reach":
-        np.testing.assert_allclose(put[0], 0.5)
-    else:
-        assert put == [None]
-
-
-def look_after_look(sightings, looks):
-    """Returns the estimates of looks at a cube by cameras with these sightings in turn; None is none."""
-    found = iter(sightings)
-
-    def localiser(model, data, rng, marker):
-        if (place := next(found)) is None:
-            raise TargetNotSeenError
-        return np.full(3, place)
-
-    robot = types.SimpleNamespace(task="grasp", offset=np.ones(3), model=None, data=None)
-    look = camera_estimate(robot, localiser)(np.random.default_rng(0))
-    return [look(np.zeros(3))[0] for _ in range(looks)]
-
-
-def test_cameras_look_anew_every_few_steps_and_a_hidden_cube_stays_where_it_was():
-    seen = look_after_look([1.0, 2.0, None, 4.0], 4 * LOOK_EVERY)
-    np.testing.assert_array_equal(seen, np.repeat([2.0, 3.0, 3.0, 5.0], LOOK_EVERY))
-
-
-def test_a_cube_that_no_camera_sees_at_the_start_is_not_seen():
-    with pytest.raises(TargetNotSeenError):
-        look_after_look([None, 1.0], 1)
-
-
-def test_cameras_follow_a_cube_that_is_pushed(rendering):
-    """A closed hand pushes it by more than the estimate is off; what cameras see of it, against the simulation."""
-
-    class Push:
-        task_options: typing.ClassVar = {"cube": "tracked"}
-        seen: typing.ClassVar[list] = []
-
-        def __call__(self, observation):
-            self.seen.append(observation[11:14])
-            return np.append([0.4, 0.4, 1.0] * np.clip(20 * (observation[11:14] - observation[:3]), -1, 1), -1.0)
-
-    robot, places = make_robot("gymnasium", "grasp"), []
-    with contextlib.ExitStack() as stack:
-        conditions = Conditions(GOAL_SOURCES["camera"](robot, stack))
-        robot.reset(np.random.default_rng(0))
-        run_episode(
-            robot, policy := Push(), np.random.default_rng(0), conditions, lambda: places.append(robot.target())
-        )
-    looks = slice(0, 21, LOOK_EVERY)
-    moved = np.linalg.norm(np.array(places)[looks] - places[0], axis=1)
-    assert moved[-1] > 0.05
-    np.testing.assert_allclose(np.array(policy.seen)[looks], np.array(places)[looks], atol=0.01)
 
 
 @pytest.mark.parametrize("task", ["grasp", "pick-and-place"])

@@ -13,7 +13,7 @@ from tests.sharded_training import assert_close, train_on_four_devices
 from tests.support import four_devices
 
 
-@pytest.fixture(scope="module", params=["ppo", "td3"])
+@pytest.fixture(scope="module", params=["ppo", pytest.param("td3", marks=pytest.mark.slow)])
 def trained(request, tmp_path_factory):
     shared = {"task": "point", "learner": request.param}
     return train_on_four_devices(

@@ -100,7 +100,13 @@ HYPER = Hyperparameters(action_std=jnp.array([0.3, 0.6]), policy_learning_rate=1
 DEMONSTRATION = Samples(
     jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
 )
+SHOWN = jax.device_get(DEMONSTRATION)
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def act(config, state, noise, observation, rng):
+    return make_policy(ENV, config, state, noise)(observation, rng)
 
 
 def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
@@ -108,7 +114,9 @@ def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
     state = init(config, HYPER.replace(**changes), jax.random.key(seed), demonstrations=demonstrations)
     rng = np.random.default_rng(seed)
     statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
-    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.3 * rng.normal(size=leaf.shape).astype(np.float32))
+    vary = functools.partial(
+        jax.tree.map, lambda leaf: np.asarray(leaf) + 0.3 * rng.normal(size=leaf.shape).astype(np.float32)
+    )
     learner = state.learner.replace(actor_critic=vary(state.learner.actor_critic))
     return state.replace(statistics=statistics, learner=learner, discriminator=vary(state.discriminator))
 
@@ -123,7 +131,8 @@ def mlp(params, inputs, xp=np):
 
 
 def normalized(state, observation):
-    return np.clip((observation - state.statistics.mean) / state.statistics.std, -5, 5)
+    mean, std = np.asarray(state.statistics.mean), np.asarray(state.statistics.std)
+    return np.clip((np.asarray(observation) - mean) / std, -5, 5)
 
 
 def log_density(action, mean, std, xp=np):
@@ -131,16 +140,16 @@ def log_density(action, mean, std, xp=np):
 
 
 def logits(state, observation, action, params=None, xp=np):
-    inputs = xp.concatenate([normalized(state, observation), np.clip(action, -1, 1)], axis=-1)
+    inputs = xp.concatenate([normalized(state, observation), xp.clip(action, -1, 1)], axis=-1)
     return mlp(state.discriminator if params is None else params, inputs, xp)[..., 0]
 
 
 def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
     """Adam as in the paper (Kingma & Ba 2015); returns the parameters and the mean of the losses."""
     first, second = (jax.tree.map(np.zeros_like, params) for _ in range(2))
-    losses = []
+    losses, value_and_gradient = [], jax.jit(jax.value_and_grad(gradient_of))
     for step in range(steps):
-        loss, gradient = jax.value_and_grad(gradient_of)(params)
+        loss, gradient = jax.device_get(value_and_gradient(params))
         losses.append(loss)
         first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, gradient)
         second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g**2, second, gradient)
@@ -148,6 +157,7 @@ def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
         params = jax.tree.map(
             lambda p, m, v, a=scale, b=root: p - a * m / (np.sqrt(v) / b + 1e-8), params, first, second
         )
+    jax.effects_barrier()  # what the loss notes by a callback is all there
     return params, np.mean(losses)
 
 
@@ -193,15 +203,15 @@ def test_networks_are_tanh_layers_of_the_sizes_asked_for():
         (_network(CONFIG), [4, 7, 1]),
     ):
         inputs = RNG.normal(size=(9, 4)).astype(np.float32)
-        params = network.init(jax.random.key(0), inputs[0])
+        params = jax.jit(network.init)(jax.random.key(0), inputs[0])
         shapes = [params["params"][f"Dense_{index}"]["kernel"].shape for index in range(len(widths) - 1)]
         assert shapes == list(itertools.pairwise(widths))
-        np.testing.assert_allclose(network.apply(params, inputs), mlp(params, inputs), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(jax.jit(network.apply)(params, inputs), mlp(params, inputs), rtol=1e-4, atol=1e-5)
 
 
 def test_the_first_policy_hardly_moves_and_the_first_value_does():
     for network, scale in ((MLP((), 200), 1.0), (_policy_network(Config(PPO(), policy_hidden=()), 200), 1e-4)):
-        kernel = network.init(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
+        kernel = jax.jit(network.init)(jax.random.key(0), jnp.zeros(100))["params"]["Dense_0"]["kernel"]
         assert np.std(kernel) == pytest.approx(np.sqrt(scale / 100), rel=0.05)
         assert np.abs(kernel).max() < 2.6 * np.sqrt(scale / 100)
 
@@ -217,7 +227,7 @@ def test_the_log_density_is_the_normal_one():
 def test_the_policy_acts_about_its_mean_by_its_own_deviations(noise):
     state = make_state()
     observation = RNG.normal(size=(2000, 4)).astype(np.float32)
-    action, log_prob = make_policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))
+    action, log_prob = act(CONFIG, state, noise, observation, jax.random.key(0))
     mean = mlp(state.learner.actor_critic["policy"], normalized(state, observation))
     np.testing.assert_allclose(log_prob, log_density(action, mean, np.array([0.3, 0.6])), rtol=1e-3, atol=1e-3)
     away = (np.asarray(action) - mean) / np.array([0.3, 0.6])
@@ -254,7 +264,7 @@ def test_networks_start_apart_and_the_state_holds_what_it_is_given():
     assert np.abs(first[0] - first[1]).min() > 0
     assert state.discriminator["params"]["Dense_0"]["kernel"].shape == (6, 7)
     wide = CONFIG.replace(discriminator_hidden=(6,), policy_hidden=(6,))
-    wide = init_state(ENV, wide, HYPER, jax.random.key(0))
+    wide = init(wide, HYPER, jax.random.key(0))
     drawn = [
         tree["params"]["Dense_0"]["kernel"][0] for tree in (*wide.learner.actor_critic.values(), wide.discriminator)
     ]
@@ -458,8 +468,8 @@ def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_clo
         ratio = jnp.exp(log_prob - batch["log_prob"])
         gain = jnp.minimum(ratio * batch["advantage"], jnp.clip(ratio, 0.8, 1.2) * batch["advantage"])
         predicted = mlp(params["value"], batch["observation"], jnp)[:, 0]
-        mean = mlp(params["policy"], normalized(state, DEMONSTRATION.observation[0]), jnp)
-        cloning = -log_density(DEMONSTRATION.action[0], mean, std)
+        mean = mlp(params["policy"], normalized(state, SHOWN.observation[0]), jnp)
+        cloning = -log_density(SHOWN.action[0], mean, std)
         of = {
             "policy_loss": -(weight * gain).sum(),
             "value_loss": 0.5 * (weight * (predicted - batch["return"]) ** 2).sum(),
@@ -498,13 +508,13 @@ def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretra
         late = state.replace(learner=state.learner.replace(optimizer=optimizer))
         seen = given.observation(ENV)[:-1]
         mean = mlp(state.learner.actor_critic["policy"], normalized(state, seen))
-        action, log_prob = make_policy(ENV, config, late, 1.0)(seen[0], jax.random.key(steps))
+        action, log_prob = act(config, late, 1.0, seen[0], jax.random.key(steps))
         np.testing.assert_allclose(log_prob, log_density(action, mean[0], std), rtol=1e-3, atol=1e-3)
         acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
         metrics = update(config, late, acted, jax.random.key(0))[1]
         assert abs(metrics["kl"]) < 1e-5
-        shown = mlp(state.learner.actor_critic["policy"], normalized(state, DEMONSTRATION.observation[0]))
-        cloning = log_density(DEMONSTRATION.action[0], shown, std)
+        shown = mlp(state.learner.actor_critic["policy"], normalized(state, SHOWN.observation[0]))
+        cloning = log_density(SHOWN.action[0], shown, std)
         np.testing.assert_allclose(metrics["bc_loss"], -cloning, rtol=1e-3)
 
 
@@ -519,11 +529,12 @@ def still_trajectory():
 
 
 def discriminator_by_hand(state, given, steps):
+    given = jax.device_get(given)
     seen = np.concatenate([given.features, given.desired], axis=-1)[0, 0]
     accuracy = []
 
     def loss(params):
-        expert = logits(state, DEMONSTRATION.observation[0], DEMONSTRATION.action[0], params, jnp)
+        expert = logits(state, SHOWN.observation[0], SHOWN.action[0], params, jnp)
         policy = logits(state, seen, given.action[0, 0], params, jnp)
         jax.debug.callback(lambda one, other: accuracy.append(0.5 * (one > 0) + 0.5 * (other <= 0)), expert, policy)
         return jnp.logaddexp(0.0, -expert) + jnp.logaddexp(0.0, policy)
@@ -556,13 +567,13 @@ def test_pretraining_is_adam_on_the_cloning_and_on_the_cross_entropy():
         state, given, jax.random.key(0)
     )
     # A sample's weight says how often to draw it; the statistics count it once if it has any.
-    np.testing.assert_allclose(after.statistics.mean, DEMONSTRATION.observation[0], rtol=1e-5)
+    np.testing.assert_allclose(after.statistics.mean, SHOWN.observation[0], rtol=1e-5)
     assert int(after.statistics.count.lo) == 2
     observed = state.replace(statistics=after.statistics)
 
     def loss(params):
-        mean = mlp(params["policy"], normalized(observed, DEMONSTRATION.observation[0]), jnp)
-        return -log_density(DEMONSTRATION.action[0], mean, np.array([0.3, 0.6]))
+        mean = mlp(params["policy"], normalized(observed, SHOWN.observation[0]), jnp)
+        return -log_density(SHOWN.action[0], mean, np.array([0.3, 0.6]))
 
     expected, cloning = adam(state.learner.actor_critic, loss, 1e-2, 4)
     assert_close(after.learner.actor_critic["policy"], expected["policy"])

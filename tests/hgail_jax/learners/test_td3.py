@@ -90,6 +90,11 @@ DEMONSTRATION = Samples(
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
 learn = jax.jit(CONFIG.learner.update, static_argnums=(0, 1))
 round_of = jax.jit(train_step, static_argnums=(0, 1))
+filled = jax.jit(functools.partial(_fill, ENV))
+add = jax.jit(add_episodes)
+sampled = jax.jit(draw, static_argnums=(0, 4))
+keep = jax.jit(expert_samples, static_argnums=(0, 1))
+fit = jax.jit(fit_discriminator, static_argnums=(0, 4))
 
 
 def trajectory(seed=0, valid=None):
@@ -120,10 +125,12 @@ def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
     """A state amid a run: online and target networks, optimisers and statistics all differ."""
     state = init(config, HYPER.replace(**changes), jax.random.key(0), demonstrations=demonstrations)
     rng = np.random.default_rng(0)
-    vary = functools.partial(jax.tree.map, lambda leaf: leaf + 0.4 * rng.normal(size=leaf.shape).astype(np.float32))
+    vary = functools.partial(
+        jax.tree.map, lambda leaf: np.asarray(leaf) + 0.4 * rng.normal(size=leaf.shape).astype(np.float32)
+    )
     learner = state.learner
     moments = [
-        adam._replace(count=jnp.int32(4), mu=vary(adam.mu), nu=jax.tree.map(jnp.square, vary(adam.nu)))
+        adam._replace(count=jnp.int32(4), mu=vary(adam.mu), nu=jax.tree.map(np.square, vary(adam.nu)))
         for adam in learner.optimizer
     ]
     learner = learner.replace(
@@ -133,7 +140,7 @@ def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
         steps=jnp.int32(steps),
     )
     statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
-    buffer = add_episodes(state.buffer, trajectory(1))
+    buffer = add(state.buffer, trajectory(1))
     return state.replace(learner=learner, statistics=statistics, discriminator=vary(state.discriminator), buffer=buffer)
 
 
@@ -166,8 +173,8 @@ def equal(one, other):
 
 def test_filling_adds_the_episodes_and_counts_the_observations_of_sound_ones():
     given, state = trajectory(), init(CONFIG, HYPER, jax.random.key(0))
-    after = jax.jit(functools.partial(_fill, ENV))(state, given)
-    equal(after.buffer, add_episodes(state.buffer, given))
+    after = filled(state, given)
+    equal(after.buffer, add(state.buffer, given))
     seen = np.concatenate([given.features, given.desired], axis=-1)[:-1][:, np.asarray(given.valid)].reshape(-1, 4)
     assert_close(after.statistics.mean, seen.mean(axis=0))
     assert_close(after.statistics.std, seen.std(axis=0))
@@ -186,13 +193,29 @@ def values(critics, observation, action, xp=np):
 
 def adam(params, optimizer, gradient, rate):
     """Returns the parameters and Adam's new moments."""
-    count = int(optimizer.count) + 1
+    count, gradient = int(optimizer.count) + 1, jax.device_get(gradient)
     mu = jax.tree.map(lambda old, new: 0.9 * old + 0.1 * new, optimizer.mu, gradient)
     nu = jax.tree.map(lambda old, new: 0.999 * old + 0.001 * new**2, optimizer.nu, gradient)
     moved = jax.tree.map(
         lambda old, m, v: old - rate * (m / (1 - 0.9**count)) / (np.sqrt(v / (1 - 0.999**count)) + 1e-8), params, mu, nu
     )
     return moved, optimizer._replace(count=jnp.int32(count), mu=mu, nu=nu)
+
+
+@jax.jit
+@jax.value_and_grad
+def critic_loss(critics, seen, action, weight, target):
+    return sum((weight * (value - target) ** 2).mean() for value in values(critics, seen, action, jnp))
+
+
+@jax.jit
+@jax.value_and_grad
+def actor_loss(actor, critics, seen, action, weight, better, unmoved):
+    before_tanh = mlp(actor, seen, jnp)
+    chosen = jnp.tanh(before_tanh)
+    gained = values(critics, seen, chosen, jnp).mean(axis=0)
+    cloning = (weight * better * ((chosen - action) ** 2).sum(axis=-1)).mean()
+    return -(weight * gained).mean() / jnp.abs(unmoved).mean() + 0.7 * cloning + 0.01 * (before_tanh**2).mean()
 
 
 def gradient_step(hyper, learner, seen, action, following, reward, weight, noise):
@@ -206,24 +229,12 @@ def gradient_step(hyper, learner, seen, action, following, reward, weight, noise
     wanted = reward + float(hyper.discount) * bootstrap.min(axis=0)
     least = -1 / (1 - float(hyper.discount))
     target = np.clip(wanted, least, 0)
-
-    def critic_loss(critics):
-        return sum((weight * (value - target) ** 2).mean() for value in values(critics, seen, action, jnp))
-
     before = values(learner.online.critics, seen, action)
-    value_loss, gradient = jax.value_and_grad(critic_loss)(learner.online.critics)
+    value_loss, gradient = critic_loss(learner.online.critics, seen, action, weight, target)
     critics, critics_adam = adam(learner.online.critics, learner.optimizer.critics, gradient, rate)
     unmoved = values(critics, seen, np.tanh(mlp(learner.online.actor, seen))).mean(axis=0)
     better = before.mean(axis=0) > unmoved
-
-    def actor_loss(actor):
-        before_tanh = mlp(actor, seen, jnp)
-        chosen = jnp.tanh(before_tanh)
-        gained = values(critics, seen, chosen, jnp).mean(axis=0)
-        cloning = (weight * better * ((chosen - action) ** 2).sum(axis=-1)).mean()
-        return -(weight * gained).mean() / np.abs(unmoved).mean() + 0.7 * cloning + 0.01 * (before_tanh**2).mean()
-
-    policy_loss, gradient = jax.value_and_grad(actor_loss)(learner.online.actor)
+    policy_loss, gradient = actor_loss(learner.online.actor, critics, seen, action, weight, better, unmoved)
     actor, actor_adam = adam(learner.online.actor, learner.optimizer.actor, gradient, rate)
     online = type(learner.online)(actor, critics)
     after = learner.replace(
@@ -240,24 +251,26 @@ def learnt_by_hand(config, state, given, rng):
     """Returns the state after an update, its metrics, and what was cut off on the way."""
     discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, config.learner
-    state, metrics = _fill(ENV, state, given), {}
+    state, metrics = filled(state, given), {}
     if config.discriminator_minibatches:
         expert_rng, policy_rng, fit_rng = jax.random.split(discriminator_rng, 3)
-        count, pick = 3 * 7, functools.partial(draw, ENV, hyper, state.buffer)
+        count, pick = 3 * 7, functools.partial(sampled, ENV, hyper, state.buffer)
         if config.expert_source == "relabelled":
             expert = pick(expert_rng, count, float(hyper.p_ht > 0), 2)
         else:
-            kept, expert = expert_samples(ENV, config, hyper, state.expert, given, expert_rng)
+            kept, expert = keep(ENV, config, hyper, state.expert, given, expert_rng)
             state = state.replace(expert=kept)
         own = pick(policy_rng, count, 0.0)
         pairs = (Samples(one.observation, one.action, one.weight) for one in (expert, own))
-        state, metrics = fit_discriminator(config, state, *pairs, 3, fit_rng)
-    drawn = draw(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
+        state, metrics = fit(CONFIG, state, *pairs, 3, fit_rng)
+    drawn = sampled(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
+    state = state.replace(learner=jax.device_get(state.learner), discriminator=jax.device_get(state.discriminator))
+    drawn, hyper = jax.device_get(drawn), jax.device_get(hyper)
     seen, following = normalized(state, drawn.observation), normalized(state, drawn.next_observation)
     logits = mlp(state.discriminator, np.concatenate([seen, drawn.action], axis=-1))[:, 0]
     weight = float(hyper.environment_reward) if config.discriminator_minibatches else 1.0
     reward = (1 - weight) * (1 / (1 + np.exp(-logits)) - 1) + weight * np.where(drawn.reached, 0, -1)
-    noise = jax.random.normal(noise_rng, drawn.action.shape)
+    noise = np.asarray(jax.random.normal(noise_rng, drawn.action.shape))
     columns, learner, measured, cuts = (
         (seen, drawn.action, following, reward, drawn.weight, noise),
         state.learner,
@@ -342,24 +355,22 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
 def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
     config = CONFIG.replace(expert_source=source, best_episodes=EPISODES)
     state, first = init(config, HYPER, jax.random.key(0)), trajectory(1)
-    after = config.learner.begin(ENV, config, state, first, jax.random.key(1))[0]
+    after = jax.jit(config.learner.begin, static_argnums=(0, 1))(ENV, config, state, first, jax.random.key(1))[0]
     sound = np.asarray(first.valid)
     assert after.buffer.added == EPISODES
     if source == BEST:
         returns = np.sort(np.asarray(first.reward).sum(axis=0)[sound])[::-1]
         np.testing.assert_allclose(after.expert.returns[: sound.sum()], returns)
     else:
-        equal(after.expert, relabelled_samples(ENV, HYPER, first, jax.random.key(1)))
+        relabel = jax.jit(functools.partial(relabelled_samples, ENV))
+        equal(after.expert, relabel(state.hyperparameters, first, jax.random.key(1)))
 
 
 @pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
 def test_actions_are_the_actor_s_from_the_first_gradient_step_on(steps, random):
     state = make_state(steps=steps, random_actions=0.0, action_std=1e-6)
     observation = jnp.ones((500, ENV.observation_size))
-    explored, mean = (
-        np.asarray(CONFIG.learner.policy(ENV, CONFIG, state, noise)(observation, jax.random.key(0))[0])
-        for noise in (1.0, 0.0)
-    )
+    explored, mean = (np.asarray(act(state, observation, noise)[0]) for noise in (1.0, 0.0))
     assert (np.abs(explored - mean).max() > 0.1) == random
 
 
@@ -472,7 +483,8 @@ class Short(Plane):
         return jax.random.uniform(rng, (1,), minval=-0.5, maxval=0.5)
 
 
-@pytest.mark.parametrize("method", ["hgail", pytest.param("her", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["hgail", "her"])
 def test_hindsight_solves_a_line_by_the_discriminator_alone_and_by_the_goal_test(method):
     sizes = TD3(rollouts=4, updates=32, batch=128, buffer_episodes=1024)
     config = Config(sizes, num_envs=32, rounds=3, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
@@ -500,6 +512,7 @@ def test_the_discriminator_is_trained_where_it_has_a_say_and_only_there():
         init_sweep(ENV, her, [HYPER.replace(environment_reward=0.9)], seed_keys(0, 1))
 
 
+@pytest.mark.slow
 def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch):
     make_runs_tiny(monkeypatch)
     compile_once(monkeypatch)

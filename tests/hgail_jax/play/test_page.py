@@ -144,6 +144,7 @@ def shows_the_arm(png):
     return blue.mean() > 0.01 and picture.std(axis=(0, 1)).min() > 10.0
 
 
+@pytest.mark.slow
 def test_a_visitor_drags_the_target_and_the_policy_follows(page):
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if _BROWSER is None:

@@ -115,7 +115,7 @@ def complete(folders, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=() if name in ("hgail", "ppo") else pytest.mark.slow) for name in METHODS]
+    "method", [pytest.param(name, marks=() if name == "hgail" else pytest.mark.slow) for name in METHODS]
 )
 def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypatch, whole, demonstrations, method):
     given = ["--demos", str(demonstrations)] if method == "gail-demo" else []

@@ -45,7 +45,7 @@ class After(threading.Event):
         return super().is_set()
 
 
-@pytest.mark.parametrize("learner", ["ppo", "td3"])
+@pytest.mark.parametrize("learner", ["ppo", pytest.param("td3", marks=pytest.mark.slow)])
 def test_a_run_has_no_number_that_is_none(monkeypatch, learner):
     """What a round does not measure is infinite, so that JAX finds only what is wrong."""
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8)
