@@ -1,10 +1,8 @@
 """Writes a section for each task from its class; `python -m docs._generate.task_pages` draws their picture."""
 
 import inspect
-import itertools
 import math
 import re
-from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -13,7 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 import hgail_envs
 from docs._generate.results import ROOT, fixed, of_seeds, read_json
 from docs._generate.tables import markdown
-from hgail_envs.quantities import Quantity, describe
+from hgail_envs.layout import Layout
+from hgail_envs.quantities import describe
 from hgail_envs.registry import GYMNASIUM_IDS, accepted_options, find_class
 
 PICTURE = ROOT / "docs" / "images" / "tasks.webp"
@@ -42,7 +41,7 @@ def task_page(task: str) -> str:
         _prose(task),
         _facts(task),
         "Observation, and after it the goal:",
-        _numbers((*described.features, *described.goal), len(described.features)),
+        _numbers(described.observation, described.features.size),
         "Action, each number in [-1, 1]:",
         _numbers(described.action),
         _options(task),
@@ -51,9 +50,9 @@ def task_page(task: str) -> str:
 
 
 def _prose(task: str) -> str:
-    """Returns the docstring of a task's class, without tables, arguments and references to other classes."""
+    """Returns the docstring of a task's class, without arguments and references to other classes."""
     text = inspect.cleandoc(find_class(task).__doc__ or "").split("\n\nArgs:")[0]
-    paragraphs = [part for part in text.split("\n\n") if not part.startswith(("|", "See `"))]
+    paragraphs = [part for part in text.split("\n\n") if not part.startswith("See `")]
     return "\n\n".join(re.sub(r" See `ObjectEnv` for\s+the meaning of a goal\.", "", part) for part in paragraphs)
 
 
@@ -96,8 +95,8 @@ def _policies(task: str) -> list[list[str]]:
     return [["shipped policies", ", ".join(names)], *rows]
 
 
-def _numbers(quantities: Sequence[Quantity], goal: int | None = None) -> str:
-    """Returns a table of numbers, those of a vector in one row; from the index `goal` on they are the goal's.
+def _numbers(layout: Layout, goal: int | None = None) -> str:
+    """Returns a table of quantities; from the index `goal` on they are the goal's.
 
     >>> print(_numbers(describe("point").goal, 0).strip())
     | index | quantity | unit | frame |
@@ -105,14 +104,12 @@ def _numbers(quantities: Sequence[Quantity], goal: int | None = None) -> str:
     | 0:3, the goal's 0:3 | target position | m | world |
     """
     rows, index = [], 0
-    for _, group in itertools.groupby(quantities, lambda each: (re.sub(r" [xyz]$", "", each.name), *each[1:])):
-        each = list(group)
-        name = re.sub(r" [xyz]$", "", each[0].name) if len(each) > 1 else each[0].name
-        span = _span(index, len(each))
+    for quantity in layout:
+        span = _span(index, quantity.size)
         if goal is not None and index >= goal:
-            span += f", the goal's {_span(index - goal, len(each))}"
-        rows.append([span, name, each[0].unit, each[0].frame])
-        index += len(each)
+            span += f", the goal's {_span(index - goal, quantity.size)}"
+        rows.append([span, quantity.name, quantity.unit, quantity.frame])
+        index += quantity.size
     return markdown(["index", "quantity", "unit", "frame"], rows)
 
 

@@ -78,7 +78,7 @@ class JaxGcrlTask(Env):
         return self._seen(self.env.step(state, action), state.metrics)
 
     def _seen(self, state: State, metrics: dict[str, jax.Array]) -> State:
-        features, goal = state.info["observation"], state.info["desired_goal"][:3]
+        features, goal = state.info["features"], state.info["desired_goal"][:3]
         success = state.reward + 1.0
         told = {
             "reward": success,
