@@ -189,10 +189,14 @@ class GoalEnv(HasLayouts, Env):
         Without a lift test, as in all roll-outs for training, `lifted` is `end`.
         """
         achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
-        return self.measure(achieved, desired, self.reached(end.pipeline_state, desired))
+        return self.measure(achieved, desired, self.goal_test(end.info["features"], achieved, desired))
 
     def measure(
-        self, position: jax.Array, target: jax.Array, achieved: jax.Array, success: jax.Array | None = None
+        self,
+        position: jax.Array,
+        target: jax.Array,
+        achieved: jax.Array | bool = False,
+        success: jax.Array | bool | None = None,
     ) -> EpisodeMetrics:
         """Returns the metrics of an episode.
 

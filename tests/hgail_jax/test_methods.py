@@ -186,7 +186,6 @@ class OwnSizes(Push):
         ("reach", "hgail", "parallel", None, "ppo"),
         ("reach", "her", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", "td3", "td3"),
-        ("hgail_envs.fetch.grasp:GraspPosition", "gail-demo", "parallel", None, "ppo"),
         ("tests.hgail_jax.test_methods:HeavyPush", "hgail", "parallel", None, "td3"),
         ("tests.hgail_jax.test_methods:OwnSizes", "hgail", "parallel", None, "ppo"),
     ],

@@ -314,7 +314,7 @@ def test_sensors_err_by_what_they_are_told(task):
     randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
     state = randomised.step(randomised.reset(jax.random.key(0)), jnp.zeros(4))
     physics, errors = state.pipeline_state, state.pipeline_state.errors()
-    plain, seen = np.asarray(env.features(physics.true)), np.asarray(state.info["observation"])
+    plain, seen = np.asarray(env.features(physics.true)), np.asarray(state.info["features"])
     of_object = [errors.object - errors.robot, errors.object, errors.object_motion]
     of_objects = {"pick-and-place": (*of_object, np.zeros(2)), "stack": (*of_object, np.zeros(2), *of_object)}
     of_objects["tower"] = (*of_object, *of_object, *of_object, np.zeros(2))

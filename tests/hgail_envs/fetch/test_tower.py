@@ -90,7 +90,7 @@ def scripted(count, training_goals, noise):
 
     def act(state, rng):
         goal = jax.vmap(ENV.placement)(state.pipeline_state)
-        action = ENV.controllers["from-above"](ENV.goal_observation(state.info["observation"], goal))
+        action = ENV.controllers["from-above"](ENV.goal_observation(state.info["features"], goal))
         following = jax.vmap(ENV.step)(state, action + noise * jax.random.normal(rng, action.shape))
         return following, following
 
@@ -325,13 +325,13 @@ def test_a_start_of_other_sizes_has_the_middle_on_the_base_too():
     np.testing.assert_allclose(rise[:, 2], width[np.asarray(physics.placed)], atol=1e-6)
     np.testing.assert_allclose(cubes[:, BASE, 2], 0.4 + width / 2, atol=3e-4)
     np.testing.assert_array_equal(physics.starts, cubes)
-    seen = state.info["observation"]
+    seen = state.info["features"]
     np.testing.assert_allclose(seen[:, 4:39], seen[:, 39:74], atol=1e-6)  # the history is the start's
 
 
 def test_the_observation_has_the_cubes_by_role(episodes):
     """Against joint positions by hand, of each of the six orders."""
-    physics, seen = episodes.pipeline_state, episodes.info["observation"]
+    physics, seen = episodes.pipeline_state, episodes.info["features"]
     assert {tuple(order) for order in physics.order[0]} == set(ORDERS)
     assert (physics.order == physics.order[0]).all()
     for episode, order in enumerate(physics.order[0]):
@@ -359,7 +359,7 @@ def test_the_observation_has_the_cubes_by_role(episodes):
 )
 def test_the_policy_sees_the_cube_of_the_goal_first(episodes, whose, order):
     """Then the one that it is to lie on, and then the third."""
-    features, goals = episodes.info["observation"], episodes.info["desired_goal"].copy()
+    features, goals = episodes.info["features"], episodes.info["desired_goal"].copy()
     np.testing.assert_array_equal(episodes.obs, ENV.goal_observation(features, goals))
     goals[..., 3:6] = whose
     cubes = [features[..., 6 + 9 * role : 15 + 9 * role] for role in order]
