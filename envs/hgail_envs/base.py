@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
 
-from hgail_envs.layout import HasLayouts, is_flag, is_metres
+from hgail_envs.layout import HasLayouts
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors, SensorErrors
 
@@ -132,12 +132,7 @@ class GoalEnv(HasLayouts, Env):
         By the goals alone, as trainers that keep no features compute their rewards. By default flags of `goal_layout`
         are equal and the other numbers within `success_threshold`.
         """
-        flags = self.goal_layout.where(is_flag)
-        if not isinstance(flags, slice):  # there are none
-            return jnp.linalg.norm(achieved - desired, axis=-1) <= self.success_threshold
-        others = self.goal_layout.where(lambda unit: not is_flag(unit))
-        near = jnp.linalg.norm(achieved[..., others] - desired[..., others], axis=-1) <= self.success_threshold
-        return near & jnp.all(achieved[..., flags] == desired[..., flags], axis=-1)
+        return self.goal_layout.is_near(achieved, desired, self.success_threshold)
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
@@ -207,9 +202,7 @@ class GoalEnv(HasLayouts, Env):
           success: whether the episode is a success by the task's strictest test; None if that is `achieved`.
 
         """
-        metres = self.goal_layout.where(is_metres)
-        if isinstance(metres, slice) and position.shape == (self.goal_layout.size,):
-            position, target = position[metres], target[metres]
+        position, target = (self.goal_layout.metres(jnp.asarray(each)) for each in (position, target))
         l1 = jnp.sum(jnp.abs(position - target))  # the paper's success is by this distance
         return EpisodeMetrics(
             success=jnp.asarray(achieved if success is None else success, jnp.float32),

@@ -1,8 +1,10 @@
 """Layout of a vector: which numbers of an observation, a goal or an action are which quantity."""
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -131,9 +133,31 @@ class Layout:
             return slice(int(places[0]), int(places[-1]) + 1)
         return places
 
+    def is_near(self, one: jax.Array, other: jax.Array, distance: float) -> jax.Array:
+        """Returns whether vectors, `[..., size]`, are near each other: booleans `[...]`.
+
+        That is if their flags are equal, and their other numbers within a Euclidean distance.
+        """
+        flags = self.where(is_flag)
+        if not isinstance(flags, slice) and not len(flags):
+            return jnp.linalg.norm(one - other, axis=-1) <= distance
+        others = self.where(lambda unit: not is_flag(unit))
+        near = jnp.linalg.norm(one[..., others] - other[..., others], axis=-1) <= distance
+        return near & jnp.all(one[..., flags] == other[..., flags], axis=-1)
+
+    def metres(self, vector: jax.Array) -> jax.Array:
+        """Returns the metres of a vector, or all of one that is not `[size]`, or of a layout without metres."""
+        metres = self.where(is_metres)
+        there = isinstance(metres, slice) or len(metres)
+        return vector[metres] if there and vector.shape == (self.size,) else vector
+
     def split(self, vector: Any) -> dict[str, Any]:
         """Returns the values of all quantities of a vector, `[..., size]`, by their names; the inverse of `join`."""
         return {name: vector[..., place] for name, place in self._places.items()}
+
+    def reader(self, function: Callable[[Mapping[str, Any]], Any]) -> Callable[[Any], Any]:
+        """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
+        return functools.partial(_read, self, function)
 
     def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
         """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
@@ -164,6 +188,10 @@ def is_flag(unit: str) -> bool:
 def is_metres(unit: str) -> bool:
     """Returns whether it is the unit of positions, for `Layout.where`."""
     return unit == METRES
+
+
+def _read(layout: Layout, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
+    return function(layout.split(vector))
 
 
 def _side(is_given: bool) -> str:

@@ -11,9 +11,9 @@ from hgail_envs.layout import Layout, Quantity, position
 from hgail_envs.variation import SensorErrors
 
 
-def straight(observation: jax.Array) -> jax.Array:
+def straight(seen: Mapping[str, jax.Array]) -> jax.Array:
     """Moves a point straight to its goal, at full speed down to 5 cm."""
-    return jnp.clip(20.0 * (observation[..., 3:6] - observation[..., :3]), -1.0, 1.0)
+    return jnp.clip(20.0 * (seen["target position"] - seen["position"]), -1.0, 1.0)
 
 
 class Point(GoalEnv):
@@ -28,7 +28,7 @@ class Point(GoalEnv):
     goal_layout = Layout(position("target position"))
     action_layout = Layout(Quantity("displacement", 3, "1 is 0.03 m", "world"))
     success_threshold = 0.05
-    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": straight}
+    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": (features_layout + goal_layout).reader(straight)}
 
     def reset_physics(self, rng: jax.Array) -> jax.Array:
         return jnp.zeros(3)

@@ -169,10 +169,6 @@ class FetchEnv(GoalEnv):
         """Returns the factor on the size of the objects, `[]`."""
         return 1.0 if physics.factors is None else physics.factors.object_size
 
-    def gripper_features(self, physics: FetchPhysics) -> dict[str, jax.Array]:
-        """Returns the values of `hgail_envs.fetch.layouts.GRIPPER` by name."""
-        return {"gripper position": physics.gripper_position, "gripper velocity": physics.gripper_velocity}
-
     def overflow(self, physics: FetchPhysics) -> jax.Array:
         return physics.overflow
 

@@ -1,6 +1,5 @@
 """Grasping a cube from the table."""
 
-import functools
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
-from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET
+from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET, gripper_values
 from hgail_envs.layout import Layout, flag, position
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
@@ -28,6 +27,8 @@ LEAST_RISE = 0.05
 """Least rise of a held cube in the lift test, metres."""
 HOLD = "to hold the cube at the target"
 """Name of the flag in a goal."""
+GOAL = Layout(TARGET, flag(HOLD))
+"""Layout of a goal."""
 
 _APART = "cube position less gripper position"  # of a tracked cube
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
@@ -44,6 +45,11 @@ def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
 
     """
     return touching & (abs(gap - width) <= _GAP_TOLERANCE)
+
+
+def _controllers(observation: Layout) -> dict[str, Controller]:
+    named = {"from-above": controllers.grasp, "straight": controllers.straight, "closed": controllers.closed}
+    return {name: observation.reader(act) for name, act in named.items()}
 
 
 class Grasp(FetchEnv):
@@ -78,18 +84,14 @@ class Grasp(FetchEnv):
     """
 
     features_layout = GRIPPER + HAND
-    goal_layout = Layout(TARGET, flag(HOLD))
+    goal_layout = GOAL
     goal_kinds = 2
     lift_test_steps = 12
 
     scene = "fetch/grasp"
     target_body = "cube"
     reference = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": controllers.grasp,
-        "straight": controllers.straight,
-        "closed": controllers.closed,
-    }
+    controllers: ClassVar[Mapping[str, Controller]] = _controllers(features_layout + goal_layout)
 
     def __init__(
         self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, cube: str = CUBES[0]
@@ -98,9 +100,7 @@ class Grasp(FetchEnv):
         self.feature_size = self.features_layout.size
         self.cube = cube
         if cube == "tracked":
-            self.controllers = {  # type: ignore[misc]
-                name: functools.partial(_act_untold, act) for name, act in self.controllers.items()
-            }
+            self.controllers = _controllers(self.features_layout + GOAL)  # type: ignore[misc]
         super().__init__(impl, substeps, worlds)
         self._cube_qpos = int(self.model.joint("cube").qposadr[0])
         self._cube_qvel = int(self.model.joint("cube").dofadr[0])
@@ -132,7 +132,7 @@ class Grasp(FetchEnv):
         hand = {"gap between the fingers": self.gap(physics), "hand holds the cube": self.holding(physics)}
         apart = self.cube_position(physics) - physics.gripper_position
         tracked = {_APART: apart} if self.cube == "tracked" else {}
-        return self.features_layout.join(self.gripper_features(physics) | hand | tracked)
+        return self.features_layout.join(gripper_values(physics) | hand | tracked)
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return jnp.append(physics.gripper_position, self.holding(physics).astype(jnp.float32))
@@ -179,9 +179,3 @@ class Grasp(FetchEnv):
         rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
         success = held & (rise > LEAST_RISE)
         return self.measure(last.gripper_position, self.cube_position(last), held, success)
-
-
-def _act_untold(controller: Controller, observation: jax.Array) -> jax.Array:
-    """Returns a controller's action on a tracked cube's observation, of which it reads all but the cube's position."""
-    features, tracked = Grasp.feature_size, Grasp.features_with(cube="tracked").size
-    return controller(jnp.concatenate([observation[..., :features], observation[..., tracked:]], axis=-1))

@@ -1,5 +1,9 @@
 """Quantities that the layouts of several Fetch tasks share."""
 
+from typing import Any
+
+import jax
+
 from hgail_envs.layout import METRES, Layout, Quantity, flag, position
 
 PER_ACTION = "m per action of 0.04 s"
@@ -41,3 +45,8 @@ def official(name: str) -> Layout:
         Quantity("velocity of the right finger", 1, PER_ACTION, "hand"),
         Quantity("velocity of the left finger", 1, PER_ACTION, "hand"),
     )
+
+
+def gripper_values(physics: Any) -> dict[str, jax.Array]:
+    """Returns the values of `GRIPPER` in a `hgail_envs.fetch.arm.FetchPhysics`."""
+    return {"gripper position": physics.gripper_position, "gripper velocity": physics.gripper_velocity}

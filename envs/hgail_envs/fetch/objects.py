@@ -8,7 +8,7 @@ from brax import math
 
 from hgail_envs.base import State
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
-from hgail_envs.fetch.layouts import GRIPPER, TARGET, of_object, official
+from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
 from hgail_envs.layout import Layout, flag
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
@@ -131,7 +131,7 @@ class ObjectEnv(FetchEnv):
     def compact_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
         """Returns the values of the default quantities by name."""
         position = self.object_position(physics)
-        return self.gripper_features(physics) | {
+        return gripper_values(physics) | {
             f"{self.object_title} position less gripper position": position - physics.gripper_position,
             f"{self.object_title} position": position,
             f"{self.object_title} velocity": self._object_velocity(physics),

@@ -11,7 +11,7 @@ from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import HAND
-from hgail_envs.fetch.objects import ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
 HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
@@ -48,7 +48,7 @@ class PickAndPlace(ObjectEnv):
     See `ObjectEnv` for the arguments.
     """
 
-    features_layout = compact_layout("cube") + HAND
+    features_layout, goal_layout = compact_layout("cube") + HAND, GOAL
     object_name = object_title = "cube"
     holding_title = "hand holds the cube"
     """Name of the flag in `features_layout`."""
@@ -57,7 +57,9 @@ class PickAndPlace(ObjectEnv):
 
     scene = "fetch/grasp"
     reference: str | None = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (features_layout + goal_layout).reader(controllers.pick_and_place)
+    }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""

@@ -10,7 +10,7 @@ from flax import struct
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.layouts import ACTION_OF_ARM
-from hgail_envs.fetch.objects import ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
 _ROAMING = 0.5  # fraction of the training episodes whose goals are waypoints
 _EVERY = 12  # steps from one waypoint to the next: a hand at full speed moves 0.4 m
@@ -45,7 +45,7 @@ class Push(ObjectEnv):
     See `ObjectEnv` for the arguments.
     """
 
-    features_layout = compact_layout("cube")
+    features_layout, goal_layout = compact_layout("cube"), GOAL
     action_layout = ACTION_OF_ARM
 
     start_height = 0.0
@@ -55,7 +55,9 @@ class Push(ObjectEnv):
 
     scene = "fetch/push"
     reference = "FetchPush-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-behind": controllers.push}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-behind": (features_layout + goal_layout).reader(controllers.push)
+    }
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PushPlan:
         kind_rng, goal_rng, offset_rng = jax.random.split(rng, 3)

@@ -8,7 +8,7 @@ import jax
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
-from hgail_envs.fetch.layouts import ACTION_OF_ARM, GRIPPER, TARGET
+from hgail_envs.fetch.layouts import ACTION_OF_ARM, GRIPPER, TARGET, gripper_values
 from hgail_envs.layout import Layout
 
 GOAL_RANGE = 0.15
@@ -28,13 +28,15 @@ class Reach(FetchEnv):
 
     scene = "fetch/reach"
     reference = "FetchReach-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "proportional": (features_layout + goal_layout).reader(controllers.reach)
+    }
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3])  # the fingers are blocked
 
     def features(self, physics: FetchPhysics) -> jax.Array:
-        return self.features_layout.join(self.gripper_features(physics))
+        return self.features_layout.join(gripper_values(physics))
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return physics.gripper_position

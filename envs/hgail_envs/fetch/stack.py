@@ -89,7 +89,9 @@ class Stack(PickAndPlace):
     scene = "fetch/stack"
     least_widest_gap = LEAST_WIDEST_GAP
     reference = None
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.stack}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (features_layout + goal_layout).reader(controllers.stack)
+    }
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)

@@ -11,6 +11,7 @@ from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
+from hgail_envs.fetch.layouts import gripper_values
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
@@ -89,7 +90,9 @@ class Tower(FetchEnv):
 
     scene = "fetch/tower"
     least_widest_gap = LEAST_WIDEST_GAP
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.tower}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (tower_goals.SEEN + tower_goals.GOAL).reader(controllers.tower)
+    }
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
         order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
@@ -170,15 +173,16 @@ class Tower(FetchEnv):
 
     def features(self, physics: TowerPhysics) -> jax.Array:
         cubes = self.cube_positions(physics)
-        values = self.gripper_features(physics) | {
+        values = gripper_values(physics) | {
             "gap between the fingers": self.gap(physics),
             "hand holds a cube": self.holding(physics),
         }
+        velocities = self.cube_velocities(physics)
         for role, name in enumerate(ROLES):
             values |= {
                 f"{name} cube position less gripper position": cubes[role] - physics.gripper_position,
                 f"{name} cube position": cubes[role],
-                f"{name} cube velocity": self.cube_velocities(physics)[role],
+                f"{name} cube velocity": velocities[role],
             }
         return self.features_layout.join(values)
 

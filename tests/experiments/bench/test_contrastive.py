@@ -11,7 +11,7 @@ from brax.envs.base import State
 
 from experiments.bench import contrastive
 from experiments.bench.contrastive import JaxGcrlTask, success_rate, train_contrastive
-from hgail_envs.fetch import controllers
+from hgail_envs.fetch.reach import Reach
 
 
 @pytest.mark.parametrize("task", ["reach", "push"])
@@ -37,9 +37,9 @@ def test_a_goal_that_is_more_than_a_position_is_refused():
 def test_a_policy_is_tested_for_whole_episodes(monkeypatch):
     monkeypatch.setattr(contrastive, "EPISODES", 8)
     learnt = JaxGcrlTask("reach", "c", substeps=4, worlds=8)
-    assert success_rate(learnt, controllers.reach) == 1.0
+    assert success_rate(learnt, Reach.controllers["proportional"]) == 1.0
     learnt.env.episode_length = 1  # nothing is in reach of one step
-    assert success_rate(learnt, controllers.reach) < 0.5
+    assert success_rate(learnt, Reach.controllers["proportional"]) < 0.5
 
 
 @pytest.mark.parametrize(("success_at", "rate"), [(3, 1.0), (1, 0.0), (4, 0.0)])
@@ -69,7 +69,7 @@ class Learner:
         epoch = (run.total_env_steps - self.min_replay_size * run.num_envs) // run.num_evals
         assert epoch == 2 * 50 * 4
         for index in range(1, 100):
-            make_policy = lambda gain: lambda seen, _: (gain * controllers.reach(seen), None)  # noqa: E731
+            make_policy = lambda gain: lambda seen, _: (gain * Reach.controllers["proportional"](seen), None)  # noqa: E731
             gain = 0.0 if index == 1 else 3.0
             progress_fn(epoch * index, {"training/walltime": 10.0 * index}, make_policy, gain, task, do_render=False)
         pytest.fail("nothing ended it")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.fetch import controllers
+from hgail_envs.fetch.grasp import Grasp
 from hgail_envs.fetch.reference import ReferenceFetch, make_reference, reference_episode
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
@@ -20,7 +20,12 @@ STILL, ABOVE, CLOSED, LIFT = range(4)
 
 def act(kind, observation):
     lift = jnp.tile(jnp.array([0.0, 0.0, 1.0, -1.0]), (BATCH, 1))
-    choices = (jnp.zeros((BATCH, 4)), controllers.grasp(observation), controllers.closed(observation), lift)
+    choices = (
+        jnp.zeros((BATCH, 4)),
+        Grasp.controllers["from-above"](observation),
+        Grasp.controllers["closed"](observation),
+        lift,
+    )
     return jnp.stack(choices)[kind]
 
 
@@ -202,7 +207,7 @@ def test_the_reference_tells_where_a_tracked_cube_is():
     def policy(observation):
         told.append(observation)
         cubes.append(reference.data.body("object0").xpos.copy())
-        return np.asarray(controllers.closed(np.delete(observation, slice(8, 11))))
+        return np.asarray(Grasp.controllers["closed"](np.delete(observation, slice(8, 11))))
 
     cubes = []
     reference_episode(reference, policy, Past(Randomization()), seed=1, index=0)
