@@ -40,9 +40,8 @@ class GoalEnv(HasLayouts, Env):
     All is for a single environment; batches come from `jax.vmap`. `P` below is the task's physics state, any pytree.
 
     A task sets the five class attributes without a value and implements the five abstract methods; the others have
-    defaults. In place of `feature_size`, `goal_size` and `action_size` it may declare `features_layout`, `goal_layout`
-    and `action_layout`, which also name the numbers: the sizes follow. Episodes never end early: `done` stays 0, and
-    the caller truncates an episode at the time limit.
+    defaults. In place of sizes it may declare layouts (`features_layout` and so on), which also name the numbers.
+    Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.
 
     The goals of an episode follow a plan, drawn by `plan_goals` at the reset; from it `current_goal` returns the goal
     of a step. By default the plan is one goal of `sample_goal`, for all steps. A task that learns better on other goals
