@@ -43,8 +43,8 @@ class Sensors:
     def observe(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns features and goal at a step, `[feature_size]` and `[goal_size]`.
 
-        The errors of the gripper enter its position, its velocity, which is the displacement in the last action, and, in
-        a task with an object, the object's position relative to the gripper. A tracked cube is the goal, and is seen
+        The errors of the gripper enter its position, its velocity, which is the displacement in the last action, and,
+        in a task with an object, the object's position relative to the gripper. A tracked cube is the goal, and is seen
         there and in the features with the same error.
         """
         features, noise = self._robot.features().copy(), self._draw(self._conditions.robot_noise)
