@@ -123,10 +123,8 @@ class ObjectEnv(FetchEnv):
         return self._move(physics, action[:3])
 
     def features(self, physics: ObjectPhysics) -> jax.Array:
-        official = self.observation == "official"
-        return self.features_layout.join(
-            self.official_features(physics) if official else self.compact_features(physics)
-        )
+        see = self.official_features if self.observation == "official" else self.compact_features
+        return self.features_layout.join(see(physics))
 
     def compact_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
         """Returns the values of the default quantities by name."""
@@ -153,18 +151,15 @@ class ObjectEnv(FetchEnv):
             for what, values in (("position", physics.qpos[self._finger_qpos]), ("velocity", velocities))
             for index, side in enumerate(("right", "left"))
         }
-        relative = self._object_velocity(physics) - physics.gripper_velocity
-        compact = ObjectEnv.compact_features(self, physics)
-        del compact[f"{name} velocity"]
-        return (
-            compact
-            | fingers
-            | {
-                f"{name} rotation, Euler angle": angles,
-                f"{name} velocity less gripper velocity": relative,
-                f"{name} angular velocity": turning,
-            }
-        )
+        position = self.object_position(physics)
+        seen = {
+            f"{name} position": position,
+            f"{name} position less gripper position": position - physics.gripper_position,
+            f"{name} rotation, Euler angle": angles,
+            f"{name} velocity less gripper velocity": self._object_velocity(physics) - physics.gripper_velocity,
+            f"{name} angular velocity": turning,
+        }
+        return gripper_values(physics) | seen | fingers
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         thing = self.object_position(physics)
