@@ -100,7 +100,7 @@ def rollout(
 def _seen(state: State) -> dict[str, jax.Array]:
     """Returns the fields of a trajectory that come from a state."""
     info = state.info
-    return {"features": info["observation"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
+    return {"features": info["features"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
 
 
 def _lift_test(

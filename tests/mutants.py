@@ -32,9 +32,10 @@ ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in (
 PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 EVALUATE, GOALS = "tests/hgail_jax/cli/test_evaluate.py", "tests/hgail_envs/test_goals.py"
-MODEL, GRASP, OBJECTS, OBJECT_PARITY, STACK, TOWER = (
+LAYOUT = "tests/hgail_envs/test_layout.py"
+MODEL, GRASP, OBJECTS, OBJECT_PARITY, CUBES, STACK, TOWER = (
     f"tests/hgail_envs/fetch/test_{name}.py"
-    for name in ("model", "grasp", "objects", "object_parity", "stack", "tower")
+    for name in ("model", "grasp", "objects", "object_parity", "cubes", "stack", "tower")
 )
 
 TESTS = {
@@ -54,16 +55,17 @@ TESTS = {
     "hgail_jax/state": [PPO, TRAIN, LEARNING],
     "hgail_jax/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES],
+    "envs/hgail_envs/layout": [LAYOUT],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
     "envs/hgail_envs/fetch/reach": [GOALS],
     "envs/hgail_envs/fetch/grasp": [GOALS, MODEL, GRASP],
     "envs/hgail_envs/fetch/objects": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/fetch/push": [OBJECTS],
     "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
-    "envs/hgail_envs/fetch/cubes": [STACK, TOWER],
-    "envs/hgail_envs/fetch/stack": [STACK],
-    "envs/hgail_envs/fetch/tower": [TOWER],
-    "envs/hgail_envs/fetch/tower_goals": [TOWER],
+    "envs/hgail_envs/fetch/cubes": [CUBES, STACK, TOWER],
+    "envs/hgail_envs/fetch/stack": [CUBES, STACK],
+    "envs/hgail_envs/fetch/tower": [CUBES, TOWER],
+    "envs/hgail_envs/fetch/tower_goals": [CUBES, TOWER],
 }
 """What is run for a module, the quickest first."""
 
@@ -124,8 +126,6 @@ EQUIVALENT = {
         "away = (jnp.linalg.norm(physics.gripper_position - cube) >= _AT_CUBE)",
     ],
     "envs/hgail_envs/fetch/grasp": [
-        # The method does not look at its object.
-        "return FetchEnv.goal_kind(goal, goal)",
         # It draws nothing.
         "return jnp.where(away, elsewhere, self.sample_goal(physics, physics))",
         # The last number is set.

@@ -8,28 +8,14 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from brax.envs.base import Env, State
-from flax import struct
 
+from hgail_envs.layout import HasLayouts
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 Controller = Callable[[jax.Array], jax.Array]
 """A scripted policy without a memory: observations `[..., observation_size]` to actions `[..., action_size]` in
 [-1, 1]."""
-
-
-class EpisodeMetrics(struct.PyTreeNode):
-    """Outcome of an episode: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
-
-    success: jax.Array | float = 0.0
-    """1 if the episode is a success by the task's strictest test, else 0."""
-    achieved: jax.Array | float = 0.0
-    """1 if the last step satisfies the goal, else 0; differs from `success` in a task with a lift test."""
-    success_l1: jax.Array | float = 0.0
-    """1 if the L1 distance is within the task's threshold, as in the paper, else 0."""
-    distance_l1: jax.Array | float = 0.0
-    """L1 distance between the last step's position and the target, in the goal's unit."""
-    distance_l2: jax.Array | float = 0.0
-    """Euclidean distance between them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +34,7 @@ class TrainingDefaults:
     """Name of the default method, in `hgail_jax.METHODS`."""
 
 
-class GoalEnv(Env):
+class GoalEnv(HasLayouts, Env):
     """A task in which a state must be brought to a goal within `episode_length` steps.
 
     It has brax's `reset` and `step`, so that brax's ES and ARS can train on it (PPO, SAC and APG of brax 0.14.2 need an
@@ -56,26 +42,21 @@ class GoalEnv(Env):
     All is for a single environment; batches come from `jax.vmap`. `P` below is the task's physics state, any pytree.
 
     A task sets the five class attributes without a value and implements the five abstract methods; the others have
-    defaults. Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.
+    defaults. In place of sizes it may declare layouts (`features_layout` and so on), which also name the numbers.
+    Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.
 
     The goals of an episode follow a plan, drawn by `plan_goals` at the reset; from it `current_goal` returns the goal
     of a step. By default the plan is one goal of `sample_goal`, for all steps. A task that learns better on other goals
     than those of its evaluation has training goals, the plans of episodes reset with `training_goals`: a random place,
     a stage on the way, a new place every few steps.
 
-    `State.info` holds `observation` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
-    (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is `goal_observation(observation, desired_goal)`,
-    `[observation_size]`. `State.reward` is -1, or 0 if the state is at the goal (`reached`).
+    `State.info` holds `features` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
+    (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is the observation, `goal_observation(features,
+    desired_goal)`, `[observation_size]`. `State.reward` is -1, or 0 if the state is at the goal (`goal_test`).
     """
 
     episode_length: int
     """Steps in an episode."""
-    feature_size: int
-    """Numbers in the part of the observation that does not depend on the goal."""
-    goal_size: int
-    """Numbers in a goal."""
-    action_size: int
-    """Numbers in an action; each is clipped to [-1, 1]."""
     success_threshold: float
     """Largest Euclidean distance between achieved and desired goal that counts as success."""
     goal_kinds: int = 1
@@ -145,8 +126,12 @@ class GoalEnv(Env):
         return jnp.concatenate([features, goal], axis=-1)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`."""
-        return jnp.linalg.norm(achieved - desired, axis=-1) <= self.success_threshold
+        """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`.
+
+        By the goals alone, as trainers that keep no features compute their rewards. By default flags of `goal_layout`
+        are equal and the other numbers within `success_threshold`.
+        """
+        return self.goal_layout.is_near(achieved, desired, self.success_threshold)
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
@@ -156,18 +141,17 @@ class GoalEnv(Env):
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
-    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
-        """Returns whether `physics` is at the goal `desired`, `[goal_size]`: a boolean `[]`, by the achieved goal."""
-        return self.success(self.achieved_goal(physics), desired)
-
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether states of a replay buffer are at goals, `[..., goal_size]`: booleans `[...]`.
+        """Returns whether states are at goals, `[..., goal_size]`: booleans `[...]`, the test of reward and success.
 
-        An off-policy learner computes the rewards of relabelled goals with it. A buffer keeps of a state `features`,
-        `[..., feature_size]`, and its `achieved` goal, `[..., goal_size]`, but no physics: so a task that overrides
-        `reached` overrides this too. By default it is `success` of the achieved goal.
+        A state is given by its `features`, `[..., feature_size]`, and its `achieved` goal, `[..., goal_size]`, which is
+        all that a replay buffer keeps of it. By default it is `success` of the achieved goal.
         """
         return self.success(achieved, goal)
+
+    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
+        """Returns whether `physics` is at the goal `desired`, `[goal_size]`, by `goal_test`: a boolean `[]`."""
+        return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether relabelled goals are already solved, so that hindsight may weigh them less: booleans `[...]`.
@@ -199,13 +183,29 @@ class GoalEnv(Env):
         Without a lift test, as in all roll-outs for training, `lifted` is `end`.
         """
         achieved, desired = end.info["achieved_goal"], end.info["desired_goal"]
-        reached = self.success(achieved, desired).astype(jnp.float32)
-        return self.measure(achieved, desired).replace(success=reached, achieved=reached)
+        return self.measure(achieved, desired, self.goal_test(end.info["features"], achieved, desired))
 
-    def measure(self, position: jax.Array, target: jax.Array) -> EpisodeMetrics:
-        """Returns the distances between two vectors, and the success by L1 distance."""
+    def measure(
+        self,
+        position: jax.Array,
+        target: jax.Array,
+        achieved: jax.Array | bool = False,
+        success: jax.Array | bool | None = None,
+    ) -> EpisodeMetrics:
+        """Returns the metrics of an episode.
+
+        Args:
+          position: at the end of the episode: `[3]`, or a goal, `[goal_size]`, whose metres count if it has units.
+          target: as `position`.
+          achieved: whether the last step satisfies the goal, a boolean `[]`.
+          success: whether the episode is a success by the task's strictest test; None if that is `achieved`.
+
+        """
+        position, target = (self.goal_layout.metres(jnp.asarray(each)) for each in (position, target))
         l1 = jnp.sum(jnp.abs(position - target))  # the paper's success is by this distance
         return EpisodeMetrics(
+            success=jnp.asarray(achieved if success is None else success, jnp.float32),
+            achieved=jnp.asarray(achieved, jnp.float32),
             success_l1=(l1 <= self.success_threshold).astype(jnp.float32),
             distance_l1=l1,
             distance_l2=jnp.linalg.norm(position - target),
@@ -281,7 +281,7 @@ class GoalEnv(Env):
             done=jnp.zeros(()),  # or brax would reset the episode, and hindsight relabel across two episodes
             metrics=metrics,
             info={
-                "observation": features,
+                "features": features,
                 "achieved_goal": self.achieved_goal(physics),
                 "desired_goal": desired,
                 "plan": plan,

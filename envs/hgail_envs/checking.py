@@ -87,7 +87,6 @@ def _check_methods(env: GoalEnv) -> None:
         "achieved_goal": ((physics,), "float32", (env.goal_size,), "[goal_size]"),
         "sample_goal": ((rng, physics), "float32", (env.goal_size,), "[goal_size]"),
         "current_goal": ((plan, physics, step), "float32", (env.goal_size,), "[goal_size]"),
-        "reached": ((physics, _floats(env.goal_size)), "bool", (), "one number"),
         "lift_test_action": ((action,), "float32", (env.action_size,), "[action_size]"),
         "overflow": ((physics,), "bool", (), "one number"),
     }
@@ -99,6 +98,7 @@ def _check_methods(env: GoalEnv) -> None:
         size = (*batch, env.observation_size)
         _check_array(env, "goal_observation", observation, "float32", size, "[..., observation_size]")
         _check_array(env, "success", _trace(env, "success", goal, goal), "bool", batch, "[...]")
+        _check_array(env, "goal_test", _trace(env, "goal_test", features, goal, goal), "bool", batch, "[...]")
         _check_array(env, "goal_kind", _trace(env, "goal_kind", goal), "int32", batch, "[...]")
         _check_array(env, "already_solved", _trace(env, "already_solved", features, goal), "bool", batch, "[...]")
 
@@ -123,15 +123,17 @@ def _check_episode(env: GoalEnv) -> None:
 def _check_state(env: GoalEnv, name: str, state: State) -> None:
     """Checks that a state is finite, and that its observation is rebuilt from its parts, as hindsight does."""
     owner = f"{type(env).__name__}.{name}"
-    for part in ("observation", "achieved_goal", "desired_goal"):
+    for part in ("features", "achieved_goal", "desired_goal"):
         if part not in state.info:
             raise ValueError(f"{owner} gives a State without info[{part!r}]; hindsight needs it")
         if not np.isfinite(np.asarray(state.info[part])).all():
-            raise ValueError(f"{owner} gives a State whose {part} is not finite: {np.asarray(state.info[part])[0]}")
-    rebuilt = np.asarray(env.goal_observation(state.info["observation"], state.info["desired_goal"]))
+            raise ValueError(
+                f"{owner} gives a State whose info[{part!r}] is not finite: {np.asarray(state.info[part])[0]}"
+            )
+    rebuilt = np.asarray(env.goal_observation(state.info["features"], state.info["desired_goal"]))
     if rebuilt.shape != state.obs.shape or not np.allclose(rebuilt, np.asarray(state.obs), rtol=1e-5, atol=1e-6):
         raise ValueError(
-            f"{owner} gives a State whose obs is not goal_observation(info['observation'], info['desired_goal']);"
+            f"{owner} gives a State whose obs is not goal_observation(info['features'], info['desired_goal']);"
             " hindsight rebuilds it so for other goals"
         )
 

@@ -7,27 +7,28 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.base import Controller, GoalEnv
+from hgail_envs.layout import Layout, Quantity, position
 from hgail_envs.variation import SensorErrors
 
 
-def straight(observation: jax.Array) -> jax.Array:
+def straight(seen: Mapping[str, jax.Array]) -> jax.Array:
     """Moves a point straight to its goal, at full speed down to 5 cm."""
-    return jnp.clip(20.0 * (observation[..., 3:6] - observation[..., :3]), -1.0, 1.0)
+    return jnp.clip(20.0 * (seen["target position"] - seen["position"]), -1.0, 1.0)
 
 
 class Point(GoalEnv):
     """A point that an action moves by up to 3 cm along each axis, and a goal up to 15 cm away along each.
 
-    Observation: position (0:3) and goal (3:6), metres. The physics state is the position. It is the smallest complete
-    task: copy it, change the five methods, and train it with `--task my_module:MyTask`.
+    The physics state is the position. It is the smallest complete task: copy it, change the layouts and the five
+    methods, and train it with `--task my_module:MyTask`.
     """
 
     episode_length = 50
-    feature_size = 3
-    goal_size = 3
-    action_size = 3
+    features_layout = Layout(position("position"))
+    goal_layout = Layout(position("target position"))
+    action_layout = Layout(Quantity("displacement", 3, "1 is 0.03 m", "world"))
     success_threshold = 0.05
-    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": straight}
+    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": (features_layout + goal_layout).reader(straight)}
 
     def reset_physics(self, rng: jax.Array) -> jax.Array:
         return jnp.zeros(3)

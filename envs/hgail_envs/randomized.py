@@ -8,12 +8,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, EpisodeMetrics, GoalEnv, State
+from hgail_envs.base import Controller, GoalEnv, State
+from hgail_envs.layout import past
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 
 _SAME = (
-    *("episode_length", "goal_size", "action_size", "success_threshold", "goal_kinds", "lift_test_steps"),
+    *("goal_size", "goal_layout", "action_size", "action_layout"),
+    *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps"),
     *("observation_limit", "max_worlds", "control_period", "scene", "target_body", "reference", "training"),
     *("impl", "substeps"),
 )
@@ -63,6 +66,7 @@ class RandomizedEnv(GoalEnv):
         known, remembered = randomization.known_delay, randomization.history
         self._past_size = known * (1 + task.action_size) + remembered * (task.action_size + task.feature_size)
         self.feature_size = self._past_size + task.feature_size
+        self.features_layout = past(task.features_layout, task.action_layout, remembered, known) + task.features_layout
         self.controllers = {  # type: ignore[misc]
             name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
@@ -146,8 +150,8 @@ class RandomizedEnv(GoalEnv):
 
     def features(self, physics: RandomizedPhysics) -> jax.Array:
         """Returns the past, then the task's features with sensor errors; see `GoalEnv`."""
-        past = self._on_their_way(physics).reshape(-1), physics.history.reshape(-1)
-        return jnp.concatenate([*past, self._observed_features(physics)])
+        before = self._on_their_way(physics).reshape(-1), physics.history.reshape(-1)
+        return jnp.concatenate([*before, self._observed_features(physics)])
 
     def _on_their_way(self, physics: RandomizedPhysics) -> jax.Array:
         """Returns the actions that have not taken effect, newest first, each after a 1: `[known_delay, 1 + size]`."""
@@ -158,8 +162,8 @@ class RandomizedEnv(GoalEnv):
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns the past, then the task's own observation; see `GoalEnv`."""
-        past, own = features[..., : self._past_size], features[..., self._past_size :]
-        return jnp.concatenate([past, self.task.goal_observation(own, goal)], axis=-1)
+        before, own = features[..., : self._past_size], features[..., self._past_size :]
+        return jnp.concatenate([before, self.task.goal_observation(own, goal)], axis=-1)
 
     @property
     def observation_size(self) -> int:

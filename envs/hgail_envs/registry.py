@@ -7,19 +7,19 @@ from typing import Any
 
 from hgail_envs.base import GoalEnv
 
-TASKS = {
-    "point": "hgail_envs.point:Point",
-    "reach": "hgail_envs.fetch.reach:Reach",
-    "grasp": "hgail_envs.fetch.grasp:Grasp",
-    "push": "hgail_envs.fetch.push:Push",
-    "pick-and-place": "hgail_envs.fetch.pick_and_place:PickAndPlace",
-    "slide": "hgail_envs.fetch.slide:Slide",
-    "stack": "hgail_envs.fetch.stack:Stack",
-    "tower": "hgail_envs.fetch.tower:Tower",
-    "grasp-position": "hgail_envs.fetch.grasp:GraspPosition",
-    "grasp-aperture": "hgail_envs.fetch.grasp:GraspAperture",
+_ROWS = {  # class, imported when it is made, and the steps of an episode, which Gymnasium must know before
+    "point": ("hgail_envs.point:Point", 50),
+    "reach": ("hgail_envs.fetch.reach:Reach", 50),
+    "grasp": ("hgail_envs.fetch.grasp:Grasp", 50),
+    "push": ("hgail_envs.fetch.push:Push", 50),
+    "pick-and-place": ("hgail_envs.fetch.pick_and_place:PickAndPlace", 50),
+    "slide": ("hgail_envs.fetch.slide:Slide", 50),
+    "stack": ("hgail_envs.fetch.stack:Stack", 100),
+    "tower": ("hgail_envs.fetch.tower:Tower", 200),
 }
-"""Names of the tasks that come with the package, and their classes, imported when they are made."""
+
+TASKS = {task: place for task, (place, _) in _ROWS.items()}
+"""Names of the tasks that come with the package, and their classes."""
 
 GYMNASIUM_IDS = {
     task: f"hgail_envs/{'' if task == 'point' else 'Fetch'}{task.title().replace('-And-', 'And').replace('-', '')}-v0"
@@ -27,22 +27,20 @@ GYMNASIUM_IDS = {
 }
 """Gymnasium's identifiers of the tasks, e.g. `hgail_envs/FetchPush-v0`."""
 
-EPISODE_STEPS = dict.fromkeys(TASKS, 50) | {"stack": 100, "tower": 200}
-"""Steps in an episode of each task: the time limit that `gymnasium.make` sets."""
-
 
 def register_gymnasium() -> None:
     """Registers `GYMNASIUM_IDS` for `gymnasium.make` and `gymnasium.make_vec`, if Gymnasium is installed."""
     with contextlib.suppress(ImportError):
         import gymnasium
 
-        for task, name in GYMNASIUM_IDS.items():
+        for task, (_, steps) in _ROWS.items():
+            name = GYMNASIUM_IDS[task]
             if name not in gymnasium.registry:
                 gymnasium.register(
                     name,
                     "hgail_envs.single:GoalSingleEnv",
                     vector_entry_point="hgail_envs.vector:make_vector",
-                    max_episode_steps=EPISODE_STEPS[task],
+                    max_episode_steps=steps,
                     kwargs={"task": task},
                 )
 

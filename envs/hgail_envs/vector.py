@@ -37,9 +37,9 @@ def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, 
 class GoalVectorEnv(VectorEnv):
     """Many episodes of a `GoalEnv` at once, as a `gymnasium.vector.VectorEnv`.
 
-    An observation is a dictionary as in Gymnasium-Robotics: `observation` (`[num_envs, feature_size]`),
-    `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 if the achieved
-    goal is a success. `info["is_success"]` holds booleans `[num_envs]`.
+    An observation is a dictionary as in Gymnasium-Robotics: `observation`, the task's features (`[num_envs,
+    feature_size]`), `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 at
+    the goal. `info["is_success"]` holds booleans `[num_envs]`.
 
     No episode terminates; all are truncated after the same number of steps. By default environments are reset by the
     step that follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns
@@ -219,8 +219,8 @@ class GoalVectorEnv(VectorEnv):
 
     def _observation(self) -> dict[str, np.ndarray]:
         assert self._state is not None
-        names = self.single_observation_space.spaces  # type: ignore[attr-defined]
-        return {name: np.array(self._state.info[name], np.float32) for name in names}
+        parts = {"observation": "features", "achieved_goal": "achieved_goal", "desired_goal": "desired_goal"}
+        return {name: np.array(self._state.info[part], np.float32) for name, part in parts.items()}
 
 
 def _marked(info: dict[str, Any], num_envs: int) -> dict[str, Any]:

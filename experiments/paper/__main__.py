@@ -73,7 +73,7 @@ def plan(options: Options, platform: str) -> list[Work]:
         studies, scale = _wanted(options, task), Scale(task, platform, options.quick)
         for study in studies:
             _check_options(study, task)
-            _check_rewards(study, scale)
+            _check_her(study, scale)
         works.append(Work(scale, seeds, folder, studies, options.sweep))
     if not (any(work.studies for work in works) or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
@@ -86,14 +86,13 @@ def _check_options(study: Study, task: str) -> None:
         raise ValueError(f"study {study.name!r} is for tasks with the option {min(lacking)!r}; {task!r} has none")
 
 
-def _check_rewards(study: Study, scale: Scale) -> None:
-    """Raises a ValueError if two rows of a study would be HER: HGAIL whose reward is the goal test alone is, too."""
-    if not any(setting.method == "her" for setting in study.settings):
-        return
+def _check_her(study: Study, scale: Scale) -> None:
+    """Raises a ValueError if two rows of a study are HER with the same settings, by name or by the task's default."""
+    names: dict[str, str] = {}
     for setting in study.settings:
-        named_hgail = (setting.method, setting.learner) == ("hgail", "td3")
-        if named_hgail and work_out(scale, setting, range(1)).hyperparameters.environment_reward == 1.0:
-            raise ValueError(f"study {study.name!r} has HER twice on {scale.task!r}: its {setting.name!r} is HER there")
+        trial = work_out(scale, setting, range(1))
+        if trial.method == "her" and (first := names.setdefault(trial.key(), setting.name)) != setting.name:
+            raise ValueError(f"study {study.name!r} on {scale.task!r}: {first!r} and {setting.name!r} are both HER")
 
 
 def _wanted(options: Options, task: str) -> tuple[Study, ...]:

@@ -9,8 +9,8 @@ from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.model_changes import changed
 from experiments.transfer.observing import Sensors, trained_under
 from experiments.transfer.robots.base import Robot
-from hgail_envs import EpisodeMetrics, GoalEnv, find_class
-from hgail_envs.fetch.grasp import LEAST_RISE
+from hgail_envs import EpisodeMetrics, find_class
+from hgail_envs.fetch import episode
 from hgail_envs.past import Past
 
 
@@ -43,28 +43,21 @@ def _run(
     robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions, watch: Callable[[], None]
 ) -> EpisodeMetrics:
     """Runs the episode in the robot's present model; see `run_episode`."""
-    task = find_class(robot.task)
-    pending = collections.deque([np.zeros(task.action_size, np.float32)] * conditions.delay)
+    action_size = find_class(robot.task).action_size
+    pending = collections.deque([np.zeros(action_size, np.float32)] * conditions.delay)
     factors = np.append(np.full(3, conditions.stride), 1.0)  # the hand's command is not a displacement
     sensors = Sensors(robot, policy, rng, conditions)
     trained = trained_under(policy)
     past = Past(trained, min(conditions.delay, trained.known_delay))  # of a longer delay it knows the newest actions
-    watch()
-    for _ in range(task.episode_length):
+
+    def act() -> np.ndarray:
         seen, goal = sensors.observe()
-        action = policy(np.concatenate([past.before(seen), seen, goal]).astype(np.float32))
-        past.add(np.clip(action, -1.0, 1.0), seen)
-        pending.append(np.clip(action, -1.0, 1.0) * factors)
-        action = pending.popleft()
-        robot.step(action)
-        watch()
-    position, target = robot.carried(), robot.target()
-    achieved = bool(robot.features()[7]) if task.lift_test_steps else robot.reached()  # 7: the hand holds the cube
-    for _ in range(task.lift_test_steps):
-        robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.lift_test_action`
-        watch()
-    rise = robot.target()[2] - target[2] if task.lift_test_steps else np.inf
-    return _judge(task, position, target, achieved, achieved and rise > LEAST_RISE)
+        action = np.clip(policy(np.concatenate([past.before(seen), seen, goal]).astype(np.float32)), -1.0, 1.0)
+        past.add(action, seen)
+        pending.append(action * factors)
+        return pending.popleft()
+
+    return episode.run_episode(robot, act, watch)
 
 
 def run_episodes(
@@ -90,17 +83,3 @@ def episode_rngs(seed: int, index: int) -> tuple[np.random.Generator, np.random.
     """Returns an episode's random generators, for its start and for the estimate of the target's position."""
     start_rng, estimate_rng = np.random.default_rng((seed, index)).spawn(2)
     return start_rng, estimate_rng
-
-
-def _judge(
-    task: type[GoalEnv], position: np.ndarray, target: np.ndarray, achieved: bool, success: bool
-) -> EpisodeMetrics:
-    """Returns the metrics of the last step, from the position of the gripper or object and its target's."""
-    l1, l2 = np.abs(position - target).sum(), np.linalg.norm(position - target)
-    return EpisodeMetrics(
-        success=float(success),
-        achieved=float(achieved),
-        success_l1=float(l1 <= task.success_threshold),
-        distance_l1=float(l1),
-        distance_l2=float(l2),
-    )

@@ -35,21 +35,24 @@ class Sensors:
         self._tracks = tracks_cube(policy)
         self._target = None if self._tracks else self._look(robot.target())
         self._goal_size = find_class(robot.task).goal_size
+        options = getattr(policy, "task_options", {}) | {"cube": "at-start"}  # the sensors add a tracked cube
+        self._layout = find_class(robot.task).features_with(**options)
         self._offset = self._draw(conditions.robot_offset)
         self._noise: np.ndarray | None = None
 
     def observe(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns features and goal at a step, `[feature_size]` and `[goal_size]`.
 
-        The errors of the gripper enter its position, `0:3`, the displacement in the last action, `3:6`, and, in a task
-        with an object, the object's position relative to the gripper, `6:9`, or `8:11` of a tracked cube. A tracked
-        cube is the goal, and is seen there and in the features with the same error.
+        The errors of the gripper enter its position, its velocity, which is the displacement in the last action, and,
+        in a task with an object, the object's position relative to the gripper. A tracked cube is the goal, and is seen
+        there and in the features with the same error.
         """
         features, noise = self._robot.features().copy(), self._draw(self._conditions.robot_noise)
-        features[:3] += self._offset + noise
-        features[3:6] += 0.0 if self._noise is None else noise - self._noise
-        if len(features) > 8:  # 6:9 is the object's position less the gripper's
-            features[6:9] -= self._offset + noise
+        features[self._layout["gripper position"]] += self._offset + noise
+        features[self._layout["gripper velocity"]] += 0.0 if self._noise is None else noise - self._noise
+        for quantity in self._layout:
+            if quantity.name.endswith("position less gripper position"):
+                features[self._layout[quantity.name]] -= self._offset + noise
         self._noise = noise
         target = self._look(self._robot.target()) if self._target is None else self._target
         target = target + self._draw(self._conditions.goal_noise)

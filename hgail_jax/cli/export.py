@@ -57,10 +57,10 @@ def main(arguments: list[str] | None = None) -> None:
         path, policy = found[0]
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         _check_file(out)
-        success = None
+        success, trusted = None, policy.task in TASKS or options.task is not None
         if out.suffix == ".onnx":
-            check_described(policy)
-            success = _success(path, policy, options)
+            check_described(policy, trusted)
+            success = _success(path, policy, options.episodes, trusted)
     except OverflowError as error:
         fail(PROGRAM, error, 1)
     except (ValueError, OSError) as error:
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if out.suffix == ".onnx":
-            export_onnx(out, policy, success)
+            export_onnx(out, policy, success, trusted)
         else:
             {".mlirbc": export_policy, ".npz": save_policy}[out.suffix](out, policy)
     except OSError as error:
@@ -96,18 +96,18 @@ def _check_file(path: Path) -> None:
         raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
 
 
-def _success(path: Path, policy: MeanPolicy, options: Options) -> float | None:
+def _success(path: Path, policy: MeanPolicy, episodes: int, trusted: bool) -> float | None:
     """Returns the success of a policy in the final evaluation of its run, or else in episodes that are run now.
 
-    Returns None if no episodes are asked for, or if only the policy's file names the task: making a task that is not of
-    this package would run code that an untrusted file chose.
+    Returns None if no episodes are asked for, or if the task is not trusted: making one that only the policy's file
+    names, and that is not of this package, would run code that the file chose.
     """
     known = _success_in_run(path)
-    if known is not None or not options.episodes or (policy.task not in TASKS and options.task is None):
+    if known is not None or not episodes or not trusted:
         return known
     env = make_task(policy, policy.task, None)
-    with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {policy.task}"):
-        evaluation = Evaluation(env, 0, options.episodes)
+    with StatusLine(f"compiling and running {counted(episodes, 'episode')} of {policy.task}"):
+        evaluation = Evaluation(env, 0, episodes)
         return round(float(evaluation(policy).success) * evaluation.episodes) / evaluation.episodes
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,8 @@ import jax.export
 import jax.numpy as jnp
 import numpy as np
 
-from hgail_envs.quantities import FRAMES, Description, Quantity, describe
+from hgail_envs.layout import FRAMES, Layout
+from hgail_envs.quantities import Description, describe
 from hgail_envs.registry import TASKS, find_class
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.provenance import installed
@@ -33,7 +33,7 @@ def export_policy(path: Path | str, policy: MeanPolicy) -> None:
         file.write(exported.mlir_module_serialized)
 
 
-def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = None) -> None:
+def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = None, trusted: bool = False) -> None:
     """Writes the mean action as an ONNX model, normalisation included, with metadata that explain its numbers.
 
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
@@ -45,6 +45,7 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
       path: to write.
       policy: to be written.
       success: rate of success of the policy, if it is known.
+      trusted: whether the class of a task that is not of this package may be imported, to name its numbers.
 
     Raises:
       ImportError: the extra `onnx` is not installed.
@@ -69,7 +70,9 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in _metadata(policy, success).items()})
+    helper.set_model_props(
+        model, {name: json.dumps(value) for name, value in _metadata(policy, success, trusted).items()}
+    )
     checker.check_model(model, full_check=True)
     with replace_file(path, "wb") as file:
         file.write(model.SerializeToString())
@@ -111,8 +114,12 @@ def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
     return nodes, constants
 
 
-def check_described(policy: MeanPolicy) -> Description:
+def check_described(policy: MeanPolicy, trusted: bool = False) -> Description:
     """Returns the description of the numbers that a policy reads and commands.
+
+    Args:
+      policy: whose numbers are described.
+      trusted: whether the class of a task that is not of this package may be imported; else its numbers are numbered.
 
     Raises:
       ValueError: the policy reads other numbers than its task has.
@@ -121,25 +128,23 @@ def check_described(policy: MeanPolicy) -> Description:
     history, known = policy.randomization.history, policy.randomization.known_delay
     past = policy.action_size * history + (1 + policy.action_size) * known
     sizes = ((policy.observation_size - policy.goal_size - past) // (1 + history), policy.goal_size, policy.action_size)
-    of_package = policy.task in TASKS
-    tracked = policy.task_options.get("cube") == "tracked"
-    observation = str(policy.task_options.get("observation", "tracked" if tracked else "compact"))
-    described = describe(policy.task, observation, history, known, () if of_package else sizes)
-    if len(described.features) + len(described.goal) != policy.observation_size:
+    of_class = trusted or policy.task in TASKS
+    described = describe(policy.task, history, known, () if of_class else sizes, **policy.task_options)
+    if described.observation.size != policy.observation_size:
         raise ValueError(
             f"the policy reads {policy.observation_size} numbers, which is no observation of {policy.task}"
         )
     return described
 
 
-def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
-    described = check_described(policy)
-    of_package = policy.task in TASKS
-    period = {"control_period": find_class(policy.task).control_period} if of_package else {}  # others' code is not run
+def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[str, Any]:
+    described = check_described(policy, trusted)
+    of_class = trusted or policy.task in TASKS  # code that only the file chose is not run
+    period = {"control_period": find_class(policy.task).control_period} if of_class else {}
     return {
         "task": policy.task,
-        "observation": _rows((*described.features, *described.goal)),
-        "goal": _rows(described.goal, first=len(described.features)),
+        "observation": _rows(described.observation),
+        "goal": _rows(described.goal, first=described.features.size),
         "action": [{**row, "low": -1.0, "high": 1.0} for row in _rows(described.action)],
         "frames": FRAMES,
         **period,
@@ -153,5 +158,8 @@ def _metadata(policy: MeanPolicy, success: float | None) -> dict[str, Any]:
     }
 
 
-def _rows(quantities: Iterable[Quantity], first: int = 0) -> list[dict[str, Any]]:
-    return [{"index": index, **quantity._asdict()} for index, quantity in enumerate(quantities, first)]
+def _rows(layout: Layout, first: int = 0) -> list[dict[str, Any]]:
+    return [
+        {"index": index, "name": number.title, "unit": number.unit, "frame": number.frame}
+        for index, number in enumerate(layout.numbers, first)
+    ]

@@ -118,7 +118,6 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     # Off-policy a hand that is told at each step where the cube is learns in 400 k steps what one that is told once
     # does not quite learn in 1.5 M (docs/lab/off-policy.md); PPO, the default, learns it told once.
     "grasp": {"ppo": _PPO_GRASP, "td3": _td3_grasp(cube="tracked")},
-    **{name: {"ppo": _PPO_GRASP, "td3": _td3_grasp()} for name in ("grasp-position", "grasp-aperture")},
     "push": {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
         "td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 8}}, OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),

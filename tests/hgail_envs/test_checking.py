@@ -50,7 +50,7 @@ def silent():
     class Silent(Point):
         def reset(self, rng, training_goals=False):
             state = super().reset(rng, training_goals)
-            return state.replace(info={name: state.info[name] for name in ("observation", "desired_goal")})
+            return state.replace(info={name: state.info[name] for name in ("features", "desired_goal")})
 
     return Silent()
 
@@ -73,7 +73,7 @@ MISTAKES = [
     (Wrong(success_threshold=float("nan")), "Wrong.success_threshold is nan; it must be a positive number"),
     (Wrong(features=lambda physics: None), "Wrong.features gives None; it must give float32"),
     (Wrong(features=lambda physics: physics.astype(int)), r"Wrong.features gives int32 \[3\]; it must give float32"),
-    (Wrong(features=lambda physics: physics / 0), "Wrong.reset gives a State whose observation is not finite"),
+    (Wrong(features=lambda physics: physics / 0), r"Wrong.reset gives a State whose info\['features'\] is not finite"),
     (Wrong(sample_goal=lambda rng, physics: jnp.zeros(2)), r"Wrong.sample_goal gives float32 \[2\]; it must give"),
     (
         Wrong(plan_goals=lambda rng, physics, training_goals: jnp.zeros(())),
@@ -99,6 +99,10 @@ MISTAKES = [
         r"Wrong.success gives bool \[\]; it must give bool \[2, 3\]",
     ),
     (
+        Wrong(goal_test=lambda features, achieved, goal: jnp.linalg.norm(achieved - goal) < 1.0),
+        r"Wrong.goal_test gives bool \[\]; it must give bool \[2, 3\]",
+    ),
+    (
         Wrong(step_physics=lambda physics, action: physics.astype(jnp.float16)),
         r"Wrong.step_physics gives float16 \[3\]; it must give what reset_physics does, float32 \[3\]",
     ),
@@ -117,7 +121,7 @@ MISTAKES = [
     (Wrong(step_physics=on_host), "Wrong.step fails .*vmap_method"),  # which shows in a batch alone
     (Wrong(outcome=lambda end, lifted: end.reward), "Wrong.outcome gives float32"),
     (leaking(), "Leaking.*fails.*an array that another call kept"),
-    (noisy(), r"Noisy.reset gives a State whose obs is not goal_observation\(info\['observation'\]"),
+    (noisy(), r"Noisy.reset gives a State whose obs is not goal_observation\(info\['features'\]"),
     (silent(), r"Silent.reset gives a State without info\['achieved_goal'\]"),
     (Point, "Point'> is not a GoalEnv"),
 ]

@@ -20,7 +20,7 @@ def test_it_is_what_the_policy_read_in_training(known, history, delay):
     env, past = RandomizedEnv(Point(), sizes), Past(sizes, delay, action_size=3)
     step, state = jax.jit(env.step), env.reset(jax.random.key(0))
     for action in ACTIONS:
-        features = np.asarray(state.info["observation"])
+        features = np.asarray(state.info["features"])
         seen = features[-3:]
         np.testing.assert_array_equal(np.append(past.before(seen), seen), features)
         past.add(action, seen)

@@ -1,5 +1,8 @@
 """Names of the numbers of an observation, against C MuJoCo's own quantities of the same state."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -7,7 +10,8 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.quantities import FRAMES, describe
+from hgail_envs.layout import FRAMES
+from hgail_envs.quantities import describe
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import randomize
 
@@ -60,7 +64,7 @@ def measured(env, state, target):
 def test_each_number_is_what_its_name_says(task, observation):
     options = {"compact": {}, "tracked": {"cube": "tracked"}}.get(observation, {"observation": observation})
     env = hgail_envs.make(task, impl="c", substeps=4, **options)
-    described = describe(task, observation)
+    described = describe(task, **options)
     step = jax.jit(env.step)
     state = jax.jit(env.reset)(jax.random.key(1))
     for action in ([0.9, -0.5, -1.0, 0.3], [0.2, 0.7, -0.4, 0.6], [-1.0, 0.1, 0.8, -0.2]):
@@ -73,7 +77,7 @@ def test_each_number_is_what_its_name_says(task, observation):
         physics = physics.replace(qvel=thrown)
         state = state.replace(pipeline_state=physics)
     seen = np.asarray(env.goal_observation(env.features(physics), state.info["desired_goal"]))
-    names = [quantity.name for quantity in (*described.features, *described.goal)]
+    names = [number.name for number in described.observation.numbers]
     assert len(names) == len(set(names)) == env.observation_size
     known = measured(env, state, np.asarray(state.info["desired_goal"])[:3])
     compared = [index for index, name in enumerate(names) if name in known]
@@ -83,7 +87,6 @@ def test_each_number_is_what_its_name_says(task, observation):
         "hand holds the cube",
         "to hold the cube at the target",
         "target is the object's, not the gripper's",
-        "desired gap between the fingers",
         "hand holds cube A",
         "target is cube A's",
         "target is cube B's",
@@ -92,18 +95,18 @@ def test_each_number_is_what_its_name_says(task, observation):
         *(f"target is the {role} cube's" for role in ROLES),
         "the cube is to be left at the target",
     }
-    assert len(described.action) == env.action_size
-    assert all(quantity.frame in (*FRAMES, "") for group in described for quantity in group)
+    assert described.action.size == env.action_size
+    assert all(quantity.frame in (*FRAMES, "") for layout in described for quantity in layout)
 
 
 def test_actions_on_their_way_are_named_in_their_order():
     env = randomize(hgail_envs.make("point"), Randomization(delay=(2, 2), known_delay=3, history=1))
-    named = [quantity.name for quantity in describe("point", history=1, known_delay=3).features]
+    named = [number.title for number in describe("point", history=1, known_delay=3).features.numbers]
     assert len(named) == len(set(named)) == env.feature_size
     state = env.reset(jax.random.key(0))
     for action in ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]):
         state = env.step(state, jnp.array(action))
-    seen = dict(zip(named, np.asarray(state.info["observation"]), strict=True))
+    seen = dict(zip(named, np.asarray(state.info["features"]), strict=True))
     for back, (there, x) in {"1 step": (1, 0.4), "2 steps": (1, 0.1), "3 steps": (0, 0)}.items():
         assert seen[f"whether there is an action, sent {back} ago and on its way"] == there
         assert seen[f"displacement x, sent {back} ago and on its way"] == pytest.approx(x)
@@ -111,12 +114,13 @@ def test_actions_on_their_way_are_named_in_their_order():
 
 def test_a_history_is_named_in_its_order():
     env = randomize(hgail_envs.make("point"), Randomization(history=2))
-    named = [quantity.name for quantity in describe("point", history=2).features]
+    named = [number.title for number in describe("point", history=2).features.numbers]
+    assert named == [number.title for number in env.features_layout.numbers]
     assert len(named) == env.feature_size
     state = env.reset(jax.random.key(0))
     for action in ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]):
         state = env.step(state, jnp.array(action))
-    seen = dict(zip(named, np.asarray(state.info["observation"]), strict=True))
+    seen = dict(zip(named, np.asarray(state.info["features"]), strict=True))
     assert [seen[f"displacement {axis}, 1 step earlier"] for axis in "xyz"] == pytest.approx([0.4, 0.5, 0.6])
     assert [seen[f"displacement {axis}, 2 steps earlier"] for axis in "xyz"] == pytest.approx([0.1, 0.2, 0.3])
     assert seen["position x, 1 step earlier"] == pytest.approx(0.003)
@@ -130,16 +134,28 @@ def test_the_command_of_the_hand_opens_it_where_the_table_says_so():
         state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
         for _ in range(3):
             state = step(state, jnp.array([0.0, 0.0, 1.0, 1.0]))
-        blocked = "no effect" in describe(task).action[3].name
+        blocked = "no effect" in describe(task).action.numbers[3].name
         assert blocked == (float(env.gap(state.pipeline_state)) == 0.0)
 
 
-def test_the_numbers_of_a_task_of_one_s_own_are_counted():
+def test_the_numbers_of_a_task_that_is_not_imported_are_counted():
     described = describe("elsewhere:Task", sizes=(2, 1, 1))
-    assert [quantity.name for group in described for quantity in group] == [
-        "feature 0",
-        "feature 1",
-        "goal 0",
-        "action 0",
-    ]
-    assert describe("hgail_envs.point:Point").goal[2].name == "goal 2"
+    numbers = [number.name for layout in described for number in layout.numbers]
+    assert numbers == ["feature 0", "feature 1", "goal 0", "action 0"]
+    assert describe("hgail_envs.point:Point").goal.numbers[2].name == "target position z"
+
+
+@pytest.mark.parametrize("task", hgail_envs.TASKS)
+def test_the_page_has_the_layouts(task):
+    page = (Path(hgail_envs.__file__).parents[2] / "docs" / "tasks.md").read_text()
+    section = page.split(f"\n## {task}\n")[1].split("\n## ")[0]
+    described, first, rows = describe(task), 0, []
+    for quantity in (*described.observation, None, *described.action):
+        if quantity is None:
+            first = 0
+            continue
+        place = f"{first}:{first + quantity.size}" if quantity.size > 1 else f"{first}"
+        rows.append((place, quantity.name, quantity.unit, quantity.frame))
+        first += quantity.size
+    table = re.findall(r"^\| (\d+(?::\d+)?)(?:, the goal's \S+)? \| (.*) \| (.*) \| (.*) \|$", section, re.M)
+    assert [tuple(cell.strip() for cell in row) for row in table] == rows

@@ -151,13 +151,13 @@ def test_the_history_is_what_was_done_and_observed():
     env = RandomizedEnv(Point(), Randomization(delay=(2, 2), robot_noise=0.01, goal_offset=0.01, history=3))
     assert env.observation_size == 3 * (3 + 3) + 3 + 3
     states = follow(env)
-    seen = [np.asarray(state.info["observation"])[-3:] for state in states]
+    seen = [np.asarray(state.info["features"])[-3:] for state in states]
     rows = [np.concatenate([np.zeros(3), seen[0]])] * 3
     for step, state in enumerate(states):
         if step:
             rows = [np.concatenate([ACTIONS[step - 1], seen[step - 1]]), *rows[:2]]
         expected = np.concatenate([*rows, seen[step]])
-        np.testing.assert_allclose(state.info["observation"], expected, atol=1e-6)
+        np.testing.assert_allclose(state.info["features"], expected, atol=1e-6)
         np.testing.assert_allclose(state.obs, np.append(expected, state.info["desired_goal"]), atol=1e-6)
 
 
@@ -343,7 +343,7 @@ def test_sizes_ramp_from_nominal(progress, present):
     for name in ("step_size", "z_bias", "offset"):
         pair = [getattr(state.pipeline_state.drawn, name) for state in (ramped, there)]
         np.testing.assert_allclose(*pair, atol=1e-6)
-    np.testing.assert_allclose(ramped.info["observation"], there.info["observation"], atol=1e-6)
+    np.testing.assert_allclose(ramped.info["features"], there.info["features"], atol=1e-6)
 
 
 @pytest.mark.parametrize(("progress", "delays"), [(0.0, {0}), (0.25, {0, 1, 2}), (0.5, {1, 2, 3}), (1.0, {1, 2, 3})])

@@ -49,8 +49,6 @@ def test_every_task_that_is_listed_can_be_made_and_says_its_sizes():
         "point": (6, 3, 3),
         "reach": (9, 3, 4),
         "grasp": (12, 4, 4),
-        "grasp-position": (11, 3, 4),
-        "grasp-aperture": (12, 4, 4),
         "push": (19, 4, 4),
         "pick-and-place": (21, 4, 4),
         "slide": (19, 4, 4),

@@ -13,6 +13,7 @@ import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, EngineState, make_engine
+from hgail_envs.fetch import layouts
 from hgail_envs.fetch.kinematics import Chain
 from hgail_envs.fetch.model import FINGERS, SceneModel
 from hgail_envs.scenes import load_scene
@@ -84,7 +85,7 @@ class FetchEnv(GoalEnv):
 
     scene: str
     episode_length = 50
-    action_size = 4
+    action_layout = layouts.ACTION
     control_period = CONTROL_PERIOD
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin

@@ -1,10 +1,16 @@
 """Scripted controllers of the Fetch tasks: they demonstrate a task, and show that its scene can be solved.
 
-See `hgail_envs.base.Controller`. Those of grasp read the observation of `hgail_envs.fetch.grasp.Grasp`.
+Each maps the values of an observation by name, those of its task's layouts, to an action, `[..., 4]`. A task makes a
+`hgail_envs.base.Controller` of it by `Layout.reader`.
 """
+
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+
+Seen = Mapping[str, jax.Array]
+"""Values of an observation by name, `[..., quantity.size]`, or `[...]` of a single number."""
 
 _GAIN = 20.0  # actions per metre: full speed down to 5 cm
 _DESCENT_GAIN = 4.0  # lower than in the plane, so that the hand is above the cube before it is low
@@ -32,62 +38,67 @@ _PASSING_TOWER = 0.56  # metres of the gripper, over a tower of two, whose top i
 _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
 
 
-def reach(observation: jax.Array) -> jax.Array:
-    """Moves the gripper straight to its goal (`hgail_envs.fetch.reach.Reach`), with a gripper command of 0."""
-    action = jnp.clip(_GAIN * (observation[..., 6:9] - observation[..., :3]), -1.0, 1.0)
+def reach(seen: Seen) -> jax.Array:
+    """Moves the gripper straight to its goal , with a gripper command of 0."""
+    action = jnp.clip(_GAIN * _ahead(seen), -1.0, 1.0)
     return _with_hand(action, jnp.zeros(action.shape[:-1]))
 
 
-def grasp(observation: jax.Array) -> jax.Array:
+def grasp(seen: Seen) -> jax.Array:
     """Comes to the cube from above with an open hand, and closes it there; grasps every cube of the scene."""
-    ahead = _ahead(observation)
+    ahead = _ahead(seen)
     gain = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN])
     return _with_hand(jnp.clip(gain * ahead, -1.0, 1.0), _close_when_near(ahead))
 
 
-def straight(observation: jax.Array) -> jax.Array:
+def straight(seen: Seen) -> jax.Array:
     """Goes to the cube in a straight line at full speed, open until near: knocks some of the cubes away."""
-    ahead = _ahead(observation)
+    ahead = _ahead(seen)
     return _with_hand(_line(ahead), _close_when_near(ahead))
 
 
-def closed(observation: jax.Array) -> jax.Array:
+def closed(seen: Seen) -> jax.Array:
     """Goes to the cube in a straight line with a closed hand, which can grasp nothing."""
-    ahead = _ahead(observation)
+    ahead = _ahead(seen)
     return _with_hand(_line(ahead), jnp.full(ahead.shape[:-1], _CLOSE))
 
 
-def pick_and_place(observation: jax.Array) -> jax.Array:
+def pick_and_place(seen: Seen) -> jax.Array:
     """Grasps the cube as `grasp` does, and then moves the hand so that the cube comes to the target."""
-    apart, remaining = observation[..., 6:9], observation[..., 17:20] - observation[..., 9:12]
-    held = observation[..., 16] > 0.5
+    apart, remaining = seen["cube position less gripper position"], seen["target position"] - seen["cube position"]
+    held = seen["hand holds the cube"] > 0.5
     close = held | (jnp.linalg.norm(apart, axis=-1) <= _NEAR)
     approach = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN]) * apart
     move = jnp.where(held[..., None], _GAIN * remaining, approach)
     return _with_hand(jnp.clip(move, -1.0, 1.0), jnp.where(close, _CLOSE, _OPEN))
 
 
-def stack(observation: jax.Array) -> jax.Array:
+def stack(seen: Seen) -> jax.Array:
     """Grasps cube A from above, carries it over cube B, lowers it, lets go of it and rises."""
-    return _put_on(observation, _PASSING_HEIGHT, 0.0)
+    return _put_on(seen, "cube A", "cube B", "hand holds cube A", _PASSING_HEIGHT, 0.0)
 
 
-def tower(observation: jax.Array) -> jax.Array:
+def tower(seen: Seen) -> jax.Array:
     """Does as `stack` does with the cube that the goal names and the one that it is to lie on; passes above both."""
-    first, second = observation[..., 6:15], observation[..., 15:24]
-    stacking = [observation[..., :6], first, observation[..., 33:35], second]
-    return _put_on(jnp.concatenate(stacking, axis=-1), _PASSING_TOWER, _PASSING_TOWER - 0.01)
+    return _put_on(seen, "target's cube", "cube below it", "hand holds a cube", _PASSING_TOWER, _PASSING_TOWER - 0.01)
 
 
-def _put_on(observation: jax.Array, passing: float, clear: float) -> jax.Array:
-    """Puts cube A of an observation of stack on cube B.
+def _put_on(seen: Seen, cube: str, below: str, holding: str, passing: float, clear: float) -> jax.Array:
+    """Puts a cube on another.
 
-    On its way to A the hand rises to the height `passing`, and moves in the plane while it is above `clear`, metres.
+    Args:
+      seen: the observation.
+      cube: name of the cube that is put.
+      below: name of the other.
+      holding: name of the flag that the hand holds the cube.
+      passing: height to which the hand rises on its way to the cube, metres.
+      clear: height above which it moves in the plane, metres.
+
     """
-    height, apart, gap = observation[..., 2:3], observation[..., 6:9], observation[..., 15:16]
-    way = observation[..., 20:23] - observation[..., 9:12]  # from cube A's centre to cube B's
+    height, gap = seen["gripper position"][..., 2:], seen["gap between the fingers"][..., None]
+    apart, way = seen[f"{cube} position less gripper position"], seen[f"{below} position"] - seen[f"{cube} position"]
     aside, above = jnp.linalg.norm(way[..., :2], axis=-1, keepdims=True), -way[..., 2:]
-    held = observation[..., 16:17] > 0.5
+    held = seen[holding][..., None] > 0.5
     close = held | (jnp.linalg.norm(apart, axis=-1, keepdims=True) <= _NEAR)
     lies = (aside <= _CENTRED) & (above > 0.0) & (above <= _LYING)
 
@@ -110,10 +121,10 @@ def _put_on(observation: jax.Array, passing: float, clear: float) -> jax.Array:
     return _with_hand(jnp.clip(move, -1.0, 1.0), hand[..., 0])
 
 
-def push(observation: jax.Array) -> jax.Array:
+def push(seen: Seen) -> jax.Array:
     """Goes over the cube to the side away from the target, comes down there, and pushes it in a straight line."""
-    height, apart = observation[..., 2:3], observation[..., 6:8]
-    distance, direction = _way(observation)
+    height, apart = seen["gripper position"][..., 2:], seen["cube position less gripper position"][..., :2]
+    distance, direction = _way(seen, "cube")
     ahead = -jnp.sum(apart * direction, axis=-1, keepdims=True)  # of the cube's centre, the hand
     aside = -apart - ahead * direction
     over = distance <= _THERE
@@ -128,19 +139,20 @@ def push(observation: jax.Array) -> jax.Array:
     return _closed(across, _GAIN * (wanted - height))
 
 
-def slide(observation: jax.Array) -> jax.Array:
+def slide(seen: Seen) -> jax.Array:
     """Presses on the puck from above, drags it, and lets go once it is fast enough to slide to the target.
 
     A dragged puck leaves the hand at 0.6 m/s at most and then slides 0.2 m: it cannot reach the farther half of the
     targets.
     """
-    height, apart = observation[..., 2:3], observation[..., 6:8]
-    distance, _ = _way(observation)
-    wanted = _launch(observation[..., 15:17] - observation[..., 9:11])
+    height, apart = seen["gripper position"][..., 2:], seen["puck position less gripper position"][..., :2]
+    distance, _ = _way(seen, "puck")
+    wanted = _launch((seen["target position"] - seen["puck position"])[..., :2])
     drags = wanted / jnp.maximum(jnp.max(jnp.abs(wanted), axis=-1, keepdims=True), _FULL_SPEED)
     above = jnp.linalg.norm(apart, axis=-1, keepdims=True) <= _CENTRED
     dragging = above & (height < _PRESSING)
-    moving = jnp.where(dragging, observation[..., 3:5], observation[..., 12:14] / _ENOUGH) / _PERIOD
+    hand = seen["gripper velocity"][..., :2]
+    moving = jnp.where(dragging, hand, seen["puck velocity"][..., :2] / _ENOUGH) / _PERIOD
     launched = jnp.sum(moving * wanted, axis=-1, keepdims=True) >= jnp.sum(wanted**2, axis=-1, keepdims=True)
     launched = launched | (distance <= _THERE)
     comes = jnp.where(above | (height > _CLEAR), _GAIN * apart, 0.0)
@@ -160,9 +172,9 @@ def _launch(remaining: jax.Array) -> jax.Array:
     return jnp.stack([speeds[..., 0] + speeds[..., 1], speeds[..., 0] - speeds[..., 1]], axis=-1) / 2.0
 
 
-def _way(observation: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns the distance, `[..., 1]`, and direction, `[..., 2]`, from the object to the target in the plane."""
-    remaining = observation[..., 15:17] - observation[..., 9:11]
+def _way(seen: Seen, thing: str) -> tuple[jax.Array, jax.Array]:
+    """Returns the distance, `[..., 1]`, and direction, `[..., 2]`, from an object to the target in the plane."""
+    remaining = (seen["target position"] - seen[f"{thing} position"])[..., :2]
     distance = jnp.linalg.norm(remaining, axis=-1, keepdims=True)
     return distance, remaining / jnp.maximum(distance, 1e-6)  # no division by 0 at the target
 
@@ -173,8 +185,8 @@ def _closed(across: jax.Array, up: jax.Array) -> jax.Array:
     return _with_hand(move, jnp.zeros(move.shape[:-1]))
 
 
-def _ahead(observation: jax.Array) -> jax.Array:
-    return observation[..., 8:11] - observation[..., :3]
+def _ahead(seen: Seen) -> jax.Array:
+    return seen["target position"] - seen["gripper position"]
 
 
 def _line(ahead: jax.Array) -> jax.Array:

@@ -6,15 +6,19 @@ import jax
 import jax.numpy as jnp
 from brax import math
 
-from hgail_envs.base import EpisodeMetrics, State
+from hgail_envs.base import State
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
+from hgail_envs.layout import Layout, flag
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
 
 OBSERVATIONS = ("compact", "official")
 """Values of `observation`."""
-OFFICIAL_SIZE = 25
-"""Numbers in the observation of the reference's tasks with an object."""
+OF_OBJECT = "target is the object's, not the gripper's"
+"""Name of the flag in a goal."""
+GOAL = Layout(TARGET, flag(OF_OBJECT))
 
 _GRIPPER, _OBJECT = 0.0, 1.0  # fourth number of a goal: its position is the gripper's or the object's
 _MOVED = 0.01  # metres from its start, beyond which the object's position is the achieved goal
@@ -37,28 +41,28 @@ class ObjectEnv(FetchEnv):
     the object's position, with 1, once the object is more than 1 cm from its start; until then it is the gripper's
     position, with 0. So hindsight first teaches to move the hand, and then to move the object.
 
-    Evaluation episodes have the reference's goals, with 1. Their reward, success and `reached` depend on the object's
-    position alone, moved or not: an object that starts at its target is a success, though its position is not yet an
-    achieved goal. So does `goal_test`, which reads the position from the features. Distances are between object and
-    goal.
+    Evaluation episodes have the reference's goals, with 1. Their reward and success (`goal_test`) depend on the
+    object's position alone, moved or not: an object that starts at its target is a success, though its position is not
+    yet an achieved goal. Distances are between object and goal.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
-    A task sets `object_name`, `object_range`, `target_range` and `target_offset`, and the scene. See `FetchEnv` for the
-    other arguments.
+    A task sets `object_name`, `object_title`, `object_range`, `target_range` and `target_offset`, the scene, and
+    `features_layout`, which begins with `compact_layout` of that title. See `FetchEnv` for the other arguments.
 
     Args:
-      observation: `"compact"`, or `"official"` for the reference's 25 numbers, see `official_features`; with these
-        the task has no controllers.
+      observation: `"compact"`, or `"official"` for the reference's 25 numbers, see
+        `hgail_envs.fetch.layouts.official`; with these the task has no controllers.
 
     """
 
-    feature_size = 15
-    goal_size = 4
+    goal_layout = GOAL
     goal_kinds = 3
 
     object_name: str
     """Name of the object's free joint."""
+    object_title: str
+    """Name of the object in `features_layout`."""
     object_range: float
     """Metres around the gripper's start, along x and y, in which the object starts."""
     target_range: float
@@ -73,13 +77,19 @@ class ObjectEnv(FetchEnv):
         worlds: int = 4096,
         observation: str = OBSERVATIONS[0],
     ) -> None:
-        check_name("observation", observation, OBSERVATIONS)
         self.observation = observation
+        self.features_layout = self.features_with(observation=observation)
+        self.feature_size = self.features_layout.size
         if observation == "official":
-            self.feature_size = OFFICIAL_SIZE
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(impl, substeps, worlds)
         self.object_height = float(self._initial_physics.object_start[2])
+
+    @classmethod
+    def features_with(cls, **options: Any) -> Layout:
+        observation = options.get("observation", OBSERVATIONS[0])
+        check_name("observation", observation, OBSERVATIONS)
+        return official(cls.object_title) if observation == "official" else cls.features_layout
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> ObjectPhysics:
         start = jnp.asarray(qpos[self._object_qpos], jnp.float32)
@@ -113,49 +123,43 @@ class ObjectEnv(FetchEnv):
         return self._move(physics, action[:3])
 
     def features(self, physics: ObjectPhysics) -> jax.Array:
-        return self.official_features(physics) if self.observation == "official" else self.compact_features(physics)
+        see = self.official_features if self.observation == "official" else self.compact_features
+        return self.features_layout.join(see(physics))
 
-    def compact_features(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns the default observation without the goal, `[15]` or more."""
-        gripper, thing = physics.gripper_position, self.object_position(physics)
-        velocity = physics.qvel[self._object_qvel] * CONTROL_PERIOD  # metres per action, as the gripper's
-        return jnp.concatenate([gripper, physics.gripper_velocity, thing - gripper, thing, velocity])
+    def compact_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
+        """Returns the values of the default quantities by name."""
+        position = self.object_position(physics)
+        return gripper_values(physics) | {
+            f"{self.object_title} position less gripper position": position - physics.gripper_position,
+            f"{self.object_title} position": position,
+            f"{self.object_title} velocity": self._object_velocity(physics),
+        }
 
-    def official_features(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns the observation without the goal of Gymnasium-Robotics' tasks with an object, `[25]`.
+    def _object_velocity(self, physics: ObjectPhysics) -> jax.Array:
+        return physics.qvel[self._object_qvel] * CONTROL_PERIOD  # metres per action, as the gripper's
 
-        | index | quantity | unit |
-        |---|---|---|
-        | 0:3 | gripper position | m |
-        | 3:6 | object position | m |
-        | 6:9 | object position less gripper position | m |
-        | 9:11 | positions of the right and the left finger | m |
-        | 11:14 | object rotation, Euler angles | rad |
-        | 14:17 | object velocity less gripper velocity, × 0.04 s | m |
-        | 17:20 | object angular velocity, world frame, × 0.04 s | rad |
-        | 20:23 | gripper velocity × 0.04 s | m |
-        | 23:25 | velocities of the right and the left finger × 0.04 s | m |
-        """
-        gripper, thing = physics.gripper_position, self.object_position(physics)
-        joint = self.model.joint(self.object_name)
+    def official_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
+        """Returns the values of the quantities of `hgail_envs.fetch.layouts.official` by name."""
+        joint, name = self.model.joint(self.object_name), self.object_title
         quaternion = physics.qpos[int(joint.qposadr[0]) + 3 :][:4]
-        velocity = physics.qvel[self._object_qvel] * CONTROL_PERIOD
         spin = physics.qvel[int(joint.dofadr[0]) + 3 :][:3]  # in the object's frame
         with jax.default_matmul_precision("highest"):  # by default GPUs round to ten bits
             turning, angles = math.rotate(spin, quaternion) * CONTROL_PERIOD, _euler_angles(quaternion)
-        return jnp.concatenate(
-            [
-                gripper,
-                thing,
-                thing - gripper,
-                physics.qpos[self._finger_qpos],
-                angles,
-                velocity - physics.gripper_velocity,
-                turning,
-                physics.gripper_velocity,
-                physics.qvel[self._finger_qvel] * CONTROL_PERIOD,
-            ]
-        )
+        velocities = physics.qvel[self._finger_qvel] * CONTROL_PERIOD
+        fingers = {
+            f"{what} of the {side} finger": values[index]
+            for what, values in (("position", physics.qpos[self._finger_qpos]), ("velocity", velocities))
+            for index, side in enumerate(("right", "left"))
+        }
+        position = self.object_position(physics)
+        seen = {
+            f"{name} position": position,
+            f"{name} position less gripper position": position - physics.gripper_position,
+            f"{name} rotation, Euler angle": angles,
+            f"{name} velocity less gripper velocity": self._object_velocity(physics) - physics.gripper_velocity,
+            f"{name} angular velocity": turning,
+        }
+        return gripper_values(physics) | seen | fingers
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         thing = self.object_position(physics)
@@ -176,32 +180,29 @@ class ObjectEnv(FetchEnv):
         elsewhere = (height > _IN_THE_AIR) | (height < _BELOW_THE_TABLE)
         return jnp.where(_is_object(goal), 1 + elsewhere.astype(jnp.int32), 0)
 
-    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        return super().success(achieved[..., :3], desired[..., :3]) & (achieved[..., 3] == desired[..., 3])
-
-    def reached(self, physics: ObjectPhysics, desired: jax.Array) -> jax.Array:
-        position = jnp.where(_is_object(desired), self.object_position(physics), physics.gripper_position)
-        return super().success(position, desired[:3])
-
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-        """Tests the position alone, as `reached` does, whether the object has moved or not; see `GoalEnv`."""
-        position = jnp.where(_is_object(goal)[..., None], self._object_in(features), features[..., :3])
-        return super().success(position, goal[..., :3])
+        """Tests the position alone, whether the object has moved or not; see `GoalEnv`."""
+        gripper = features[..., self.features_layout["gripper position"]]
+        position = jnp.where(_is_object(goal)[..., None], self._object_in(features), gripper)
+        return jnp.linalg.norm(position - goal[..., GOAL["target position"]], axis=-1) <= self.success_threshold
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
-        distance = jnp.linalg.norm(self._object_in(features) - goal[..., :3], axis=-1)
+        distance = jnp.linalg.norm(self._object_in(features) - goal[..., GOAL["target position"]], axis=-1)
         return _is_object(goal) & (distance <= _AT_GOAL)
 
     def _object_in(self, features: jax.Array) -> jax.Array:
         """Returns the object's position, `[..., 3]`, of features `[..., feature_size]`."""
-        return features[..., 3:6] if self.observation == "official" else features[..., 9:12]
+        return features[..., self.features_layout[f"{self.object_title} position"]]
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         physics, desired = end.pipeline_state, end.info["desired_goal"]
-        reached = self.reached(physics, desired).astype(jnp.float32)
-        distances = self.measure(self.object_position(physics), desired[:3])
-        return distances.replace(success=reached, achieved=reached)
+        return self.measure(self.object_position(physics), desired[:3], self.reached(physics, desired))
+
+
+def compact_layout(name: str) -> Layout:
+    """Returns the layout of the default features of a task with one object."""
+    return GRIPPER + of_object(name)
 
 
 def gripper_goal(position: jax.Array) -> jax.Array:
@@ -215,7 +216,7 @@ def object_goal(position: jax.Array) -> jax.Array:
 
 
 def _is_object(goal: jax.Array) -> jax.Array:
-    return goal[..., 3] > 0.5
+    return goal[..., GOAL[OF_OBJECT]] > 0.5
 
 
 def _euler_angles(quaternion: jax.Array) -> jax.Array:

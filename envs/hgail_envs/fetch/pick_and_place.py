@@ -10,7 +10,8 @@ from flax import struct
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
-from hgail_envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
+from hgail_envs.fetch.layouts import HAND
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
 HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
@@ -32,17 +33,7 @@ class PickAndPlacePlan(struct.PyTreeNode):
 class PickAndPlace(ObjectEnv):
     """FetchPickAndPlace: grasp a cube and bring it to a place, in half the episodes up to 45 cm above the table.
 
-    | index | quantity | unit |
-    |---|---|---|
-    | 0:3 | gripper position | m |
-    | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | cube position less gripper position | m |
-    | 9:12 | cube position | m |
-    | 12:15 | cube velocity × 0.04 s | m |
-    | 15 | gap between the fingers | m |
-    | 16 | holding: both pads touch the cube, and the gap is its width within 8 mm | 0 or 1 |
-    | 17:20 | target position | m |
-    | 20 | 0 if the target is the gripper's, 1 if it is the cube's | 0 or 1 |
+    The hand holds the cube if both pads touch it, and the gap between them is its width within 8 mm.
 
     An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of the
     gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the
@@ -57,14 +48,18 @@ class PickAndPlace(ObjectEnv):
     See `ObjectEnv` for the arguments.
     """
 
-    feature_size = 17
-    object_name = "cube"
+    features_layout, goal_layout = compact_layout("cube") + HAND, GOAL
+    object_name = object_title = "cube"
+    holding_title = "hand holds the cube"
+    """Name of the flag in `features_layout`."""
     object_range = 0.15
     target_range = 0.15
 
     scene = "fetch/grasp"
     reference: str | None = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.pick_and_place}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (features_layout + goal_layout).reader(controllers.pick_and_place)
+    }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
@@ -74,9 +69,9 @@ class PickAndPlace(ObjectEnv):
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])
 
-    def compact_features(self, physics: ObjectPhysics) -> jax.Array:
-        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
-        return jnp.concatenate([super().compact_features(physics), hand])
+    def compact_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
+        hand = {"gap between the fingers": self.gap(physics), self.holding_title: self.holding(physics)}
+        return super().compact_features(physics) | hand
 
     def sample_goal(self, rng: jax.Array, physics: ObjectPhysics) -> jax.Array:
         place_rng, air_rng, height_rng = jax.random.split(rng, 3)

@@ -9,7 +9,8 @@ from flax import struct
 
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.objects import ObjectEnv, ObjectPhysics, gripper_goal
+from hgail_envs.fetch.layouts import ACTION_OF_ARM
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
 _ROAMING = 0.5  # fraction of the training episodes whose goals are waypoints
 _EVERY = 12  # steps from one waypoint to the next: a hand at full speed moves 0.4 m
@@ -30,16 +31,6 @@ class PushPlan(struct.PyTreeNode):
 class Push(ObjectEnv):
     """FetchPush: push a cube to a place on the table, with closed fingers.
 
-    | index | quantity | unit |
-    |---|---|---|
-    | 0:3 | gripper position | m |
-    | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | cube position less gripper position | m |
-    | 9:12 | cube position | m |
-    | 12:15 | cube velocity × 0.04 s | m |
-    | 15:18 | target position | m |
-    | 18 | 0 if the target is the gripper's, 1 if it is the cube's | 0 or 1 |
-
     An episode starts as the reference's FetchPush-v4 does: fingers blocked closed, the gripper at the table, the cube
     uniform within ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the
     table. It is a success if after the last step the cube's centre is within 5 cm of the target. See `ObjectEnv` for
@@ -54,14 +45,19 @@ class Push(ObjectEnv):
     See `ObjectEnv` for the arguments.
     """
 
+    features_layout, goal_layout = compact_layout("cube"), GOAL
+    action_layout = ACTION_OF_ARM
+
     start_height = 0.0
-    object_name = "cube"
+    object_name = object_title = "cube"
     object_range = 0.15
     target_range = 0.15
 
     scene = "fetch/push"
     reference = "FetchPush-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-behind": controllers.push}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-behind": (features_layout + goal_layout).reader(controllers.push)
+    }
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PushPlan:
         kind_rng, goal_rng, offset_rng = jax.random.split(rng, 3)

@@ -4,41 +4,39 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import jax
-import jax.numpy as jnp
 
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
+from hgail_envs.fetch.layouts import ACTION_OF_ARM, GRIPPER, TARGET, gripper_values
+from hgail_envs.layout import Layout
 
 GOAL_RANGE = 0.15
 """Largest distance of a goal from the gripper's start along each axis, metres."""
 
 
 class Reach(FetchEnv):
-    """FetchReach with the paper's observation, nine numbers.
-
-    | index | quantity | unit |
-    |---|---|---|
-    | 0:3 | gripper position | m |
-    | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | target position, the goal | m |
+    """FetchReach with the paper's observation, nine numbers: the gripper's position and velocity, and the target.
 
     The fingers are blocked, so the action's fourth number has no effect. Goals are uniform in a cube of ±0.15 m
     around the gripper's start. The reference is Gymnasium-Robotics' FetchReach-v4.
     """
 
-    feature_size = 6
-    goal_size = 3
+    features_layout = GRIPPER
+    goal_layout = Layout(TARGET)
+    action_layout = ACTION_OF_ARM
 
     scene = "fetch/reach"
     reference = "FetchReach-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": controllers.reach}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "proportional": (features_layout + goal_layout).reader(controllers.reach)
+    }
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3])  # the fingers are blocked
 
     def features(self, physics: FetchPhysics) -> jax.Array:
-        return jnp.concatenate([physics.gripper_position, physics.gripper_velocity])
+        return self.features_layout.join(gripper_values(physics))
 
     def achieved_goal(self, physics: FetchPhysics) -> jax.Array:
         return physics.gripper_position

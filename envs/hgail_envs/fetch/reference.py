@@ -7,9 +7,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from hgail_envs.base import EpisodeMetrics
-from hgail_envs.fetch.grasp import CUBES, LEAST_RISE, is_held
+from hgail_envs.fetch.episode import run_episode
+from hgail_envs.fetch.grasp import CUBES, is_held
+from hgail_envs.fetch.layouts import official
 from hgail_envs.fetch.objects import OBSERVATIONS
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.past import Past
 from hgail_envs.registry import accepted_options, find_class
 from hgail_envs.validation import MOST_SEED, check_name
@@ -49,24 +51,16 @@ class ReferenceFetch:
 
     Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
     FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
-    environment's observation, whose velocities are already multiplied by `CONTROL_PERIOD`:
-
-    | feature | FetchReach | the others |
-    |---|---|---|
-    | gripper position | 0:3 | 0:3 |
-    | gripper velocity × 0.04 s | 5:8 | 20:23 |
-    | object position less gripper position, object position | not seen | 6:9, 3:6; in grasp 6:9 of a tracked cube |
-    | object velocity × 0.04 s | not seen | the sum of 14:17 and 20:23; not seen in grasp |
-    | gap between the fingers | not seen | the sum of 9:11; not seen in push and slide |
-    | holding | not seen | `hgail_envs.fetch.grasp.is_held` of the contacts and the gap; likewise |
-    | target position | the desired goal | the desired goal; in grasp 3:6, the cube |
+    environment's observation (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and
+    velocity `5:8`), whose velocities are already multiplied by `CONTROL_PERIOD`. Whether the hand holds the cube
+    follows from the contacts and the gap between the fingers.
 
     Actions are the same four numbers.
 
     Args:
       task: one of `TASKS`.
       observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
-        numbers (`hgail_envs.fetch.objects.ObjectEnv.official_features`).
+        numbers.
       cube: of grasp, `"at-start"` or `"tracked"`, see `hgail_envs.fetch.grasp.Grasp`.
 
     Raises:
@@ -82,6 +76,7 @@ class ReferenceFetch:
         check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])
         self.task = task
         self._official = observation == "official"
+        self._layout = find_class(task).features_with(observation=observation, cube=cube)
         self.tracks_cube = cube == "tracked"
         env: Any = make_reference(str(find_class(task).reference), disable_env_checker=True).unwrapped
         import gymnasium  # here, so that the class can be read without its extra
@@ -101,13 +96,16 @@ class ReferenceFetch:
         if self._official:
             return seen
         if self.task == "reach":
-            return np.concatenate([seen[:3], seen[5:8]])
-        gap = seen[9:11].sum()
-        arm, hand = np.concatenate([seen[:3], seen[20:23]]), [gap, is_held(self._touching(), gap)]
-        if self.task == "grasp":
-            return np.concatenate([arm, hand, seen[6:9] if self.tracks_cube else []])
-        thing = np.concatenate([seen[6:9], seen[3:6], seen[14:17] + seen[20:23]])
-        return np.concatenate([arm, thing, hand if self.task == "pick-and-place" else []])
+            return self._layout.join({"gripper position": seen[:3], "gripper velocity": seen[5:8]}, np)
+        thing = getattr(find_class(self.task), "object_title", "cube")
+        known = official(thing).split(seen)
+        gap = known["position of the right finger"] + known["position of the left finger"]
+        known |= {
+            "gap between the fingers": gap,
+            "hand holds the cube": is_held(self._touching(), gap),
+            f"{thing} velocity": known[f"{thing} velocity less gripper velocity"] + known["gripper velocity"],
+        }
+        return self._layout.join({quantity.title: known[quantity.title] for quantity in self._layout}, np)
 
     def target(self) -> np.ndarray:
         """Returns the desired goal, or in grasp the cube's centre, `[3]`."""
@@ -153,25 +151,15 @@ def reference_episode(
       How the episode ended, in plain numbers.
 
     """
-    task = find_class(reference.task)
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
-    told, ones = reference.target(), np.ones(task.goal_size - 3)  # 1: the object's position, or to be held
-    for _ in range(task.episode_length):
-        seen = reference.features()
-        told = reference.target() if reference.tracks_cube else told
-        action = np.clip(policy(np.concatenate([past.before(seen), seen, told, ones]).astype(np.float32)), -1.0, 1.0)
+    at_start = reference.target()
+    flags = np.ones(find_class(reference.task).goal_size - 3)  # the object's position, or to be held
+
+    def act() -> np.ndarray:
+        seen, target = reference.features(), reference.target() if reference.tracks_cube else at_start
+        observation = np.concatenate([past.before(seen), seen, target, flags])
+        action = np.clip(policy(observation.astype(np.float32)), -1.0, 1.0)
         past.add(action, seen)
-        reference.step(action)
-    position, target = reference.carried(), reference.target()
-    achieved = bool(reference.features()[7]) if task.lift_test_steps else reference.reached()  # 7: the hand holds
-    for _ in range(task.lift_test_steps):
-        reference.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was
-    rise = reference.target()[2] - target[2] if task.lift_test_steps else np.inf
-    l1 = float(np.abs(position - target).sum())
-    return EpisodeMetrics(
-        success=float(achieved and rise > LEAST_RISE),
-        achieved=float(achieved),
-        success_l1=float(l1 <= task.success_threshold),
-        distance_l1=l1,
-        distance_l2=float(np.linalg.norm(position - target)),
-    )
+        return action
+
+    return run_episode(reference, act)

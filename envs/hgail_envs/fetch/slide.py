@@ -10,7 +10,7 @@ from hgail_envs.base import Controller
 from hgail_envs.engines import resolve_impl
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
-from hgail_envs.fetch.objects import OBSERVATIONS, ObjectPhysics, gripper_goal
+from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal
 from hgail_envs.fetch.push import Push
 from hgail_envs.validation import check_name
 
@@ -55,9 +55,11 @@ class Slide(Push):
 
     """
 
+    features_layout, goal_layout = compact_layout("puck"), GOAL
+
     base_x = 0.05
     start_height = -0.02
-    object_name = "puck"
+    object_name = object_title = "puck"
     object_range = 0.1
     target_range = 0.3
     target_offset = 0.4
@@ -65,7 +67,9 @@ class Slide(Push):
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.slide}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (features_layout + goal_layout).reader(controllers.slide)
+    }
 
     def __init__(
         self,

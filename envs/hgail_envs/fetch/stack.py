@@ -7,14 +7,24 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
 from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH
+from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, of_object
 from hgail_envs.fetch.objects import ObjectPhysics
 from hgail_envs.fetch.pick_and_place import PickAndPlace
+from hgail_envs.layout import Layout, flag
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
+
+FEATURES = GRIPPER + of_object("cube A") + Layout(GAP, flag("hand holds cube A")) + of_object("cube B")
+"""Layout of the features."""
+GOAL = Layout(
+    TARGET, flag("target is cube A's"), flag("target is cube B's"), flag("cube A is to be left at the target")
+)
+"""Layout of a goal; the target of neither cube is the gripper's."""
 
 _OF_GRIPPER, _OF_A, _OF_B = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)  # whose position it is: a goal's numbers 3 and 4
 _RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on the other cube at 0.475
@@ -40,22 +50,7 @@ class StackPlan(struct.PyTreeNode):
 class Stack(PickAndPlace):
     """Stacking: put cube A on cube B, let go of it and withdraw the hand; B stays where it was.
 
-    | index | quantity | unit |
-    |---|---|---|
-    | 0:3 | gripper position | m |
-    | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | cube A's position less gripper position | m |
-    | 9:12 | cube A's position | m |
-    | 12:15 | cube A's velocity × 0.04 s | m |
-    | 15 | gap between the fingers | m |
-    | 16 | holding: both pads touch cube A, and the gap is its width within 8 mm | 0 or 1 |
-    | 17:20 | cube B's position less gripper position | m |
-    | 20:23 | cube B's position | m |
-    | 23:26 | cube B's velocity × 0.04 s | m |
-    | 26:29 | target position | m |
-    | 29 | whether the target is cube A's | 0 or 1 |
-    | 30 | whether the target is cube B's; if neither, it is the gripper's | 0 or 1 |
-    | 31 | whether cube A is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
+    The hand holds cube A if both pads touch it, and the gap between them is its width within 8 mm.
 
     A goal is a position, whose it is, and whether cube A is left there: the gripper at least 5 cm from A's centre, the
     fingers at least 8 cm apart, and A no faster than 5 cm/s, for a falling cube is left nowhere. The achieved goal of a
@@ -83,17 +78,20 @@ class Stack(PickAndPlace):
     """
 
     episode_length = 100
-    feature_size = 26
-    goal_size = 6
+    features_layout = FEATURES
+    goal_layout = GOAL
     goal_kinds = 6
     lift_test_steps = 12
-    object_name = "cube_a"
+    object_name, object_title = "cube_a", "cube A"
+    holding_title = "hand holds cube A"
     object_range = 0.15
 
     scene = "fetch/stack"
     least_widest_gap = LEAST_WIDEST_GAP
     reference = None
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.stack}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (features_layout + goal_layout).reader(controllers.stack)
+    }
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
@@ -144,9 +142,13 @@ class Stack(PickAndPlace):
         varied: Any = super().vary_model(physics, factors)
         return varied.replace(b_start=self.b_position(varied))
 
-    def compact_features(self, physics: Any) -> jax.Array:
-        b, velocity = self.b_position(physics), physics.qvel[self._b_qvel] * CONTROL_PERIOD
-        return jnp.concatenate([super().compact_features(physics), b - physics.gripper_position, b, velocity])
+    def compact_features(self, physics: Any) -> dict[str, jax.Array]:
+        b = self.b_position(physics)
+        return super().compact_features(physics) | {
+            "cube B position less gripper position": b - physics.gripper_position,
+            "cube B position": b,
+            "cube B velocity": physics.qvel[self._b_qvel] * CONTROL_PERIOD,
+        }
 
     def achieved_goal(self, physics: Any) -> jax.Array:
         gripper, a, b = physics.gripper_position, self.object_position(physics), self.b_position(physics)
@@ -191,16 +193,13 @@ class Stack(PickAndPlace):
 
         Cube A's are 1 on the table and 2 above it if the cube is not left there, and 3 and 4 if it is.
         """
-        raised, left = goal[..., 2] > _RAISED, goal[..., 5] > 0.5
+        raised, left = goal[..., 2] > _RAISED, _is_to_be_left(goal)
         of_a = 1 + raised.astype(jnp.int32) + 2 * left.astype(jnp.int32)
         return jnp.where(_is_a(goal), of_a, jnp.where(_is_b(goal), self.goal_kinds - 1, 0))
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
         alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
         return self._is_at(achieved[..., :3], desired) & alike
-
-    def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
-        return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
@@ -215,7 +214,7 @@ class Stack(PickAndPlace):
         """Returns whether positions, `[..., 3]`, are near enough to goals, `[..., goal_size]`: booleans `[...]`."""
         apart = position - goal[..., :3]
         near = jnp.linalg.norm(apart, axis=-1) <= self.success_threshold
-        return jnp.where(goal[..., 5] > 0.5, is_in_place(apart), near)
+        return jnp.where(_is_to_be_left(goal), is_in_place(apart), near)
 
     def lift_test_action(self, action: jax.Array) -> jax.Array:
         return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open
@@ -224,9 +223,7 @@ class Stack(PickAndPlace):
         last, desired = end.pipeline_state, end.info["desired_goal"]
         achieved = self.reached(last, desired) & self._stands(last, desired)
         success = achieved & self._stands(lifted.pipeline_state, desired)
-        return self.measure(self.object_position(last), desired[:3]).replace(
-            success=success.astype(jnp.float32), achieved=achieved.astype(jnp.float32)
-        )
+        return self.measure(self.object_position(last), desired[:3], achieved, success)
 
     def _stands(self, physics: Any, desired: jax.Array) -> jax.Array:
         """Returns whether cube A is at the goal and on cube B, and touches it, wherever the hand is: a boolean `[]`."""
@@ -240,20 +237,25 @@ def _goal(position: jax.Array, whose: tuple[float, float], left: jax.Array | boo
 
 
 def _is_a(goal: jax.Array) -> jax.Array:
-    return goal[..., 3] > 0.5
+    return goal[..., GOAL["target is cube A's"]] > 0.5
 
 
 def _is_b(goal: jax.Array) -> jax.Array:
-    return goal[..., 4] > 0.5
+    return goal[..., GOAL["target is cube B's"]] > 0.5
+
+
+def _is_to_be_left(goal: jax.Array) -> jax.Array:
+    return goal[..., GOAL["cube A is to be left at the target"]] > 0.5
 
 
 def _position_of(features: jax.Array, goal: jax.Array) -> jax.Array:
-    """Returns the position, `[..., 3]`, of that whose goals, `[..., 6]`, are, in features `[..., 26]`."""
-    gripper, a, b = features[..., :3], features[..., 9:12], features[..., 20:23]
+    """Returns the position in `features` of the body that each goal, `[..., 6]`, refers to, `[..., 3]`."""
+    gripper, a, b = (features[..., FEATURES[f"{body} position"]] for body in ("gripper", "cube A", "cube B"))
     return jnp.where(_is_a(goal)[..., None], a, jnp.where(_is_b(goal)[..., None], b, gripper))
 
 
 def _is_left_as_wanted(features: jax.Array, goal: jax.Array) -> jax.Array:
-    """Returns whether cube A is left, or not, as its goals, `[..., 6]`, want it; others want nothing."""
-    left = is_left(features[..., 6:9], features[..., 12:15], features[..., 15])
-    return ~_is_a(goal) | (left == (goal[..., 5] > 0.5))
+    """Returns whether cube A is left, or not, as its goals, `[..., 6]`, want it; True for the goals of others."""
+    quantities = ("cube A position less gripper position", "cube A velocity", "gap between the fingers")
+    left = is_left(*(features[..., FEATURES[name]] for name in quantities))
+    return ~_is_a(goal) | (left == _is_to_be_left(goal))

@@ -6,12 +6,14 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
-from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, TOP, TowerPlan, goal_of
+from hgail_envs.fetch.layouts import gripper_values
+from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
+from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
 
 MOST_SHIFT = 0.05
@@ -38,25 +40,11 @@ class TowerPhysics(FetchPhysics, kw_only=True):
 class Tower(FetchEnv):
     """A tower of three: put the middle cube on the base, and the top cube on it, and withdraw the hand.
 
-    | index | quantity | unit |
-    |---|---|---|
-    | 0:3 | gripper position | m |
-    | 3:6 | gripper velocity × 0.04 s | m |
-    | 6:9 | position of the target's cube less gripper position | m |
-    | 9:12 | that cube's position | m |
-    | 12:15 | that cube's velocity × 0.04 s | m |
-    | 15:24 | the same of the cube that it is to lie on | m |
-    | 24:33 | the same of the third cube | m |
-    | 33 | gap between the fingers | m |
-    | 34 | holding: both pads touch one of the cubes, and the gap is its width within 8 mm | 0 or 1 |
-    | 35:38 | target position | m |
-    | 38:41 | whether the target is the top's, the middle's, the base's; if none's, it is the gripper's | 0 or 1 |
-    | 41 | whether the cube is to be left there: at rest, the hand open and at least 5 cm away | 0 or 1 |
-
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
-    goals speak of these roles alone, so a policy is told the order of the tower by the order of its numbers. The
-    observation starts with the cube that the goal is about, then the one that it is to lie on, then the third, so that
-    one placement looks to the policy like the other. Goals of the gripper, and the features, have the top first.
+    goals speak of these roles alone, so a policy sees the order of the tower in the order of its numbers. In the
+    observation the target's cube is first, then the one that it is to lie on, then the third, so that one placement
+    looks to the policy like the other. In the features, and under goals of the gripper, the top is first. The hand
+    holds a cube if both pads touch it, and the gap between them is its width within 8 mm.
 
     A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
     the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
@@ -94,14 +82,17 @@ class Tower(FetchEnv):
     """
 
     episode_length = 200
-    feature_size = 35
-    goal_size = 7
+    features_layout = tower_goals.FEATURES
+    goal_layout = tower_goals.GOAL
+    seen_layout = tower_goals.SEEN
     goal_kinds = 7
     lift_test_steps = 12
 
     scene = "fetch/tower"
     least_widest_gap = LEAST_WIDEST_GAP
-    controllers: ClassVar[Mapping[str, Controller]] = {"from-above": controllers.tower}
+    controllers: ClassVar[Mapping[str, Controller]] = {
+        "from-above": (tower_goals.SEEN + tower_goals.GOAL).reader(controllers.tower)
+    }
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
         order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
@@ -181,10 +172,19 @@ class Tower(FetchEnv):
         return physics.replace(placed=self.are_in_place(physics)[MIDDLE] & stays)
 
     def features(self, physics: TowerPhysics) -> jax.Array:
-        gripper, cubes = physics.gripper_position, self.cube_positions(physics)
-        of_cubes = jnp.concatenate([cubes - gripper, cubes, self.cube_velocities(physics)], axis=1)
-        hand = jnp.array([self.gap(physics), self.holding(physics)], jnp.float32)
-        return jnp.concatenate([gripper, physics.gripper_velocity, of_cubes.reshape(-1), hand])
+        cubes = self.cube_positions(physics)
+        values = gripper_values(physics) | {
+            "gap between the fingers": self.gap(physics),
+            "hand holds a cube": self.holding(physics),
+        }
+        velocities = self.cube_velocities(physics)
+        for role, name in enumerate(ROLES):
+            values |= {
+                f"{name} cube position less gripper position": cubes[role] - physics.gripper_position,
+                f"{name} cube position": cubes[role],
+                f"{name} cube velocity": velocities[role],
+            }
+        return self.features_layout.join(values)
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         return super().goal_observation(tower_goals.pursued_first(features, goal), goal)
@@ -248,9 +248,6 @@ class Tower(FetchEnv):
         alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
         return tower_goals.is_at(achieved[..., :3], desired, self.success_threshold) & alike
 
-    def reached(self, physics: TowerPhysics, desired: jax.Array) -> jax.Array:
-        return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
-
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
         at_goal = tower_goals.is_at(tower_goals.position_of(features, goal), goal, self.success_threshold)
@@ -270,9 +267,7 @@ class Tower(FetchEnv):
         success = achieved & self.stands(lifted.pipeline_state)
         cubes = self.cube_positions(last)
         place = cubes[BASE].at[2].add(2 * CUBE_WIDTH * self.object_factor(last))
-        return self.measure(cubes[TOP], place).replace(
-            success=success.astype(jnp.float32), achieved=achieved.astype(jnp.float32)
-        )
+        return self.measure(cubes[TOP], place, achieved, success)
 
     def stands(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether the tower stands where the base started, wherever the hand is: a boolean `[]`."""

@@ -13,6 +13,7 @@ from hgail_envs.fetch import grasp
 from hgail_envs.fetch.arm import CONTROL_PERIOD, LEAST_DISTANCE, REFERENCE_SUBSTEPS, TABLE_HEIGHT, settle
 from hgail_envs.fetch.pick_and_place import HIGHEST
 from hgail_envs.fetch.reach import GOAL_RANGE
+from hgail_envs.registry import find_class
 from hgail_envs.scenes import load_scene
 from hgail_envs.validation import check_count
 
@@ -136,13 +137,18 @@ class ServoArm(Robot):
         mujoco.mj_jacSite(self.model, self.data, self._jacobian, None, self._site)
         period = self.slowdown * CONTROL_PERIOD
         position, velocity = self._position() + self.offset, self._jacobian @ self.data.qvel * period
-        if self.task == "reach":
-            return np.concatenate([position, velocity])
-        hand = [self._gap(), grasp.is_held(self._touching(), self._gap())]
-        if self.task == "grasp":
-            return np.concatenate([position, velocity, hand])
-        cube, moved = self._cube_position(), self.data.joint("cube").qvel[:3] * period
-        return np.concatenate([position, velocity, cube - position, cube, moved, hand])
+        known = {"gripper position": position, "gripper velocity": velocity}
+        if self.task != "reach":
+            cube, gap = self._cube_position(), self._gap()
+            known |= {
+                "gap between the fingers": gap,
+                "hand holds the cube": grasp.is_held(self._touching(), gap),
+                "cube position less gripper position": cube - position,
+                "cube position": cube,
+                "cube velocity": self.data.joint("cube").qvel[:3] * period,
+            }
+        layout = find_class(self.task).features_layout
+        return layout.join({quantity.name: known[quantity.name] for quantity in layout}, np)
 
     def target(self) -> np.ndarray:
         """Returns the point to reach, the cube's centre in grasp, or its goal, `[3]`."""

@@ -354,7 +354,7 @@ def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, pl
         one_more = dataclasses.replace(trial.config, rounds=trial.config.rounds + 1)
         a_round = steps(one_more) - steps(trial.config)
         assert abs(steps(trial.config) - expected) <= a_round / 2
-        assert trial.setting.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
+        assert trial.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
     for trial in trials_of(BY_NAME["table1-longer"], task, platform):
         assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
 
@@ -401,7 +401,7 @@ def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_ste
         ]
         before, after = (vars(config) | vars(config.learner) for config in (preset.config, trial.config))
         changed += [name for name in before if before[name] != after[name] and name not in ("learner", "best_episodes")]
-        if trial.setting.method == "her":  # has no discriminator
+        if trial.method == "her":  # has no discriminator
             changed.remove("discriminator_minibatches")
         assert len(changed) <= 1 and trial.task_options == preset.task_options
         assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
@@ -413,7 +413,7 @@ def test_rewards_are_compared_beside_other_goals_and_ppo():
     her, alike, own_goals, ppo = group_by_program(trials)
     assert [trial.hyperparameters.environment_reward for trial in (*her, *alike, *own_goals)] == [1.0, 0.0, 0.5, 1.0]
     assert [trial.config.training_goals for trial in (*her, *alike, *own_goals, *ppo)] == [True] * 3 + [False, True]
-    assert [trial.setting.method for trial in (*her, *own_goals)] == ["her"] * 2
+    assert [trial.method for trial in (*her, *own_goals)] == ["her"] * 2
     assert [trial.config.discriminator_minibatches for trial in (*her, *own_goals)] == [0, 0]
     (row,) = ppo
     assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
@@ -458,7 +458,7 @@ def test_likelihoods_are_weighed_as_their_names_say(task):
     weights = {"with likelihood": 1.0, "likelihood × 3": 3.0, "likelihood × 10": 10.0}
     for name, weight in weights.items():
         trial = trials[f"GAIL-demo (20), {name}"]
-        assert (trial.setting.method, trial.setting.demonstrations) == ("gail-demo", 20)
+        assert (trial.method, trial.setting.demonstrations) == ("gail-demo", 20)
         assert float(trial.hyperparameters.bc_weight) == weight
         assert trial.config.learner.bc_batch > 0
     assert trials["GAIL-demo (20), no likelihood"].config.learner.bc_batch == 0

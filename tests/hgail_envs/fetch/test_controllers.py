@@ -3,9 +3,12 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.fetch.controllers import closed, grasp, reach, straight
+from hgail_envs.fetch.grasp import Grasp
+from hgail_envs.fetch.reach import Reach
 from hgail_jax.play.recording import run_controller
 
+grasp, straight, closed = Grasp.controllers.values()
+(reach,) = Reach.controllers.values()
 CUBE = np.array([1.3, 0.7, 0.425])
 
 

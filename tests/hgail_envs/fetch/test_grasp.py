@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.fetch import controllers
+from hgail_envs.fetch.grasp import Grasp
 from hgail_envs.fetch.reference import ReferenceFetch, make_reference, reference_episode
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
@@ -20,7 +20,12 @@ STILL, ABOVE, CLOSED, LIFT = range(4)
 
 def act(kind, observation):
     lift = jnp.tile(jnp.array([0.0, 0.0, 1.0, -1.0]), (BATCH, 1))
-    choices = (jnp.zeros((BATCH, 4)), controllers.grasp(observation), controllers.closed(observation), lift)
+    choices = (
+        jnp.zeros((BATCH, 4)),
+        Grasp.controllers["from-above"](observation),
+        Grasp.controllers["closed"](observation),
+        lift,
+    )
     return jnp.stack(choices)[kind]
 
 
@@ -54,7 +59,7 @@ def cube(states):
 
 
 def holding(states):
-    return np.asarray(states.info["observation"][..., 7]) > 0.5
+    return np.asarray(states.info["features"][..., 7]) > 0.5
 
 
 def outcome(end, lifted):
@@ -127,10 +132,9 @@ def test_starts_are_the_reference_s(reference):
     np.testing.assert_allclose(ENV.initial_gripper_position, observation[:3], atol=5e-4)
 
 
-@pytest.mark.parametrize("task", ["grasp", "grasp-position", "grasp-aperture"])
-def test_moving_the_target_puts_the_cube_down(task):
+def test_moving_the_target_puts_the_cube_down():
     """Out of the hand and thrown about, in MuJoCo's own kinematics; the arm and its motion are left as they are."""
-    env, place = hgail_envs.make(task), np.array([1.4, 0.7, 0.425])
+    env, place = hgail_envs.make("grasp"), np.array([1.4, 0.7, 0.425])
     state = jax.jit(env.reset)(jax.random.key(0))
     data = mujoco.MjData(env.model)
     cube = env.model.body("cube").dofadr[0]
@@ -147,9 +151,8 @@ def test_moving_the_target_puts_the_cube_down(task):
     np.testing.assert_array_equal(data.qvel[:cube], tumbling[:cube])
     np.testing.assert_array_equal(data.qpos[:-7], tilted[:-7])
     np.testing.assert_array_equal(data.qpos[-4:], [1.0, 0.0, 0.0, 0.0])
-    goal = {"grasp": [*place, 1.0], "grasp-position": place, "grasp-aperture": [*place[:2], 0.525, 0.1]}[task]
-    np.testing.assert_allclose(moved.info["desired_goal"], goal, atol=1e-6)
-    np.testing.assert_allclose(moved.obs[8:], goal, atol=1e-6)
+    np.testing.assert_allclose(moved.info["desired_goal"], [*place, 1.0], atol=1e-6)
+    np.testing.assert_allclose(moved.obs[8:], [*place, 1.0], atol=1e-6)
     assert moved.obs[7] == 0.0  # nothing is held
 
 
@@ -177,7 +180,7 @@ def test_a_tracked_cube_is_the_goal_wherever_it_is(start):
 def test_a_tracked_cube_is_observed_whatever_the_goal_is(start):
     after, tracked = pushed(start), hgail_envs.make("grasp", substeps=8, cube="tracked")
     features = np.asarray(jax.vmap(tracked.features)(after.pipeline_state))
-    np.testing.assert_array_equal(features[:, :8], after.info["observation"])
+    np.testing.assert_array_equal(features[:, :8], after.info["features"])
     np.testing.assert_allclose(features[:, 8:], cube(after) - features[:, :3], atol=1e-6)
     assert tracked.observation_size == ENV.observation_size + 3
 
@@ -204,7 +207,7 @@ def test_the_reference_tells_where_a_tracked_cube_is():
     def policy(observation):
         told.append(observation)
         cubes.append(reference.data.body("object0").xpos.copy())
-        return np.asarray(controllers.closed(np.delete(observation, slice(8, 11))))
+        return np.asarray(Grasp.controllers["closed"](np.delete(observation, slice(8, 11))))
 
     cubes = []
     reference_episode(reference, policy, Past(Randomization()), seed=1, index=0)
@@ -216,9 +219,6 @@ def test_the_reference_tells_where_a_tracked_cube_is():
         ReferenceFetch("push", cube="tracked")
 
 
-def test_other_tasks_of_grasping_have_no_tracked_cube():
-    for task in ("grasp-position", "grasp-aperture"):
-        with pytest.raises(ValueError, match="has no option 'cube'"):
-            hgail_envs.make(task, cube="tracked")
+def test_a_cube_that_is_seen_otherwise_is_refused():
     with pytest.raises(ValueError, match="'seen'; choose from at-start, tracked"):
         hgail_envs.make("grasp", cube="seen")

@@ -340,7 +340,7 @@ def test_sensors_err_by_what_they_are_told(task):
     @jax.jit
     def observe(key):
         state = randomised.step(randomised.reset(key), jnp.zeros(4))
-        return env.features(state.pipeline_state.true), state.info["observation"], state.pipeline_state.errors()
+        return env.features(state.pipeline_state.true), state.info["features"], state.pipeline_state.errors()
 
     plain, seen, errors = jax.device_get(observe(jax.random.key(0)))
     of_object = [errors.object - errors.robot, errors.object, errors.object_motion]

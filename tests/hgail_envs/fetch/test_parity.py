@@ -138,8 +138,8 @@ def test_rest_pose_and_reset(reference, reach, start, joints):
     np.testing.assert_allclose(reach.initial_gripper_position, unwrapped.initial_gripper_xpos, atol=5e-4)
     np.testing.assert_allclose(np.asarray(start.pipeline_state.qpos[0]), unwrapped.initial_qpos[joints], atol=5e-3)
     observation, _ = reference.reset(seed=0)
-    np.testing.assert_allclose(start.info["observation"][0, :3], observation["observation"][:3], atol=5e-4)
-    np.testing.assert_allclose(start.info["observation"][0, 3:], observation["observation"][5:8], atol=5e-4)
+    np.testing.assert_allclose(start.info["features"][0, :3], observation["observation"][:3], atol=5e-4)
+    np.testing.assert_allclose(start.info["features"][0, 3:], observation["observation"][5:8], atol=5e-4)
 
 
 def test_goal_distribution(reference, reach):
@@ -159,7 +159,7 @@ def test_velocity_is_scaled_as_the_reference_s(reference, reach, step, start):
     for _ in range(4):
         state = step(state, action)
         observation = reference.step(action[0])[0]["observation"]
-    np.testing.assert_allclose(state.info["observation"][0, 3:], observation[5:8], atol=5e-4)
+    np.testing.assert_allclose(state.info["features"][0, 3:], observation[5:8], atol=5e-4)
     assert pytest.approx(reference.unwrapped.dt) == CONTROL_PERIOD
 
 

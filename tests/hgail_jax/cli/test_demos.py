@@ -1,8 +1,10 @@
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from hgail_envs.point import Point
 from hgail_jax import TrainOptions, load_demonstrations
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
@@ -24,11 +26,17 @@ def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
         np.testing.assert_array_equal(expert_action, recorded.action.reshape(-1, 3))
 
 
+class Silent(Point):
+    """A task that nothing demonstrates."""
+
+    controllers: ClassVar = {}
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--task", "poke"], "unknown task 'poke'"),
-        (["--task", "grasp-aperture"], "no controller demonstrates 'grasp-aperture'"),
+        (["--task", f"{__name__}:Silent"], f"no controller demonstrates '{__name__}:Silent'"),
         (["--task", "point", "--episodes", "0"], "episodes is 0"),
         (["--task", "point", "--seed", "-1"], "seed is -1"),
         (["--task", "point", "--out", "file"], "file exists already"),

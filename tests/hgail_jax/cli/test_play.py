@@ -20,6 +20,8 @@ from hgail_jax.play.playback import Playback, film
 from tests.hgail_jax.terminal.test_status import Terminal
 from tests.support import ROOT, SOURCES
 
+REACH = "hgail_envs.fetch.reach:Reach"
+
 PLAYED = "reach, grasp, push, pick-and-place, slide, stack, tower"
 """Tasks whose policies come with the package."""
 
@@ -121,7 +123,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "hgail play: there is no file or folder none.npz"),
         (["--episodes", "many"], "'many' is not a whole number"),
-        (["--task", "grasp-aperture"], "no policy of grasp-aperture comes with the package; name one by --policy"),
+        (["--task", REACH], f"no policy of {REACH} comes with the package; name one by --policy"),
         (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
         (["--out", "none/film.mp4"], "there is no folder none to write film.mp4 into"),
         (["--web", "--out", "film.mp4"], "--web writes no film"),

@@ -79,7 +79,7 @@ def test_the_actions_on_their_way_are_described(task, tmp_path):
 
 
 def test_a_tracked_cube_s_place_is_named(tracking_policy):
-    names = [quantity.name for quantity in check_described(tracking_policy).features]
+    names = [number.name for number in check_described(tracking_policy).features.numbers]
     assert names[8:] == [f"cube position less gripper position {axis}" for axis in "xyz"]
 
 
@@ -93,6 +93,14 @@ def test_a_policy_of_another_task_is_written_without_its_code(shipped_policy, tm
     _, told = exported(policy, tmp_path / "p.onnx")
     assert [row["name"] for row in told["goal"]] == ["goal 0", "goal 1", "goal 2"]
     assert "control_period" not in told
+
+
+def test_a_task_of_one_s_own_names_its_numbers_if_its_code_may_be_run(shipped_policy, tmp_path):
+    policy = dataclasses.replace(load_policy(shipped_policy), task="hgail_envs.fetch.reach:Reach")
+    for trusted, name in ((False, "goal 0"), (True, "target position x")):
+        _, told = exported(policy, tmp_path / f"{trusted}.onnx", trusted=trusted)
+        assert told["goal"][0]["name"] == name
+        assert ("control_period" in told) == trusted
 
 
 def test_a_policy_that_does_not_fit_its_task_writes_nothing(shipped_policy, tmp_path):

@@ -8,7 +8,7 @@ from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.cell import TOOL_CENTRE
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka
-from hgail_envs.fetch import controllers
+from hgail_envs.fetch.grasp import Grasp
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_gap, check_the_table_is_not_pressed
 from tests.support import move
@@ -46,7 +46,9 @@ def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(grasp, hand
 
 def test_a_controller_grasps_and_lifts(grasp):
     grasp.reset(np.random.default_rng(2))
-    outcome = run_episode(grasp, lambda seen: np.asarray(jax.jit(controllers.grasp)(seen)), np.random.default_rng(0))
+    outcome = run_episode(
+        grasp, lambda seen: np.asarray(jax.jit(Grasp.controllers["from-above"])(seen)), np.random.default_rng(0)
+    )
     assert outcome.success == 1.0
 
 

@@ -11,8 +11,8 @@ from experiments.parity.reference import joint_indices
 from experiments.transfer.conditions import Conditions
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
-from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD
+from hgail_envs.fetch.grasp import Grasp
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 
@@ -89,7 +89,7 @@ def test_trained_policies_move_the_object_to_its_goal(name, least):
 
 def test_what_holds_and_lifts_is_judged_by_the_engine(grasp):
     """From above every cube is held; a closed hand holds none."""
-    grasps = {"from above": controllers.grasp, "closed": controllers.closed}
+    grasps = {"from above": Grasp.controllers["from-above"], "closed": Grasp.controllers["closed"]}
     for name, controller in grasps.items():
         grasp.reset(np.random.default_rng(5))
         low = grasp.target()[2]

@@ -14,8 +14,8 @@ from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.inverse_kinematics import DownwardArm
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
 from experiments.transfer.robots.servo_arm import Franka, UR5e
-from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, TABLE_HEIGHT
+from hgail_envs.fetch.grasp import Grasp
 from hgail_envs.scenes import assets_directory
 from hgail_jax.io.policy import load_policy
 from tests.support import move
@@ -135,7 +135,7 @@ def test_targets_are_drawn_as_the_fetch_s(grasp):
 
 
 def test_a_controller_grasps_and_a_closed_hand_does_not(grasp):
-    for controller, grasped in ((controllers.grasp, 1.0), (controllers.closed, 0.0)):
+    for controller, grasped in ((Grasp.controllers["from-above"], 1.0), (Grasp.controllers["closed"], 0.0)):
         grasp.reset(np.random.default_rng(2))
         outcome = run_episode(
             grasp, lambda seen, act=controller: np.asarray(act(jnp.asarray(seen))), np.random.default_rng(0)

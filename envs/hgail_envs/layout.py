@@ -1,0 +1,270 @@
+"""Layout of a vector: which numbers of an observation, a goal or an action are which quantity."""
+
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+METRES = "m"
+"""Unit of positions and distances."""
+FLAG = "0 or 1"
+"""Unit of a number that says yes or no."""
+FRAMES = {
+    "world": "of the scene: x ahead of the robot, y to its left, z up, origin on the floor; also the axes of relative"
+    " positions and of velocities",
+    "hand": "of the hand: each finger moves along its own axis, and 0 is closed",
+}
+"""Meaning of the frames."""
+
+_AXES = ("x", "y", "z")
+
+
+class Quantity(NamedTuple):
+    """Neighbouring numbers that are measured together, such as a position."""
+
+    name: str
+    """Unique in its layout."""
+    size: int = 1
+    """Count of its numbers; up to three are called x, y and z, more are numbered from 0."""
+    unit: str = ""
+    """`METRES`, `FLAG`, `"rad"` and so on; empty if it is not known."""
+    frame: str = ""
+    """A name in `FRAMES`; empty for a number that has none."""
+    when: str = ""
+    """Of a past quantity, e.g. `"1 step earlier"`."""
+
+    @property
+    def title(self) -> str:
+        """Name, and when."""
+        return f"{self.name}, {self.when}" if self.when else self.name
+
+    @property
+    def numbers(self) -> "tuple[Quantity, ...]":
+        """Each number as a quantity.
+
+        >>> [number.name for number in position("cube position").numbers]
+        ['cube position x', 'cube position y', 'cube position z']
+        """
+        parts = _AXES if self.size <= len(_AXES) else tuple(map(str, range(self.size)))
+        names = [self.name] if self.size == 1 else [f"{self.name} {part}" for part in parts[: self.size]]
+        return tuple(self._replace(name=name, size=1) for name in names)
+
+
+def position(name: str) -> Quantity:
+    """Returns a position, or a difference of two, metres along the world's axes."""
+    return Quantity(name, 3, METRES, "world")
+
+
+def flag(name: str) -> Quantity:
+    """Returns a number that is 0 or 1."""
+    return Quantity(name, 1, FLAG)
+
+
+class Layout:
+    """Quantities of a vector, in their order.
+
+    Args:
+      *quantities: with different names.
+
+    Raises:
+      ValueError: two quantities have the same name.
+
+    >>> goal = Layout(position("target position"), flag("hand holds the cube"))
+    >>> goal.size, goal["target position"], goal["hand holds the cube"]
+    (4, slice(0, 3, None), 3)
+
+    """
+
+    def __init__(self, *quantities: Quantity) -> None:
+        self.quantities = quantities
+        self._places: dict[str, slice | int] = {}
+        first = 0
+        for quantity in quantities:
+            if quantity.title in self._places:
+                raise ValueError(f"a layout has {quantity.title!r} twice; give each quantity a name of its own")
+            self._places[quantity.title] = first if quantity.size == 1 else slice(first, first + quantity.size)
+            first += quantity.size
+        self.size = first
+        """Count of the numbers."""
+
+    @classmethod
+    def numbered(cls, kind: str, size: int) -> "Layout":
+        """Returns the layout of a vector that nobody described.
+
+        >>> [number.name for number in Layout.numbered("goal", 2).numbers]
+        ['goal 0', 'goal 1']
+        """
+        return cls(*(Quantity(f"{kind} {index}") for index in range(size)))
+
+    def __iter__(self) -> Iterator[Quantity]:
+        return iter(self.quantities)
+
+    def __add__(self, other: "Layout") -> "Layout":
+        return Layout(*self.quantities, *other.quantities)
+
+    def __getitem__(self, name: str) -> slice | int:
+        """Returns where a quantity is: the index of a single number, the slice of several.
+
+        Raises:
+          KeyError: there is no such quantity.
+
+        """
+        return self._places[name]
+
+    def span(self, first: str, last: str) -> slice:
+        """Returns where the numbers from one quantity to another are, both included."""
+        start, stop = self[first], self[last]
+        return slice(
+            start.start if isinstance(start, slice) else start, stop.stop if isinstance(stop, slice) else stop + 1
+        )
+
+    @property
+    def numbers(self) -> tuple[Quantity, ...]:
+        """Each number as a quantity, `size` of them."""
+        return tuple(number for quantity in self for number in quantity.numbers)
+
+    def where(self, condition: Callable[[str], bool]) -> slice | np.ndarray:
+        """Returns where the numbers are whose unit meets a condition."""
+        places = np.flatnonzero([condition(number.unit) for number in self.numbers])
+        if places.size and places.size == places[-1] - places[0] + 1:
+            return slice(int(places[0]), int(places[-1]) + 1)
+        return places
+
+    def is_near(self, one: jax.Array, other: jax.Array, distance: float) -> jax.Array:
+        """Returns whether vectors, `[..., size]`, are near each other: booleans `[...]`.
+
+        That is if their flags are equal, and their other numbers within a Euclidean distance.
+        """
+        flags = self.where(is_flag)
+        if not isinstance(flags, slice) and not len(flags):
+            return jnp.linalg.norm(one - other, axis=-1) <= distance
+        others = self.where(lambda unit: not is_flag(unit))
+        near = jnp.linalg.norm(one[..., others] - other[..., others], axis=-1) <= distance
+        return near & jnp.all(one[..., flags] == other[..., flags], axis=-1)
+
+    def metres(self, vector: jax.Array) -> jax.Array:
+        """Returns the metres of a vector, or all of one that is not `[size]`, or of a layout without metres."""
+        metres = self.where(is_metres)
+        there = isinstance(metres, slice) or len(metres)
+        return vector[metres] if there and vector.shape == (self.size,) else vector
+
+    def split(self, vector: Any) -> dict[str, Any]:
+        """Returns the values of all quantities of a vector, `[..., size]`, by their names; the inverse of `join`."""
+        return {name: vector[..., place] for name, place in self._places.items()}
+
+    def reader(self, function: Callable[[Mapping[str, Any]], Any]) -> Callable[[Any], Any]:
+        """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
+        return functools.partial(_read, self, function)
+
+    def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
+        """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
+
+        Args:
+          values: of all quantities.
+          xp: `jax.numpy` or `numpy`.
+
+        Raises:
+          ValueError: a quantity has no value or a value of another size, or there is no such quantity.
+
+        """
+        if values.keys() != self._places.keys():
+            wrong = sorted(values.keys() ^ self._places.keys())
+            raise ValueError(f"values do not fit the layout: {wrong[0]!r} is {_side(wrong[0] in values)}")
+        parts = [xp.reshape(xp.asarray(values[quantity.title]), -1) for quantity in self]
+        for quantity, part in zip(self, parts, strict=True):
+            if part.size != quantity.size:
+                raise ValueError(f"{quantity.title!r} has {part.size} numbers; its layout says {quantity.size}")
+        return xp.concatenate(parts)
+
+
+def is_flag(unit: str) -> bool:
+    """Returns whether it is the unit of a flag, for `Layout.where`."""
+    return unit == FLAG
+
+
+def is_metres(unit: str) -> bool:
+    """Returns whether it is the unit of positions, for `Layout.where`."""
+    return unit == METRES
+
+
+def _read(layout: Layout, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
+    return function(layout.split(vector))
+
+
+def _side(is_given: bool) -> str:
+    return "given but not in the layout" if is_given else "in the layout but not given"
+
+
+def past(features: Layout, action: Layout, history: int, known_delay: int) -> Layout:
+    """Returns the layout of the past that a randomised task shows before its features; see `RandomizedEnv`.
+
+    Args:
+      features: of the task.
+      action: of the task.
+      history: past actions and observations, the newest first.
+      known_delay: actions that have not taken effect, before the history, the newest first.
+
+    """
+    pending = [
+        quantity._replace(when=f"sent {_steps(back)} ago and on its way")
+        for back in range(1, known_delay + 1)
+        for quantity in (flag("whether there is an action"), *action)
+    ]
+    earlier = [
+        quantity._replace(when=f"{_steps(back)} earlier")
+        for back in range(1, history + 1)
+        for quantity in (*action, *features)
+    ]
+    return Layout(*pending, *earlier)
+
+
+def _steps(count: int) -> str:
+    return f"{count} step{'s' if count > 1 else ''}"
+
+
+class HasLayouts:
+    """Sizes and layouts of a task's vectors: a class declares one or the other, as class attributes."""
+
+    feature_size: int
+    """Numbers in the part of the observation that does not depend on the goal."""
+    goal_size: int
+    """Numbers in a goal."""
+    action_size: int
+    """Numbers in an action; each is clipped to [-1, 1]."""
+    features_layout: Layout = Layout()
+    """Of the features; if a class sets `feature_size` alone, they are numbered, and likewise below."""
+    goal_layout: Layout = Layout()
+    """Of a goal; at the goal its flags must be equal, and distances are of its metres."""
+    action_layout: Layout = Layout()
+    """Of an action."""
+    seen_layout: ClassVar[Layout | None] = None
+    """Of the features within an observation, if `goal_observation` changes their meaning."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Derives sizes from layouts, and layouts from sizes."""
+        super().__init_subclass__(**kwargs)
+        for kind, size_name, layout_name in _OF_CLASS:
+            size, layout = (vars(cls).get(name) for name in (size_name, layout_name))
+            if layout is not None:
+                if size not in (None, layout.size):
+                    raise ValueError(
+                        f"{cls.__name__}.{size_name} is {size}; its {layout_name} has {layout.size} numbers"
+                    )
+                setattr(cls, size_name, layout.size)
+            elif isinstance(size, int):
+                setattr(cls, layout_name, Layout.numbered(kind, size))
+
+    @classmethod
+    def features_with(cls, **options: Any) -> Layout:
+        """Returns the layout of the features under options of the class; by default any have `features_layout`."""
+        return cls.features_layout
+
+
+_OF_CLASS = (
+    ("feature", "feature_size", "features_layout"),
+    ("goal", "goal_size", "goal_layout"),
+    ("action", "action_size", "action_layout"),
+)
