@@ -4,6 +4,7 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 """
 
 import copy
+import functools
 from typing import TypeVar
 
 import jax
@@ -12,7 +13,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
-from hgail_envs.engines import Control, EngineState, make_engine
+from hgail_envs.engines import Control, Engine, EngineState, check_impl, jax_has_started, make_engine
 from hgail_envs.fetch.kinematics import Chain
 from hgail_envs.fetch.model import FINGERS, SceneModel
 from hgail_envs.scenes import load_scene
@@ -77,6 +78,9 @@ class FetchEnv(GoalEnv):
         `CONTROL_PERIOD`.
       worlds: most environments that are stepped at once; MJX-Warp sizes its contact buffers by it.
 
+    Making a task does not start JAX, which no process that is forked later could use. So the engine and the start are
+    made at first use unless JAX has started, and an `impl` that is not available here is refused then.
+
     Raises:
       ValueError: an unknown or unavailable `impl`, or a number out of range.
 
@@ -102,18 +106,35 @@ class FetchEnv(GoalEnv):
             )
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
+        check_impl(impl)
+        self._engine_options = {"impl": impl, "period": CONTROL_PERIOD, "substeps": substeps, "worlds": worlds}
         self.model = load_scene(self.scene)
         self._fingers = [self.model.joint(name).id for name in FINGERS]
         self._finger_qpos = self.model.jnt_qposadr[self._fingers]
         self._finger_qvel = self.model.jnt_dofadr[self._fingers]
-        settled = settle(self.model, self.base_x, self.start_height)
-        self.initial_gripper_position = settled.site("grip").xpos.copy()
-        self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
-        self.max_worlds = self.engine.max_worlds
+        self._start = settle(self.model, self.base_x, self.start_height)
+        self.initial_gripper_position = self._start.site("grip").xpos.copy()
         self._scene_model = SceneModel(self.model)
         self._arm = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
-        self._initial_physics = jax.device_get(jax.jit(self.place)(settled.qpos, settled.qvel))
         self._settled: dict[float, FetchPhysics] = {}
+        if jax_has_started():  # at once: later it would wait for a GPU that is loading kernels
+            self.engine, self._initial_physics  # noqa: B018
+
+    @functools.cached_property
+    def engine(self) -> Engine:
+        """The physics engine."""
+        with jax.ensure_compile_time_eval():  # the first use may be traced
+            return make_engine(model=self.model, **self._engine_options)
+
+    @functools.cached_property
+    def max_worlds(self) -> int | None:  # type: ignore[override]
+        """See `GoalEnv`."""
+        return self.engine.max_worlds
+
+    @functools.cached_property
+    def _initial_physics(self) -> FetchPhysics:
+        with jax.ensure_compile_time_eval():
+            return jax.device_get(jax.jit(self.place)(self._start.qpos, self._start.qvel))
 
     @property
     def impl(self) -> str:

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax import math
 
 from hgail_envs.base import EpisodeMetrics, State
@@ -79,7 +80,7 @@ class ObjectEnv(FetchEnv):
             self.feature_size = OFFICIAL_SIZE
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(impl, substeps, worlds)
-        self.object_height = float(self._initial_physics.object_start[2])
+        self.object_height = float(np.float32(self._start.qpos[self._object_qpos][2]))
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> ObjectPhysics:
         start = jnp.asarray(qpos[self._object_qpos], jnp.float32)
