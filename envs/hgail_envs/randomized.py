@@ -14,8 +14,7 @@ from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 
 _SAME = (
     *("episode_length", "goal_size", "action_size", "success_threshold", "goal_kinds", "lift_test_steps"),
-    *("observation_limit", "max_worlds", "control_period", "scene", "target_body", "reference", "training"),
-    *("impl", "substeps"),
+    *("observation_limit", "control_period", "scene", "target_body", "reference", "training"),
 )
 """Attributes that the randomised task copies, if its task has them."""
 
@@ -66,6 +65,19 @@ class RandomizedEnv(GoalEnv):
         self.controllers = {  # type: ignore[misc]
             name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
+
+    # Asked of the task when they are needed: a Fetch task may have to start JAX to know which engine it has.
+    @property
+    def max_worlds(self) -> int | None:  # type: ignore[override]
+        return self.task.max_worlds
+
+    @property
+    def impl(self) -> str:
+        return self.task.impl  # type: ignore[attr-defined]
+
+    @property
+    def substeps(self) -> int:
+        return self.task.substeps  # type: ignore[attr-defined]
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
         sizes, task = self.randomization, self.task
