@@ -135,7 +135,8 @@ def test_a_platform_that_is_not_there_is_named_in_one_line_and_help_needs_none(p
         capture_output=True,
         text=True,
     )
-    line = f"hgail {words[0]}: JAX_PLATFORMS is '{platform}', and JAX finds no such device here; unset it, or set it to cpu\n"
+    line = f"hgail {words[0]}: JAX_PLATFORMS is '{platform}', and JAX finds no such device here;"
+    line += " unset it, or set it to cpu\n"
     assert (done.returncode, done.stderr) == ((0, "") if "--help" in words else (2, line))
     assert not list(tmp_path.iterdir())
 
