@@ -107,13 +107,14 @@ class FetchEnv(GoalEnv):
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
         check_impl(impl)
-        self._engine_options = {"impl": impl, "period": CONTROL_PERIOD, "substeps": substeps, "worlds": worlds}
         self.model = load_scene(self.scene)
+        self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self._fingers = [self.model.joint(name).id for name in FINGERS]
         self._finger_qpos = self.model.jnt_qposadr[self._fingers]
         self._finger_qvel = self.model.jnt_dofadr[self._fingers]
-        self._start = settle(self.model, self.base_x, self.start_height)
-        self.initial_gripper_position = self._start.site("grip").xpos.copy()
+        settled = settle(self.model, self.base_x, self.start_height)
+        self._start_qpos, self._start_qvel = settled.qpos.copy(), settled.qvel.copy()
+        self.initial_gripper_position = settled.site("grip").xpos.copy()
         self._scene_model = SceneModel(self.model)
         self._arm = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
         self._settled: dict[float, FetchPhysics] = {}
@@ -124,17 +125,16 @@ class FetchEnv(GoalEnv):
     def engine(self) -> Engine:
         """The physics engine."""
         with jax.ensure_compile_time_eval():  # the first use may be traced
-            return make_engine(model=self.model, **self._engine_options)
+            return self._make_engine()
 
     @functools.cached_property
     def max_worlds(self) -> int | None:  # type: ignore[override]
-        """See `GoalEnv`."""
         return self.engine.max_worlds
 
     @functools.cached_property
     def _initial_physics(self) -> FetchPhysics:
         with jax.ensure_compile_time_eval():
-            return jax.device_get(jax.jit(self.place)(self._start.qpos, self._start.qvel))
+            return jax.device_get(jax.jit(self.place)(self._start_qpos, self._start_qvel))
 
     @property
     def impl(self) -> str:

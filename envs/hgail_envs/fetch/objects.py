@@ -80,7 +80,7 @@ class ObjectEnv(FetchEnv):
             self.feature_size = OFFICIAL_SIZE
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(impl, substeps, worlds)
-        self.object_height = float(np.float32(self._start.qpos[self._object_qpos][2]))
+        self.object_height = float(np.float32(self._start_qpos[self._object_qpos][2]))
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> ObjectPhysics:
         start = jnp.asarray(qpos[self._object_qpos], jnp.float32)
