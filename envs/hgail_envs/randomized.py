@@ -16,7 +16,7 @@ _SAME = (
     *("episode_length", "goal_size", "action_size", "success_threshold", "goal_kinds", "lift_test_steps"),
     *("observation_limit", "control_period", "scene", "target_body", "reference", "training"),
 )
-"""Attributes that the randomised task copies, if its task has them."""
+"""Attributes that the randomised task copies."""
 
 
 class RandomizedEnv(GoalEnv):
@@ -57,8 +57,7 @@ class RandomizedEnv(GoalEnv):
         self.task, self.randomization = task, randomization
         self._sizes = dict(vars(randomization))
         for name in _SAME:
-            if hasattr(task, name):
-                setattr(self, name, getattr(task, name))
+            setattr(self, name, getattr(task, name))
         known, remembered = randomization.known_delay, randomization.history
         self._past_size = known * (1 + task.action_size) + remembered * (task.action_size + task.feature_size)
         self.feature_size = self._past_size + task.feature_size
@@ -66,18 +65,14 @@ class RandomizedEnv(GoalEnv):
             name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
 
-    # Asked of the task when they are needed: a Fetch task may have to start JAX to know which engine it has.
     @property
     def max_worlds(self) -> int | None:  # type: ignore[override]
         return self.task.max_worlds
 
-    @property
-    def impl(self) -> str:
-        return self.task.impl  # type: ignore[attr-defined]
-
-    @property
-    def substeps(self) -> int:
-        return self.task.substeps  # type: ignore[attr-defined]
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("impl", "substeps"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.task, name)  # not copied when it is made: a task may start JAX to find its engine
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
         sizes, task = self.randomization, self.task

@@ -9,20 +9,18 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, EngineState, check_impl, jax_has_started, make_engine
 from hgail_envs.fetch.kinematics import Chain
 from hgail_envs.fetch.model import FINGERS, SceneModel
+from hgail_envs.fetch.start import BASE_X, DOWNWARD, REFERENCE_SUBSTEPS, START_HEIGHT, settle
 from hgail_envs.scenes import load_scene
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 CONTROL_PERIOD = 0.04
 """Seconds between two actions."""
-REFERENCE_SUBSTEPS = 20
-"""Physics steps per action in the reference: 20 of 2 ms."""
 FAST_SUBSTEPS = 4
 """Fewest physics steps per action, 4 of 10 ms: longer ones make the gripper's weld (20 ms) unstable."""
 
@@ -40,10 +38,6 @@ _POSTURES = 64  # settled in advance for randomised starts; each takes C MuJoCo 
 _CANDIDATES = 64
 _ROAM = 0.15  # metres around the gripper's start, in which its random goals are
 _LOWEST = 0.42  # metres; the pads rest on the table at 0.417
-_DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
-_BASE_X, _BASE_Y = 0.405, 0.48  # metres
-_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
-_SETTLE_PERIODS = 10  # actions, as in the reference
 
 
 class FetchPhysics(EngineState, kw_only=True):
@@ -92,9 +86,9 @@ class FetchEnv(GoalEnv):
     control_period = CONTROL_PERIOD
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
-    base_x: float = _BASE_X
+    base_x: float = BASE_X
     """Position of the robot along x, metres."""
-    start_height: float = 0.2
+    start_height: float = START_HEIGHT
     """Nominal height of the gripper's start above the table, metres."""
     least_widest_gap: float = 0.0
     """Metres to which the hand must be able to open in this task, however wide the object is."""
@@ -269,7 +263,7 @@ class FetchEnv(GoalEnv):
         """
         return Control(
             mocap_pos=(physics.body_position + LEAD * displacement)[None],
-            mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],  # the reference adds them too; MuJoCo normalises
+            mocap_quat=(physics.body_quaternion + DOWNWARD)[None],  # the reference adds them too; MuJoCo normalises
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
             model=None if physics.factors is None else self._scene_model.fields(physics.factors),
         )
@@ -290,30 +284,3 @@ class FetchEnv(GoalEnv):
             gripper_position=gripper.site_position,
             gripper_velocity=gripper.site_velocity * CONTROL_PERIOD,
         )
-
-
-def settle(
-    model: mujoco.MjModel,
-    base_x: float = FetchEnv.base_x,
-    start_height: float = FetchEnv.start_height,
-    offset: np.ndarray | None = None,
-) -> mujoco.MjData:
-    """Brings the arm to its start, as the reference does: pulls the gripper there with C MuJoCo and lets it settle.
-
-    Args:
-      model: the scene.
-      base_x: see `FetchEnv`.
-      start_height: see `FetchEnv`.
-      offset: `[3]`, displacement of the gripper from its start, metres.
-
-    """
-    data = mujoco.MjData(model)
-    data.joint("base_x").qpos, data.joint("base_y").qpos = base_x, _BASE_Y
-    mujoco.mj_forward(model, data)
-    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, start_height]
-    if offset is not None:
-        data.mocap_pos[0] += offset
-    data.mocap_quat[0] = _DOWNWARD
-    mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * REFERENCE_SUBSTEPS)
-    mujoco.mj_forward(model, data)
-    return data
