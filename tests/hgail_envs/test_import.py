@@ -59,6 +59,11 @@ def test_importing_changes_nothing_in_the_process():
     assert run(IMPORT) == ["[] False"]
 
 
+def test_the_package_is_imported_where_mujoco_finds_no_renderer():
+    hidden = "import sys; sys.modules['glfw'] = None; import hgail_envs, mujoco; print(hasattr(mujoco, 'Renderer'))"
+    assert run(hidden) == ["False"]
+
+
 def test_making_a_task_starts_no_jax_and_finds_its_engine_at_first_use():
     missing = "impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'"
     unknown = "unknown impl 'bullet'; choose from auto, warp, c, jax"

@@ -45,7 +45,7 @@ class RenderingError(RuntimeError):
     """Error of a machine on which MuJoCo cannot render; the message names a remedy."""
 
 
-def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
+def open_renderer(model: mujoco.MjModel, height: int, width: int) -> "mujoco.Renderer":
     """Opens MuJoCo's renderer.
 
     Raises:
@@ -53,10 +53,12 @@ def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Rend
 
     """
     try:
-        _render_without_display()
+        _choose_backend()
+        # Not `mujoco.Renderer`, which is missing, without a reason, where the backend could not be imported at first.
+        renderer: Any = importlib.import_module("mujoco.rendering.classic.renderer")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW warns of a display that does not answer, then the renderer fails
-            return mujoco.Renderer(model, height, width)
+            return renderer.Renderer(model, height, width)
     except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
         display, chosen = os.environ.get("DISPLAY"), os.environ.get("MUJOCO_GL")
         if chosen and chosen.strip().lower() not in _BACKENDS:
@@ -70,16 +72,17 @@ def open_renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Rend
         raise RenderingError(f"MuJoCo cannot render here, install EGL or OSMesa ({error})") from error
 
 
-def _render_without_display() -> None:
-    """Has MuJoCo render with EGL or OSMesa where neither a display nor `MUJOCO_GL` says with what.
+def _choose_backend() -> None:
+    """Sets `MUJOCO_GL` to EGL or OSMesa where neither it nor a display says with what to render.
 
-    MuJoCo reads both when it is imported, and takes GLFW then, which needs a display.
+    MuJoCo reads it when it is imported, and takes GLFW if it is not set, which needs a display.
     """
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("MUJOCO_GL"):
         return
     backend = headless_backend(ctypes.util.find_library)
     if backend is not None:
-        used: Any = importlib.import_module("mujoco.rendering.classic.gl_context")  # by mujoco.Renderer
+        os.environ["MUJOCO_GL"] = backend
+        used: Any = importlib.import_module("mujoco.rendering.classic.gl_context")  # by MuJoCo's renderer
         used.GLContext = importlib.import_module(f"mujoco.{backend}").GLContext
 
 

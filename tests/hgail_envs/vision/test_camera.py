@@ -124,7 +124,7 @@ def test_where_nothing_renders_it_says_what_to_install(monkeypatch, scene):
     def no_library(*_):
         raise ImportError("no libEGL")
 
-    monkeypatch.setattr(rgbd.mujoco, "Renderer", no_library)
+    monkeypatch.setattr("mujoco.rendering.classic.renderer.Renderer", no_library)
     with pytest.raises(RuntimeError, match=r"install EGL or OSMesa \(no libEGL\)"):
         Photographer(scene[0], WIDTH, HEIGHT)
 
