@@ -13,9 +13,12 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
-import hgail_envs  # noqa: E402  (sets what XLA reads before JAX starts)
+import hgail_envs  # noqa: E402
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
 from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
+from hgail_envs.workarounds import configure_xla  # noqa: E402
+
+configure_xla()  # as the command does, before JAX starts
 
 _MUCH_MEMORY = 1e9  # bytes; freeing it takes most of a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"

@@ -107,7 +107,7 @@ main(sys.argv[1:])
 
 def four_devices():
     """Returns the environment of a process in which XLA makes four devices of one processor."""
-    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=4"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=4"
     return os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": SOURCES}
 
 

@@ -1,14 +1,17 @@
-"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own."""
+"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own.
 
-from hgail_envs import workarounds
+To import it changes nothing in the process, and to make a task does not start JAX.
+"""
 
-workarounds.prepare()  # before JAX starts, which reads its settings once
+import contextlib
+import io
 
-from brax.envs.base import State  # noqa: E402
+with contextlib.redirect_stdout(io.StringIO()):  # MJX, which brax imports, prints that Warp is missing
+    from brax.envs.base import State
 
-from hgail_envs.base import EpisodeMetrics, GoalEnv  # noqa: E402
-from hgail_envs.checking import check_task  # noqa: E402
-from hgail_envs.registry import TASKS, accepted_options, find_class, make, register_gymnasium  # noqa: E402
+from hgail_envs.base import EpisodeMetrics, GoalEnv
+from hgail_envs.checking import check_task
+from hgail_envs.registry import TASKS, accepted_options, find_class, make, register_gymnasium
 
 register_gymnasium()
 

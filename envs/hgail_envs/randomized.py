@@ -17,10 +17,9 @@ from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 _SAME = (
     *("goal_size", "goal_layout", "action_size", "action_layout"),
     *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps"),
-    *("observation_limit", "max_worlds", "control_period", "scene", "target_body", "reference", "training"),
-    *("impl", "substeps"),
+    *("observation_limit", "control_period", "scene", "target_body", "reference", "training"),
 )
-"""Attributes that the randomised task copies, if its task has them."""
+"""Attributes that the randomised task copies."""
 
 
 class RandomizedEnv(GoalEnv):
@@ -61,8 +60,7 @@ class RandomizedEnv(GoalEnv):
         self.task, self.randomization = task, randomization
         self._sizes = dict(vars(randomization))
         for name in _SAME:
-            if hasattr(task, name):
-                setattr(self, name, getattr(task, name))
+            setattr(self, name, getattr(task, name))
         known, remembered = randomization.known_delay, randomization.history
         self._past_size = known * (1 + task.action_size) + remembered * (task.action_size + task.feature_size)
         self.feature_size = self._past_size + task.feature_size
@@ -70,6 +68,15 @@ class RandomizedEnv(GoalEnv):
         self.controllers = {  # type: ignore[misc]
             name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
+
+    @property
+    def max_worlds(self) -> int | None:  # type: ignore[override]
+        return self.task.max_worlds
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("impl", "substeps"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.task, name)  # not copied when it is made: a task may start JAX to find its engine
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
         sizes, task = self.randomization, self.task

@@ -84,7 +84,8 @@ class GoalVectorEnv(VectorEnv):
                 raise TypeError(f"{name} is {number!r}; it must be an integer")
             if number < 1:
                 raise ValueError(f"{name} is {number}; it must be at least 1")
-        if env.max_worlds is not None and num_envs > env.max_worlds:
+        # There is room for one, and to ask for the room starts JAX; this may be a process that is about to fork.
+        if num_envs > 1 and env.max_worlds is not None and num_envs > env.max_worlds:
             raise ValueError(f"num_envs is {num_envs}; the task was made for {env.max_worlds}: make it with worlds")
         self.env, self.num_envs = env, num_envs
         self._autoreset, self._length = _autoreset_mode(autoreset_mode), length

@@ -113,7 +113,7 @@ def _film(robot: Robot, policy: MeanAction, seed: int) -> list[np.ndarray]:
     return frames
 
 
-def _picture(renderer: mujoco.Renderer, robot: Robot, camera: mujoco.MjvCamera) -> np.ndarray:
+def _picture(renderer: "mujoco.Renderer", robot: Robot, camera: mujoco.MjvCamera) -> np.ndarray:
     mujoco.mj_kinematics(robot.model, robot.data)
     robot.data.site(robot.marker).xpos = robot.target() - robot.offset
     renderer.update_scene(robot.data, camera)

@@ -19,6 +19,7 @@ import jax
 import tyro
 from tyro import _errors as tyro_errors
 
+from hgail_envs.workarounds import configure_xla
 from hgail_jax.terminal.signals import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
@@ -156,6 +157,25 @@ def one_line_errors(program: str) -> Iterator[None]:
             if not is_out_of_memory(error):
                 raise
             fail(program, OUT_OF_MEMORY, 1)
+        except NO_DEVICE:
+            missing = missing_platform()
+            if missing is None:
+                raise
+            fail(program, missing, 2)
+
+
+NO_DEVICE = (RuntimeError, AssertionError)
+"""What JAX raises where it finds no device of the platforms that it is to run on."""
+
+
+def missing_platform() -> str | None:
+    """Returns a line about the platforms that JAX is to run on if it finds none of their devices, else None."""
+    platforms = jax.config.jax_platforms  # type: ignore[attr-defined]
+    try:
+        jax.devices()
+    except NO_DEVICE:
+        return f"JAX_PLATFORMS is {platforms!r}, and JAX finds no such device here; unset it, or set it to cpu"
+    return None
 
 
 OUT_OF_MEMORY = "out of memory; take fewer or smaller of what runs at once"
@@ -197,10 +217,13 @@ def user_cache() -> Path:
 
 
 def prepare_process() -> None:
-    """Lets a user's process find the tasks in its working folder, and the programs that it compiled before.
+    """Sets a process of the user's up before JAX starts in it: XLA, its cache of programs, where tasks are found.
 
     JAX keeps programs that took a second to compile; most programs of a run take less.
     """
+    configure_xla()
+    # A CPU then runs a program in the thread that calls it, which meanwhile lets C MuJoCo's threads have Python's lock.
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # which JAX has read
         jax.config.update("jax_compilation_cache_dir", str(user_cache() / "hgail_jax"))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hgail_envs.validation import counted
 from hgail_jax.cli.command_line import (
+    NO_DEVICE,
     fail,
     is_out_of_memory,
     one_line_errors,
@@ -97,7 +98,7 @@ def _description(words: list[str]) -> str:
     try:
         named, _ = parser.parse_known_args(words)
         numbers = task_defaults(platform=platform_name(), **vars(named))
-    except (ValueError, argparse.ArgumentError):  # there is no such task, method or preset
+    except (ValueError, argparse.ArgumentError, *NO_DEVICE):  # no such task, method or preset, or nothing to train on
         return __doc__ or ""
     said = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in numbers.items())
     return f"{__doc__}\n\nThe task {named.task} has {said}."

@@ -12,10 +12,12 @@ Physics engines that XLA calls as a black box cannot be split by its partitioner
 import functools
 import json
 import math
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jaxlib.version
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -28,6 +30,7 @@ SEEDS, ENVS = "seeds", "envs"
 ALONG_SEEDS, REPLICATED = PartitionSpec(SEEDS), PartitionSpec()
 """How arrays are laid out: their first axis, seeds, split over the devices; or whole on each device."""
 
+_SHARDY = "JAX_USE_SHARDY_PARTITIONER"
 _REPLICA_TOLERANCE = 1e-3  # by which devices may come apart through the order in which they sum
 
 
@@ -37,6 +40,8 @@ class ReplicaError(RuntimeError):
 
 def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
     """Returns a mesh over `devices`: along seeds as far as they divide, along environments for the rest.
+
+    With jaxlib 0.11 a mesh of several devices turns JAX's partitioner Shardy off for the process, which crashes there.
 
     Raises:
       ValueError: the environments of a seed do not divide over the devices that are left to them.
@@ -52,7 +57,18 @@ def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
             f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} cannot be divided over"
             f" {len(devices)} devices; with {along_seeds} along the seeds, num_envs must be a multiple of {along_envs}"
         )
+    if len(devices) > 1 and not shardy_works(jaxlib.version.__version__) and _SHARDY not in os.environ:
+        jax.config.update(_SHARDY.lower(), False)
     return Mesh(np.array(devices).reshape(along_seeds, along_envs), (SEEDS, ENVS))
+
+
+def shardy_works(jaxlib_version: str) -> bool:
+    """Returns whether JAX's default partitioner works for a training step of several devices; 0.12 ends the fault.
+
+    >>> shardy_works("0.10.2"), shardy_works("0.11.2"), shardy_works("0.12.0")
+    (True, False, True)
+    """
+    return not jaxlib_version.startswith("0.11.")
 
 
 def most_devices(seeds: int, num_envs: int, available: int) -> int:

@@ -45,6 +45,28 @@ def test_the_package_is_imported_without_gymnasium():
     assert done.stdout == "3\n", done.stderr
 
 
+FORK = """
+import gymnasium, hgail_envs, numpy as np
+name, impl = {name!r}, {impl!r}
+options = {{"impl": impl, "substeps": 4}} if impl else {{}}
+vector = gymnasium.make_vec(
+    name, num_envs=2, vectorization_mode="async", vector_kwargs={{"context": "fork"}}, **options
+)
+vector.reset(seed=0)
+observation, reward, *_ = vector.step(np.zeros(vector.action_space.shape, np.float32))
+print(observation["observation"].shape[0], *reward)
+vector.close()
+"""
+
+
+@pytest.mark.parametrize(("name", "impl"), [(POINT, None), (REACH, "auto"), (REACH, "c"), (REACH, "jax")])
+def test_processes_that_are_forked_have_an_environment_each(name, impl):
+    done = subprocess.run(
+        [sys.executable, "-c", FORK.format(name=name, impl=impl)], capture_output=True, text=True, timeout=180
+    )
+    assert done.stdout == "2 -1.0 -1.0\n", done.stderr
+
+
 @pytest.mark.filterwarnings("ignore:.*A Box observation space (m|min|max).*")
 @pytest.mark.filterwarnings("error:.*:UserWarning")
 @pytest.mark.parametrize("name", [POINT, REACH, pytest.param(GYMNASIUM_IDS["push"], marks=pytest.mark.slow)])

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import jax
 import mujoco
+from jax._src import xla_bridge
 
 from hgail_envs.engines.base import Control, Engine, EngineState
 from hgail_envs.engines.c import CEngine
@@ -19,7 +20,7 @@ ENGINES: dict[str, Callable[..., Engine]] = {"warp": WarpEngine, "c": CEngine, "
 
 
 def resolve_impl(impl: str) -> str:
-    """Returns the name of the engine that `impl` selects on this machine.
+    """Returns the name of the engine that `impl` selects on this machine; starts JAX to ask for its device.
 
     `"auto"` is MJX-Warp on an NVIDIA GPU if warp-lang is installed, C MuJoCo on a CPU, and MJX-JAX elsewhere.
 
@@ -27,8 +28,7 @@ def resolve_impl(impl: str) -> str:
       ValueError: `impl` is neither an engine's name nor `"auto"`, or the engine is not available.
 
     """
-    if impl != "auto" and impl not in ENGINES:
-        raise ValueError(f"unknown impl {impl!r}; choose from auto, {', '.join(ENGINES)}")
+    check_impl(impl)
     platform = _platform()
     has_warp = importlib.util.find_spec("warp") is not None and platform == "gpu"
     if impl == "warp" and not has_warp:
@@ -40,6 +40,17 @@ def resolve_impl(impl: str) -> str:
     if has_warp:
         return "warp"
     return "c" if platform == "cpu" else "jax"
+
+
+def check_impl(impl: str) -> None:
+    """Refuses a name that is neither an engine's nor `"auto"`, with a ValueError."""
+    if impl != "auto" and impl not in ENGINES:
+        raise ValueError(f"unknown impl {impl!r}; choose from auto, {', '.join(ENGINES)}")
+
+
+def jax_has_started() -> bool:
+    """Returns whether JAX has opened its devices; a process that is forked after that cannot use it."""
+    return xla_bridge.backends_are_initialized()  # JAX has no public function that asks without opening them
 
 
 def _platform() -> str:
@@ -58,4 +69,13 @@ def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, 
     return ENGINES[resolve_impl(impl)](model, period, substeps, worlds)
 
 
-__all__ = ["ENGINES", "Control", "Engine", "EngineState", "make_engine", "resolve_impl"]
+__all__ = [
+    "ENGINES",
+    "Control",
+    "Engine",
+    "EngineState",
+    "check_impl",
+    "jax_has_started",
+    "make_engine",
+    "resolve_impl",
+]

@@ -4,8 +4,8 @@ An action of all environments of all seeds is one call of `mujoco.rollout`, whos
 this process may use. The host keeps no state between calls: all state goes in and out, so that a call may be repeated
 or left out, a run resumes exactly, and the result does not depend on the number of threads.
 
-Callbacks into Python can deadlock under JAX's asynchronous dispatch on a CPU; `hgail_envs.workarounds` turns that off
-before JAX starts.
+A call uses no JAX, not even to convert an array. So it cannot wait for the program that waits for it, as a callback
+under JAX's asynchronous dispatch on a CPU otherwise can.
 """
 
 import copy

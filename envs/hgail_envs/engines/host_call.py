@@ -7,19 +7,22 @@ structures below are those of jaxlib's `xla/ffi/api/c_api.h`; XLA refuses functi
 function of this process, so that JAX never keeps them in its compilation cache. With this call the training of reach
 (one round, eight seeds) compiles in 11 s once it is cached, and in 83 s with nothing cached. Per step `buffer_callback`
 takes 1.00 times as long with 64 environments and 0.98 with 512, `pure_callback` 1.08 and 1.02 (reach, medians of 25
-scans timed in turn). All on two busy CPU cores, with JAX 0.10.2.
+scans timed in turn). All on two busy CPU cores, with JAX 0.10.2. `buffer_callback` takes over where XLA refuses.
 """
 
 import ctypes
+import functools
 import math
 import operator
 import threading
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
 
 HostFunction = Callable[..., Sequence[np.ndarray]]
 """Arrays in single precision to arrays in single precision. It must not use JAX, not even to convert an array: JAX may
@@ -29,6 +32,7 @@ _MAJOR_VERSION = 0
 _METADATA = 1  # kind of extension with which XLA asks for the version
 _INTERNAL = 13  # code of an error
 _PREFIX = "hgail_jax."
+_SLOWER = "programs with impl 'c' are compiled anew in each process: this version of XLA does not take its calls"
 
 
 class _Struct(ctypes.Structure):
@@ -107,6 +111,7 @@ class _Frame(ctypes.Structure):
 _Handler = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
 _registered: dict[str, Any] = {}  # never freed: a compiled program may call at any time
 _api: _Api | None = None  # XLA's, one for the whole process
+_refused = False  # whether XLA refused a function, as it does with structures of another version
 
 
 def host_call(
@@ -132,12 +137,32 @@ def host_call(
     """
     for dtype in {argument.dtype for argument in arguments} - {jnp.dtype(jnp.float32)}:
         raise ValueError(f"an argument of host_call is {dtype}; it must be float32")
-    if name not in _registered:
+    if _is_registered(name, function):
+        call = jax.ffi.ffi_call(_PREFIX + name, tuple(results), vmap_method="broadcast_all")
+    else:
+        call = buffer_callback(functools.partial(_fill, function), tuple(results), vmap_method="broadcast_all")
+    return tuple(call(*arguments))
+
+
+def _is_registered(name: str, function: HostFunction) -> bool:
+    """Registers a function with XLA, if it is not yet; returns False, after a warning, if XLA has refused one."""
+    global _refused
+    if name not in _registered and not _refused:
         handler = _Handler(_Entry(function))
         capsule = _new_capsule(ctypes.cast(handler, ctypes.c_void_p), None, None)
-        jax.ffi.register_ffi_target(_PREFIX + name, capsule, platform="cpu")
-        _registered[name] = handler
-    return tuple(jax.ffi.ffi_call(_PREFIX + name, tuple(results), vmap_method="broadcast_all")(*arguments))
+        try:
+            jax.ffi.register_ffi_target(_PREFIX + name, capsule, platform="cpu")
+            _registered[name] = handler
+        except Exception as error:  # of a type that JAX does not document
+            _refused = True
+            warnings.warn(f"{_SLOWER} ({str(error).splitlines()[0]})", stacklevel=3)
+    return name in _registered
+
+
+def _fill(function: HostFunction, _: Any, results: Sequence[Any], *arguments: Any) -> None:
+    """Calls a function with the buffers that `buffer_callback` hands over."""
+    for buffer, values in zip(results, function(*map(np.asarray, arguments)), strict=True):
+        np.asarray(buffer)[...] = values
 
 
 _new_capsule = ctypes.pythonapi["PyCapsule_New"]  # our own: as an attribute it is shared, and Warp retypes that

@@ -1,6 +1,7 @@
 """MJX's two implementations of the physics: MJX-JAX, which runs wherever XLA does, and MJX-Warp on NVIDIA GPUs."""
 
 import copy
+import importlib
 import re
 from collections.abc import Mapping
 from typing import Any, Self
@@ -12,8 +13,10 @@ import numpy as np
 from mujoco import mjx
 
 from hgail_envs.engines.base import Control, Engine, StateT
-from hgail_envs.engines.warp_kernels import build_kernels, generate_code_in_turn
 from hgail_envs.workarounds import promotion
+
+_MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
+_CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp builds it all the same
 
 
 @jax.jit  # traced once, whatever loops and batches it is then run in
@@ -30,9 +33,16 @@ class MjxEngine(Engine):
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
+        self._check_pairs()
         # NumPy arrays: to make JAX's own constants of a program, JAX waits for the GPU, which may be loading kernels.
         self.mjx_model = jax.device_get(mjx.put_model(self.model, impl=self.name))
         self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
+
+    def _check_pairs(self) -> None:
+        kinds = self.model.geom_type[np.stack([self.model.pair_geom1, self.model.pair_geom2])]
+        cylinders, boxes = (kinds == kind for kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX))
+        if (cylinders.any(axis=0) & boxes.any(axis=0)).any():
+            raise ValueError("impl 'jax' collides no cylinder with a box, as this scene has them; use 'c' or 'warp'")
 
     def _buffer_sizes(self, worlds: int) -> dict[str, int]:
         return {}  # MJX-JAX sizes its arrays by the model alone
@@ -91,13 +101,24 @@ class WarpEngine(MjxEngine):
     name = "warp"
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
-        generate_code_in_turn()
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
 
     def prepare(self) -> None:
-        """See `Engine`."""
-        build_kernels(self.model, buffer_sizes(self.model, worlds=1))
+        """Builds Warp's kernels, or finds them in its cache, by a step of one world outside of any program.
+
+        One thread builds them one after another: of two threads that build modules at once, Warp 1.14 now and then lets
+        one write code that does not compile (NVIDIA/warp#1474).
+        """
+        warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_MUJOCO_WARP)
+        with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
+            data = mujoco_warp.make_data(self.model, nworld=1, **buffer_sizes(self.model, worlds=1))
+            mujoco_warp.step(mujoco_warp.put_model(self.model), data)
+            warp.load_module(_CALLED_BY_JAX, device)
+            warp.synchronize_device(device)
+
+    def _check_pairs(self) -> None:
+        return  # Warp collides all
 
     def _buffer_sizes(self, worlds: int) -> dict[str, int]:
         return buffer_sizes(self.model, worlds)

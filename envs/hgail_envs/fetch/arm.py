@@ -4,25 +4,24 @@ The reference is Gymnasium-Robotics' `fetch_env.py` and `robot_env.py` (v4, C Mu
 """
 
 import copy
+import functools
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
-from hgail_envs.engines import Control, EngineState, make_engine
+from hgail_envs.engines import Control, Engine, EngineState, check_impl, jax_has_started, make_engine
 from hgail_envs.fetch import layouts
 from hgail_envs.fetch.kinematics import Chain
 from hgail_envs.fetch.model import FINGERS, SceneModel
+from hgail_envs.fetch.start import BASE_X, DOWNWARD, REFERENCE_SUBSTEPS, START_HEIGHT, settle
 from hgail_envs.scenes import load_scene
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 CONTROL_PERIOD = 0.04
 """Seconds between two actions."""
-REFERENCE_SUBSTEPS = 20
-"""Physics steps per action in the reference: 20 of 2 ms."""
 FAST_SUBSTEPS = 4
 """Fewest physics steps per action, 4 of 10 ms: longer ones make the gripper's weld (20 ms) unstable."""
 
@@ -40,10 +39,6 @@ _POSTURES = 64  # settled in advance for randomised starts; each takes C MuJoCo 
 _CANDIDATES = 64
 _ROAM = 0.15  # metres around the gripper's start, in which its random goals are
 _LOWEST = 0.42  # metres; the pads rest on the table at 0.417
-_DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion (not normalised) that points the gripper at the table
-_BASE_X, _BASE_Y = 0.405, 0.48  # metres
-_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
-_SETTLE_PERIODS = 10  # actions, as in the reference
 
 
 class FetchPhysics(EngineState, kw_only=True):
@@ -78,6 +73,9 @@ class FetchEnv(GoalEnv):
         `CONTROL_PERIOD`.
       worlds: most environments that are stepped at once; MJX-Warp sizes its contact buffers by it.
 
+    Making a task does not start JAX, which no process that is forked later could use. So the engine and the start are
+    made at first use unless JAX has started, and an `impl` that is not available here is refused then.
+
     Raises:
       ValueError: an unknown or unavailable `impl`, or a number out of range.
 
@@ -89,9 +87,9 @@ class FetchEnv(GoalEnv):
     control_period = CONTROL_PERIOD
     success_threshold = 0.05
     observation_limit = 10.0  # metres; the arm reaches hardly 2 m from the origin
-    base_x: float = _BASE_X
+    base_x: float = BASE_X
     """Position of the robot along x, metres."""
-    start_height: float = 0.2
+    start_height: float = START_HEIGHT
     """Nominal height of the gripper's start above the table, metres."""
     least_widest_gap: float = 0.0
     """Metres to which the hand must be able to open in this task, however wide the object is."""
@@ -103,18 +101,35 @@ class FetchEnv(GoalEnv):
             )
         if not (isinstance(worlds, int) and worlds >= 1):
             raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
+        check_impl(impl)
         self.model = load_scene(self.scene)
+        self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self._fingers = [self.model.joint(name).id for name in FINGERS]
         self._finger_qpos = self.model.jnt_qposadr[self._fingers]
         self._finger_qvel = self.model.jnt_dofadr[self._fingers]
         settled = settle(self.model, self.base_x, self.start_height)
+        self._start_qpos, self._start_qvel = settled.qpos.copy(), settled.qvel.copy()
         self.initial_gripper_position = settled.site("grip").xpos.copy()
-        self.engine = make_engine(impl, self.model, CONTROL_PERIOD, substeps, worlds)
-        self.max_worlds = self.engine.max_worlds
         self._scene_model = SceneModel(self.model)
         self._arm = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
-        self._initial_physics = jax.device_get(jax.jit(self.place)(settled.qpos, settled.qvel))
         self._settled: dict[float, FetchPhysics] = {}
+        if jax_has_started():  # at once: later it would wait for a GPU that is loading kernels
+            self.engine, self._initial_physics  # noqa: B018
+
+    @functools.cached_property
+    def engine(self) -> Engine:
+        """The physics engine."""
+        with jax.ensure_compile_time_eval():  # the first use may be traced
+            return self._make_engine()
+
+    @functools.cached_property
+    def max_worlds(self) -> int | None:  # type: ignore[override]
+        return self.engine.max_worlds
+
+    @functools.cached_property
+    def _initial_physics(self) -> FetchPhysics:
+        with jax.ensure_compile_time_eval():
+            return jax.device_get(jax.jit(self.place)(self._start_qpos, self._start_qvel))
 
     @property
     def impl(self) -> str:
@@ -249,7 +264,7 @@ class FetchEnv(GoalEnv):
         """
         return Control(
             mocap_pos=(physics.body_position + LEAD * displacement)[None],
-            mocap_quat=(physics.body_quaternion + _DOWNWARD)[None],  # the reference adds them too; MuJoCo normalises
+            mocap_quat=(physics.body_quaternion + DOWNWARD)[None],  # the reference adds them too; MuJoCo normalises
             ctrl=jnp.zeros(self.model.nu) if grip is None else physics.qpos[self._finger_qpos] + grip,
             model=None if physics.factors is None else self._scene_model.fields(physics.factors),
         )
@@ -270,30 +285,3 @@ class FetchEnv(GoalEnv):
             gripper_position=gripper.site_position,
             gripper_velocity=gripper.site_velocity * CONTROL_PERIOD,
         )
-
-
-def settle(
-    model: mujoco.MjModel,
-    base_x: float = FetchEnv.base_x,
-    start_height: float = FetchEnv.start_height,
-    offset: np.ndarray | None = None,
-) -> mujoco.MjData:
-    """Brings the arm to its start, as the reference does: pulls the gripper there with C MuJoCo and lets it settle.
-
-    Args:
-      model: the scene.
-      base_x: see `FetchEnv`.
-      start_height: see `FetchEnv`.
-      offset: `[3]`, displacement of the gripper from its start, metres.
-
-    """
-    data = mujoco.MjData(model)
-    data.joint("base_x").qpos, data.joint("base_y").qpos = base_x, _BASE_Y
-    mujoco.mj_forward(model, data)
-    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, start_height]
-    if offset is not None:
-        data.mocap_pos[0] += offset
-    data.mocap_quat[0] = _DOWNWARD
-    mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * REFERENCE_SUBSTEPS)
-    mujoco.mj_forward(model, data)
-    return data

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax import math
 
 from hgail_envs.base import State
@@ -83,7 +84,7 @@ class ObjectEnv(FetchEnv):
         if observation == "official":
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(impl, substeps, worlds)
-        self.object_height = float(self._initial_physics.object_start[2])
+        self.object_height = float(np.float32(self._start_qpos[self._object_qpos][2]))
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.base import Controller
-from hgail_envs.engines import resolve_impl
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
 from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal
@@ -81,8 +80,6 @@ class Slide(Push):
     ) -> None:
         check_name("achieved", achieved, ACHIEVED)
         self.achieved = achieved
-        if resolve_impl(impl) == "jax":
-            raise ValueError("slide cannot run on impl 'jax', which collides no cylinder with a box; use 'c' or 'warp'")
         super().__init__(impl, substeps, worlds, observation)
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:

@@ -11,8 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import hgail_envs
+from hgail_envs.engines import host_call as module
 from hgail_envs.engines.host_call import host_call
-from tests.support import ROOT
+from hgail_jax import Hyperparameters, phase_table
+from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
+from tests.support import ROOT, TINY
 
 VECTOR = jax.ShapeDtypeStruct((3,), jnp.float32)
 SCALAR = jax.ShapeDtypeStruct((1,), jnp.float32)
@@ -30,8 +34,23 @@ def random_vectors(*shape):
     return tuple(np.random.default_rng(0).normal(size=(2, *shape, 3)).astype(np.float32))
 
 
-@pytest.mark.parametrize("shape", [(), (5,), (2, 4)])
-def test_it_returns_what_the_function_does_for_any_batch(shape):
+@pytest.fixture
+def refusal(monkeypatch):
+    """XLA takes no functions, since these are written for another version of its structures than the installed."""
+    monkeypatch.setattr(module, "_MAJOR_VERSION", 99)
+    monkeypatch.setattr(module, "_registered", {})
+    monkeypatch.setattr(module, "_refused", False)
+
+
+@pytest.fixture(params=["taken", "refused"])
+def either_way(request):
+    if request.param == "refused":
+        request.getfixturevalue("refusal")
+
+
+@pytest.mark.filterwarnings("ignore:programs with impl 'c'")
+@pytest.mark.parametrize("shape", [(), (5,), (0,), (2, 4)])
+def test_it_returns_what_the_function_does_for_any_batch(shape, either_way):
     call, vectors = spun, random_vectors(*shape)
     for _ in shape:
         call = jax.vmap(call)
@@ -74,7 +93,8 @@ def test_a_loop_calls_it_in_turn():
     np.testing.assert_array_equal(passed[:, 0], 2.0 ** np.arange(10))
 
 
-def test_what_the_function_raises_ends_the_program():
+@pytest.mark.filterwarnings("ignore:programs with impl 'c'")
+def test_what_the_function_raises_ends_the_program(either_way):
     def fail(values):
         raise ValueError("no such thing")
 
@@ -168,3 +188,44 @@ def test_an_interrupt_that_comes_between_two_calls_ends_the_program(tmp_path):
 def test_what_is_not_in_single_precision_is_refused():
     with pytest.raises(ValueError, match="an argument of host_call is int32; it must be float32"):
         host_call("refused", lambda x: (x,), [jax.ShapeDtypeStruct((2,), jnp.float32)], jnp.zeros(2, jnp.int32))
+
+
+def test_where_xla_refuses_one_warning_says_so(refusal):
+    vectors = random_vectors()
+    with pytest.warns(UserWarning, match="impl 'c' are compiled anew in each process: .*99") as warned:
+        for name in ("first", "second"):
+            np.testing.assert_array_equal(host_call(name, lambda one, _: (one,), [VECTOR], *vectors)[0], vectors[0])
+    assert len(warned) == 1
+    assert "\n" not in str(warned[0].message)
+
+
+def reach_after_five_actions():
+    env = hgail_envs.make("reach", impl="c", substeps=4)
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
+    actions = jax.random.uniform(jax.random.key(1), (5, 3, 4), minval=-1.0)
+    scan = jax.jit(lambda states: jax.lax.scan(lambda s, a: (jax.vmap(env.step)(s, a), s.obs), states, actions))
+    return scan(states)[1]
+
+
+@pytest.mark.filterwarnings("ignore:programs with impl 'c'")
+def test_where_xla_refuses_the_physics_is_the_same(request):
+    usual = reach_after_five_actions()
+    request.getfixturevalue("refusal")
+    np.testing.assert_array_equal(reach_after_five_actions(), usual)
+
+
+def tiny_training():
+    env, config = hgail_envs.make("reach", impl="c", substeps=4), TINY.replace(rounds=1)
+    states, phases = init_seeds(env, config, Hyperparameters(), seed_keys(0, 1)), phase_table(config)
+    step = compile_train_step(env, config, states, phases[0])
+    for row in phases:
+        states, _ = step(states, row)
+    return jax.tree.map(np.asarray, states.learner)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:programs with impl 'c'")
+def test_where_xla_refuses_training_is_the_same(request):
+    usual = tiny_training()
+    request.getfixturevalue("refusal")
+    jax.tree.map(np.testing.assert_array_equal, tiny_training(), usual)

@@ -1,3 +1,4 @@
+import ctypes.util
 import dataclasses
 import os
 import subprocess
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from hgail_envs.vision import rgbd
 from hgail_envs.vision.camera import Camera, from_mujoco, intrinsics, look_at
 from hgail_envs.vision.rgbd import Photographer, add_shape, open_renderer
+from tests.support import SOURCES
 
 WIDTH, HEIGHT = 160, 120
 BALL, BOX = np.array([-0.1, 0.12, 0.1]), np.array([0.1, -0.07, 0.05])
@@ -122,15 +124,41 @@ def test_where_nothing_renders_it_says_what_to_install(monkeypatch, scene):
     def no_library(*_):
         raise ImportError("no libEGL")
 
-    monkeypatch.setattr(rgbd.mujoco, "Renderer", no_library)
+    monkeypatch.setattr("mujoco.rendering.classic.renderer.Renderer", no_library)
     with pytest.raises(RuntimeError, match=r"install EGL or OSMesa \(no libEGL\)"):
         Photographer(scene[0], WIDTH, HEIGHT)
 
 
-def test_renders_without_a_display_whichever_is_imported_first(rendering):
-    lines = "import mujoco, hgail_envs; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8).close()"
-    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    subprocess.run([sys.executable, "-c", lines], check=True, env=environment)
+OPEN = """
+import mujoco
+from hgail_envs.vision.rgbd import RenderingError, open_renderer
+try:
+    with open_renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
+        print(type(renderer._gl_context).__module__)
+except RenderingError as error:
+    print(error)
+"""
+
+
+def what_opens(**variables):
+    """Returns what renders in a process with these environment variables, or why nothing does."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    environment |= {"PYTHONPATH": SOURCES} | variables
+    return subprocess.run(
+        [sys.executable, "-c", OPEN], env=environment, capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
+def test_what_renders_is_what_is_there_or_what_is_chosen(rendering):
+    found = rgbd.headless_backend(ctypes.util.find_library)
+    assert what_opens() == what_opens(MUJOCO_GL=found) == f"mujoco.{found}"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a Mac has one renderer, which MUJOCO_GL does not choose")
+def test_without_a_renderer_the_physics_is_there_and_a_picture_is_refused():
+    refused = "MuJoCo cannot render: MUJOCO_GL is 'disable'; choose from egl, osmesa, glfw"
+    assert what_opens(MUJOCO_GL="disable") == refused
 
 
 def test_equation_8_by_hand():

@@ -122,6 +122,25 @@ def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the
     assert list((tmp_path / "cache" / "hgail_jax").iterdir())
 
 
+@pytest.mark.parametrize(
+    ("platform", "words"),
+    [("cuda", ["train", "--task", "point"]), ("bogus", ["demos", "--task", "point"]), ("cuda", ["train", "--help"])],
+)
+def test_a_platform_that_is_not_there_is_named_in_one_line_and_help_needs_none(platform, words, tmp_path):
+    command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", command, *words],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": SOURCES, "JAX_PLATFORMS": platform, "CUDA_VISIBLE_DEVICES": ""},
+        capture_output=True,
+        text=True,
+    )
+    line = f"hgail {words[0]}: JAX_PLATFORMS is '{platform}', and JAX finds no such device here;"
+    line += " unset it, or set it to cpu\n"
+    assert (done.returncode, done.stderr) == ((0, "") if "--help" in words else (2, line))
+    assert not list(tmp_path.iterdir())
+
+
 A_COMMAND = """
 import sys
 from hgail_jax.cli import main

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from hgail_jax.devices import sharding
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.devices.sharding import make_mesh, most_devices
 from tests.sharded_training import assert_close, train_on_four_devices
@@ -94,6 +95,17 @@ def test_a_mesh_takes_seeds_first_and_then_environments():
     for seeds, devices, shape in [(8, 4, (4, 1)), (6, 4, (2, 2)), (3, 4, (1, 4)), (1, 2, (1, 2))]:
         assert tuple(make_mesh(seeds, 64, [device] * devices).shape.values()) == shape
         assert most_devices(seeds, 64, devices) == devices
+
+
+@pytest.mark.parametrize(
+    ("version", "devices", "off"), [("0.11.2", 2, True), ("0.11.2", 1, False), ("0.12.0", 2, False)]
+)
+def test_shardy_is_off_for_several_devices_where_it_crashes(monkeypatch, version, devices, off):
+    changed = []
+    monkeypatch.setattr(sharding.jaxlib.version, "__version__", version)
+    monkeypatch.setattr(jax.config, "update", lambda *change: changed.append(change))
+    make_mesh(8, 64, [jax.devices()[0]] * devices)
+    assert changed == [("jax_use_shardy_partitioner", False)] * off
 
 
 def test_more_devices_than_there_are_are_refused():
