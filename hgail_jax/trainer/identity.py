@@ -30,4 +30,4 @@ def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] |
 
 def as_json(content: Any) -> Any:
     """Returns `content` as JSON gives it back: tuples are lists, keys are text."""
-    return json.loads(json.dumps(content))
+    return json.loads(json.dumps(content, default=lambda number: number.tolist()))  # NumPy's

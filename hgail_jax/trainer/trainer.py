@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from hgail_envs.validation import plain_number
 from hgail_jax.defaults import platform_name
 from hgail_jax.io.policy import MeanPolicy, load_policy
 from hgail_jax.trainer.folder import open_run_folder
@@ -34,7 +35,9 @@ class Trainer:
     """
 
     def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:
-        self.options = dataclasses.replace(options or TrainOptions(), **changes)
+        given = dataclasses.replace(options or TrainOptions(), **changes)
+        numbers = {field.name: plain_number(getattr(given, field.name)) for field in dataclasses.fields(given)}
+        self.options = dataclasses.replace(given, **numbers)
         self.run: Run = plan(self.options, platform_name())
         self._folder: Path | None = None
 
