@@ -66,8 +66,8 @@ def with_new_names(words: Iterable[str]) -> list[str]:
 
 def _in_one_line(box: str) -> str:
     """Returns tyro's message, which stands in a box, with the options that it thinks were meant."""
-    lines = [line.strip("│ ") for line in box.splitlines() if not line.startswith(("╭", "╰"))]
-    message, *others = (" ".join(part.split()) for part in re.split(r"─{3,}", "\n".join(lines)))
+    lines = re.findall(r"^[│|] (.*?) *[│|]$", box, re.MULTILINE)  # of ASCII where the output takes no other
+    message, *others = (" ".join(part.split()) for part in re.split(r"(?m)^[─-]{3,}$", "\n".join(lines) or box))
     for other in others:
         if other.startswith("Argument helptext:"):
             why = message.split(": ", 1)[-1]

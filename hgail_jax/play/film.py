@@ -19,7 +19,7 @@ _PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
 _ENCODERS: dict[str, dict[str, Any]] = {
     ".mp4": {"quality": 8},
     ".gif": {"codec": "gif", "pix_fmt_out": "pal8", "quality": None, "output_params": ["-lavfi", _PALETTE]},
-    ".webp": {"codec": "libwebp", "quality": None, "output_params": ["-loop", "0", "-quality", "80"]},
+    ".webp": {"codec": "libwebp", "quality": None, "output_params": ["-loop", "0", "-quality", "80", "-f", "webp"]},
 }
 FORMATS = tuple(_ENCODERS)
 """Endings of a film's name."""

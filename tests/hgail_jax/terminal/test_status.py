@@ -55,10 +55,10 @@ def test_a_terminal_s_line_counts_the_seconds(terminal, monkeypatch):
 
 
 def test_no_line_wraps(terminal):
-    with StatusLine("x" * 200, terminal) as line, progress_bar(range(3), file=terminal, mininterval=0) as bar:
+    with StatusLine("x" * 200, terminal) as line:
         line.show("round 100/100, success 0.812, 2 diverged, 1.23M env steps/s", left=9e3)
         wait_for(terminal, "1.23M env steps/s")
-        list(bar)
+    list(progress_bar(range(3), file=terminal, mininterval=0))
     assert max(map(len, terminal.frames())) <= 79
 
 

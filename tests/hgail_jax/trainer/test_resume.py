@@ -362,7 +362,7 @@ def test_a_disk_that_fills_up_stops_the_run_with_nothing_half_written(tmp_path, 
     assert exit_info.value.code == 1
     assert "hgail train: the run stops: " in capsys.readouterr().err
     left = {str(path.relative_to("run")) for path in Path("run").rglob("*") if path.is_file()}
-    assert {name for name in left if not name.startswith("checkpoints/")} == {"config.json", "metrics.csv"}
+    assert {name for name in left if not name.startswith("checkpoints/")} == {".lock", "config.json", "metrics.csv"}
     assert latest_checkpoint(Path("run")) in (2, 3)  # the third may be on its way when the disk is full
     start("--resume", "run")
     assert outcome(tmp_path / "run") == whole("hgail")
