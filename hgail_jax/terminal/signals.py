@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM stop a command in one line, and a training with a checkpoint."""
+"""SIGINT (Ctrl-C), SIGTERM and SIGHUP (a closed terminal) stop a command in one line, a training with a checkpoint."""
 
 import contextlib
 import os
@@ -13,7 +13,10 @@ from typing import Any, NoReturn, TypeVar
 
 ResultT = TypeVar("ResultT")
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)  # which Windows does not have
+_SIGNALS = {signal.SIGINT, signal.SIGTERM}
+if signal.getsignal(_HANGUP) == signal.SIG_DFL:  # not so under nohup
+    _SIGNALS.add(_HANGUP)
 _ONE_SIGNAL = 1.0  # seconds within which signals count as one: timeout(1) signals its child, then the child's group
 
 
@@ -31,7 +34,7 @@ def stop_in_one_line(program: str) -> Iterator[None]:
         received.append(number)
         above = "\n" if os.isatty(2) else ""  # the line that a terminal shows
         os.write(2, f"{above}{program}: stopped by {signal.Signals(number).name}\n".encode())
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries that are cut short complain, over hundreds of lines
+        _silence(2)  # libraries that are cut short complain, over hundreds of lines
         raise KeyboardInterrupt
 
     try:
@@ -62,6 +65,8 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
         nonlocal noted
         if time.monotonic() - noted < _ONE_SIGNAL:
             return
+        if number == _HANGUP != signal.SIGTERM:
+            _silence(1, 2)  # nothing can be written to a terminal that is gone
         noted, name, line = time.monotonic(), signal.Signals(number).name, refusal()
         if line is None and stop.is_set():
             line = f"\n{name}: stopped at once; the rounds since the last checkpoint are lost"
@@ -88,6 +93,11 @@ def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]
     finally:
         for number, handler_before in before.items():
             signal.signal(number, handler_before)
+
+
+def _silence(*descriptors: int) -> None:
+    for descriptor in descriptors:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def _exit(number: int) -> NoReturn:

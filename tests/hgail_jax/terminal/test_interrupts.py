@@ -83,6 +83,13 @@ with signals.stop_on_signal() as stop:
     print("never")
 """
 
+HANGUP = """
+with signals.stop_on_signal() as stop:
+    interrupt("SIGHUP")
+    print("to nobody", flush=True)
+    raise SystemExit(0 if stop.is_set() else 1)
+"""
+
 TRAIN = """
 from hgail_jax.cli import main
 from hgail_jax.trainer.loop import Program
@@ -124,6 +131,7 @@ SCRIPTS = {
     "timeout": BY_TIMEOUT,
     "SIGINT": TWICE.format("SIGINT"),
     "SIGTERM": TWICE.format("SIGTERM"),
+    "hangup": HANGUP,
     "compiling": TRAIN.format(WHILE_COMPILING),
     "play": PLAY,
     "reader": READER_LEAVES,
@@ -148,6 +156,10 @@ def test_signals_that_come_together_are_one(ended):
     assert ended["timeout"].returncode == 0
     assert ended["timeout"].stdout == "saved\n"
     assert ended["timeout"].stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
+
+
+def test_a_closed_terminal_stops_a_training_which_writes_nothing_more_to_it(ended):
+    assert (ended["hangup"].returncode, ended["hangup"].stdout, ended["hangup"].stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
