@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,7 @@ def open_film(path: Path, frame_period: float) -> Iterator[Append]:
       frame_period: seconds between two pictures.
 
     """
-    encoders = []
+    encoders: list[Generator[None, np.ndarray | None, None]] = []
 
     def append(frame: np.ndarray) -> None:
         if not encoders:  # FFmpeg learns the size from the first picture

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
@@ -82,7 +82,10 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
 def in_a_thread(function: Callable[[], ResultT]) -> ResultT:
     """Runs a function in a thread, while the main thread waits, free to handle signals."""
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(function).result()
+        running = pool.submit(function)
+        while not running.done():  # a signal just before a wait does not end it
+            wait([running], timeout=0.5)
+        return running.result()
 
 
 @contextlib.contextmanager

@@ -179,8 +179,13 @@ def _open(run: Run, out: Path | str | None, resume: Path | str | None, held: con
         held.enter_context(sole_user(path))
         folder = RunFolder(path, checkpoints, checkpoints.restore(jax.eval_shape(run.program().init)))
         _announce(folder, run.config.rounds)
-    held.callback(lambda: [logger.close() for logger in folder.loggers])
+    held.callback(_close, folder.loggers)
     return folder
+
+
+def _close(loggers: list[Logger]) -> None:
+    for logger in loggers:
+        logger.close()
 
 
 def _announce(folder: RunFolder, rounds: int) -> None:

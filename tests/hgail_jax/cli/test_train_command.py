@@ -51,7 +51,7 @@ def test_a_run_writes_everything(reach_run):
     names = {str(path.relative_to(reach_run)) for path in reach_run.rglob("*") if path.is_file()}
     names = {name for name in names if not name.startswith("checkpoints/")}
     policies = {f"policies/seed-{seed}.npz" for seed in range(2)}
-    assert names == {"config.json", "metrics.csv", "summary.json", "curves.png", "rollout.mp4"} | policies
+    assert names == {".lock", "config.json", "metrics.csv", "summary.json", "curves.png", "rollout.mp4"} | policies
     assert (reach_run / "rollout.mp4").read_text() == "['Reach', 'MeanPolicy']"
     assert (reach_run / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert saved_in(reach_run) == [1, 2]
