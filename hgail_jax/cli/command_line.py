@@ -67,7 +67,8 @@ def with_new_names(words: Iterable[str]) -> list[str]:
 def _in_one_line(box: str) -> str:
     """Returns tyro's message, which stands in a box below its title, with the options that it thinks were meant."""
     rules = r"(?m)[─-]{3,}\s*$"  # of ASCII, and without sides, where the output takes no other
-    _, message, *others = (" ".join(part.split()) for part in re.split(rules, re.sub("[│╭╮╰╯]", "", box)))
+    title, *parts = (" ".join(part.split()) for part in re.split(rules, re.sub("[│╭╮╰╯]", "", box)))
+    message, *others = parts or [title]
     for other in others:
         if other.startswith("Argument helptext:"):
             why = message.split(": ", 1)[-1]
