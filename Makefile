@@ -30,7 +30,7 @@ slow: $(VENV)/.installed
 
 # Breaks the learning core in small ways and tells which breaks no test notices; an hour on two cores.
 mutants: $(VENV)/.installed
-	$(BIN)/python -m tests.mutants --sample 220
+	$(BIN)/python -m tools.mutants --sample 220
 
 $(VENV)/.installed: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)

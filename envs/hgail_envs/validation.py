@@ -73,6 +73,17 @@ def check_name(name: str, value: Any, choices: Iterable[str]) -> None:
         raise ValueError(f"{name} is {value!r}; choose from {', '.join(known)}")
 
 
+def plain_number(value: Any) -> Any:
+    """Returns NumPy's scalars as Python's numbers, which JSON can hold; anything else as it is.
+
+    >>> plain_number(np.int64(8)), plain_number((1, np.float32(0.5))), plain_number("8")
+    (8, (1, 0.5), '8')
+    """
+    if isinstance(value, tuple):
+        return tuple(map(plain_number, value))
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """Returns a count with its noun; the plural is the noun with an s unless another is given.
 

@@ -2,22 +2,20 @@
 
 import atexit
 import contextlib
-import dataclasses
-import difflib
 import gc
+import io
 import os
+import re
 import shutil
 import sys
 import tempfile
-import typing
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar, cast
+from typing import NoReturn, TypeVar
 
 import jax
 import tyro
-from tyro import _errors as tyro_errors
 
 from hgail_envs.workarounds import configure_xla
 from hgail_jax.terminal.signals import stop_in_one_line
@@ -28,10 +26,6 @@ RENAMED = {"--likelihood": "--bc-weight"}
 """New names of the options that still have their old name, for one release."""
 
 _STDERR = 2  # the last of the standard streams' descriptors
-
-
-class _RefusedError(Exception):
-    """The command line cannot be read; the message says why."""
 
 
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
@@ -51,14 +45,14 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
     # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
 
-    def refuse(event: tyro_errors.ParseErrorEvent) -> NoReturn:
-        raise _RefusedError(_reason(event) + _meant(event, options))
-
+    refusal = io.StringIO()
     try:
-        with tyro_errors.on_parse_error(refuse):
+        with contextlib.redirect_stderr(refusal):
             return tyro.cli(options, prog=program, args=with_new_names(words), description=description)
-    except _RefusedError as refused:
-        fail(program, refused, 2)
+    except SystemExit as ended:
+        if not ended.code:  # the help
+            raise
+    fail(program, _in_one_line(refusal.getvalue()), 2)
 
 
 def with_new_names(words: Iterable[str]) -> list[str]:
@@ -71,61 +65,21 @@ def with_new_names(words: Iterable[str]) -> list[str]:
     return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]
 
 
-def _meant(event: tyro_errors.ParseErrorEvent, options: Any) -> str:
-    """Returns `"; did you mean …?"` with the options that resemble the first unrecognized one, else an empty string.
-
-    Of a union of commands nothing is suggested: each has options of its own.
-    """
-    if not (isinstance(event, tyro_errors.UnrecognizedArgs) and dataclasses.is_dataclass(options)):
-        return ""
-    names = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(options)]
-    unrecognized = next((token for token in event.tokens if token.startswith("--")), event.tokens[0])
-    similar = difflib.get_close_matches(unrecognized.partition("=")[0], names, n=2, cutoff=0.65)
-    return f"; did you mean {' or '.join(similar)}?" if similar else ""
-
-
-def _reason(event: tyro_errors.ParseErrorEvent) -> str:
-    known = cast(Any, event)  # tyro's private classes of options
-    match event:
-        case tyro_errors.UnrecognizedArgs():
-            return f"unrecognized options: {' '.join(event.tokens)}"
-        case tyro_errors.InvalidChoice():
-            return f"{_flag(known.argument)} is {event.value!r}; choose from {', '.join(_choices(known))}"
-        case tyro_errors.BadValue():
-            return f"{_flag(known.argument)} has too few values, or one that it does not take"
-        case tyro_errors.MissingArgs():
-            missing = [_flag(wanted.arg) for wanted in known.missing_arguments]
-            return f"missing options: {', '.join([*missing, *event.unrecognized_tokens])}"
-        case tyro_errors.MissingSubcommand():
-            return f"choose a command: {', '.join(known.subcommand_spec.parser_from_name)}"
-        case tyro_errors.InstantiationFailure(argument=None):
-            return event.message
-        case tyro_errors.InstantiationFailure():
-            *_, last = event.message.splitlines()  # of a union tyro says why it is none of its types, a line for each
-            why = last.partition(": ")[2] if last.startswith("- ") else last
-            return f"{_flag(known.argument)} takes {known.argument.lowered.metavar}: {_in_plain_words(why)}"
-    return f"it cannot be read ({type(event).__name__})"
-
-
-def _in_plain_words(why: str) -> str:
-    """Returns Python's message about a word that is no number, in plain words.
-
-    >>> _in_plain_words("invalid literal for int() with base 10: 'two'")
-    "'two' is not a whole number"
-    """
-    said = {"invalid literal for int() with base 10": "a whole number", "could not convert string to float": "a number"}
-    before, _, word = why.partition(": ")
-    return f"{word} is not {said[before]}" if before in said else why
-
-
-def _flag(argument: Any) -> str:
-    return argument.lowered.name_or_flags[-1]
-
-
-def _choices(event: Any) -> list[str]:
-    """Returns the choices in their own order, which tyro loses if None is one of them, and without None."""
-    members = typing.get_args(event.argument.field.type_stripped)  # of a union
-    return [str(choice) for member in members for choice in typing.get_args(member)] or list(event.choices)
+def _in_one_line(box: str) -> str:
+    """Returns tyro's message, which stands in a box below its title, with the options that it thinks were meant."""
+    rules = r"(?m)[─-]{3,}\s*$"  # of ASCII, and without sides, where the output takes no other
+    title, *parts = (" ".join(part.split()) for part in re.split(rules, re.sub("[│╭╮╰╯]", "", box)))
+    message, *others = parts or [title]
+    for other in others:
+        if other.startswith("Argument helptext:"):
+            why = message.split(": ", 1)[-1]
+            if " - " in why:  # of a union each type and why it does not fit; the first is None
+                why = why.rpartition(" - ")[2].split(": ", 1)[-1]
+            message = f"{other.removeprefix('Argument helptext:').split(' (')[0].strip()}: {why}"
+        if other.startswith("Perhaps you meant:"):
+            meant = dict.fromkeys(re.findall(r"(?<!\S)--[a-z-]+", other.split(" in hgail")[0]))
+            message = f"{message.rstrip('.')}; did you mean {' or '.join(meant)}?"
+    return message
 
 
 def open_standard_streams() -> None:

@@ -29,7 +29,7 @@ from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.signals import stop_on_signal
+from hgail_jax.terminal.signals import in_a_thread, stop_on_signal
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
@@ -114,7 +114,7 @@ def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
 
     try:
         with stop_on_signal(nothing_to_save) as stop:
-            return train_run(run, folder, stop)
+            return in_a_thread(lambda: train_run(run, folder, stop))
     except (FloatingPointError, OverflowError, ReplicaError) as error:
         saved = folder.checkpoints.saved
         last = "none" if saved is None else folder.checkpoints.path(saved)

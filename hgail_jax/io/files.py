@@ -13,8 +13,6 @@ from typing import IO, Any
 import jax
 import numpy as np
 
-from hgail_jax.terminal.signals import unfinished
-
 _PARTIAL = ".partial"
 _NUMBERS = re.compile(r'\[\n([^][{}"]*)\]')
 
@@ -30,11 +28,10 @@ def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
 def replace_path(path: Path | str) -> Iterator[Path]:
     """Yields the name of a temporary file for a writer that opens files itself; see `replace_file`."""
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
+    temporary = path.with_name(f".{os.getpid()}{_PARTIAL}.{path.name}")
     try:
-        with unfinished(temporary):
-            yield temporary
-            temporary.replace(path)
+        yield temporary
+        temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -64,12 +61,12 @@ def from_here(path: Path) -> Path:
 
 def remove_partial_files(folder: Path) -> None:
     """Removes from a folder the temporary files of a process that was killed."""
-    for path in folder.glob(f".*{_PARTIAL}"):
+    for path in folder.glob(f".*{_PARTIAL}.*"):
         path.unlink(missing_ok=True)
 
 
 def write_json(path: Path, content: dict) -> None:
-    """Writes a JSON file, a list of numbers on one line; NaN and infinities become null."""
+    """Writes a JSON file, a list of numbers on one line; NaN and infinities become null, NumPy's numbers numbers."""
     text = json.dumps(_plain(content), indent=2)
     with replace_file(path) as file:
         file.write(_NUMBERS.sub(lambda numbers: f"[{' '.join(numbers[1].split())}]", text) + "\n")
@@ -89,7 +86,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | jax.Array):
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
         return _plain(value.tolist())
     if isinstance(value, Path):
         return str(value)

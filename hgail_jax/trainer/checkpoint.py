@@ -1,18 +1,18 @@
 """Checkpoints: the whole state of a run on disk, written beside the training and checked when read.
 
-A checkpoint is a folder, `<rounds done>`: in `state` an array for each leaf of the state, by name, written by orbax,
-and `record.json`. Arrays are stored whole, each with a hash, so that a state can be restored onto any number of devices
-and damage is noticed. Nothing in them is code.
+A checkpoint is a folder, `<rounds done>/state`, with `arrays.npz`, the leaves of the state, and `record.json`. Arrays
+are stored whole, each with a hash, so that a state can be restored onto any number of devices and damage is noticed.
+Nothing in them is code. Orbax writes in the background, renames what is whole and removes what is old.
 """
 
-import errno
+import contextlib
+import dataclasses
 import hashlib
 import json
 import logging
 import os
 import shutil
-from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,21 +22,18 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from hgail_jax.devices.sharding import is_first_process, is_key, without_keys
-from hgail_jax.io.files import write_json
+from hgail_jax.trainer.identity import AnotherRunError, as_json, refuse_another_run
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the content of a checkpoint; one of another schema is refused."""
 KEPT = 3
 """Number of the last checkpoints that are kept, besides the best."""
 
-_RECORD, _STATE, _PARTIAL = "record.json", "state", ".partial"
+_STATE, _RECORD, _ARRAYS = "state", "record.json", "arrays.npz"
+_TEMPORARY = ".orbax-checkpoint-tmp"  # in the name of a checkpoint that is not whole
 
-# orbax tells of each write over several lines; its errors are raised as well.
+# Orbax logs each write over several lines; its errors are raised as well.
 logging.getLogger("absl").addFilter(lambda record: "orbax" not in record.pathname)
-
-
-class AnotherRunError(ValueError):
-    """A folder or checkpoint belongs to another run; the message names the first difference."""
 
 
 class Checkpoint(NamedTuple):
@@ -63,6 +60,7 @@ class Checkpoints:
       run: identity of the run, as JSON has it; a checkpoint of another run is refused.
 
     Raises:
+      AnotherRunError: the folder has checkpoints of another schema.
       ValueError: the folder's name is that of a file.
 
     """
@@ -75,24 +73,25 @@ class Checkpoints:
         """Rounds done in the checkpoint saved last or restored."""
         self._run = as_json(run)
         self._scores: dict[str, list[float]] = {}  # by rounds done
-        self._writer = ThreadPoolExecutor(1)
-        self._writing: Future[None] | None = None
+        self._manager: ocp.CheckpointManager | None = None
+        for path in map(self.path, self._rounds_on_disk()):
+            if (path / "record.json").exists() or (path / "record").is_dir():
+                raise AnotherRunError(f"{folder} has checkpoints of hgail-jax 0.3 or earlier, which 0.4 cannot read")
 
     def __enter__(self) -> "Checkpoints":
         return self
 
     def __exit__(self, *exception: object) -> None:
-        try:
-            self._finish_writing()
-        finally:
-            self._writer.shutdown()
+        if self._manager is not None:
+            with self._writing():
+                self._manager.close()
 
     def path(self, rounds: int) -> Path:
         """Returns the folder of the checkpoint after so many rounds."""
         return self.folder / str(rounds)
 
     def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
-        """Copies a state and writes it in the background, under a name that it gets once it is whole and was read back.
+        """Copies a state and writes it in the background, under a name that it gets once it is whole.
 
         Args:
           rounds: rounds done, more than in any checkpoint before.
@@ -110,18 +109,20 @@ class Checkpoints:
         if self.saved is None and self._rounds_on_disk():
             raise ValueError(f"{self.folder} holds checkpoints; restore one before saving more")
         # Copied, as the arrays may be donated to the next step while they are being written.
-        arrays = {name: np.array(leaf, copy=True) for name, leaf in _named(without_keys(state))}
+        arrays = {name: np.array(leaf, copy=True) for name, leaf in _arrays(state).items()}
         for name, array in arrays.items():
             if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
                 raise FloatingPointError(f"{name} is not finite")
-        scores = self._scores if score is None else self._scores | {str(rounds): [float(value) for value in score]}
         if is_first_process():
-            if self._writing is None:
-                self._writing = self._writer.submit(self._prepare)
-            self._finish_writing()
-            self._scores = scores
-            body = {"schema": SCHEMA, "run": self._run, "rounds": rounds, "scores": scores, "record": as_json(record)}
-            self._writing = self._writer.submit(self._write, rounds, arrays, body)
+            with self._writing():
+                self._manager = self._manager or self._open()
+                self._manager.wait_until_finished()
+                if score is not None:
+                    self._scores[str(rounds)] = [float(value) for value in score]
+                body = {"schema": SCHEMA, "rounds": rounds, "run": self._run, "record": record}
+                body |= {"scores": self._scores, "names": list(arrays)}
+                content = _Content(arrays, as_json(body))
+                self._manager.save(rounds, args=ocp.args.Composite(**{_STATE: content}))
         self.saved = rounds
 
     def restore(self, template: Any) -> Checkpoint | None:
@@ -138,18 +139,13 @@ class Checkpoints:
         damaged: list[str] = []
         for rounds in self._rounds_on_disk():
             try:
-                body = _read_body(self.path(rounds))
-                self._refuse_others(body, template)
-                if body["rounds"] != rounds:
-                    raise ValueError(f"it was renamed; it is checkpoint {body['rounds']}")
-                arrays = _read_arrays(self.path(rounds) / _STATE, body["arrays"])
-            except AnotherRunError:
-                raise
-            except Exception as error:  # orbax, tensorstore and json raise errors of many types
+                content = _Handler().restore(self.path(rounds) / _STATE)
+            except Exception as error:  # zipfile, numpy and json raise errors of many types
                 damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_reason(error)}")
                 continue
-            self._scores, self.saved = body["scores"], rounds
-            return Checkpoint(rounds, _from_arrays(arrays, template), body["record"], tuple(damaged))
+            state = self._state(content, template)
+            self._scores, self.saved = content.body["scores"], rounds
+            return Checkpoint(rounds, state, content.body["record"], tuple(damaged))
         if damaged:
             raise ValueError(f"no checkpoint can be read: {'; '.join(damaged)}")
         return None
@@ -157,143 +153,126 @@ class Checkpoints:
     def _rounds_on_disk(self) -> list[int]:
         """Returns the rounds done in the checkpoints that have their name, latest first."""
         names = os.listdir(self.folder) if self.folder.is_dir() else []
-        found = sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
-        if any((self.path(rounds) / "record").is_dir() for rounds in found):
-            raise AnotherRunError(f"{self.folder} has checkpoints of schema 1; this version reads {SCHEMA}")
-        return found
+        return sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
 
-    def _refuse_others(self, body: dict, template: Any) -> None:
-        if body["schema"] != SCHEMA:
+    def _state(self, content: "_Content", template: Any) -> Any:
+        """Returns the state, placed as the template's is, unless it is that of another run."""
+        if content.body["schema"] != SCHEMA:
             raise AnotherRunError(
-                f"{self.folder} has checkpoints of schema {body['schema']}; this version reads {SCHEMA}"
+                f"{self.folder} has checkpoints of schema {content.body['schema']}; this version reads {SCHEMA}"
             )
-        refuse_another_run(self.folder, body["run"], self._run)
-        there = {name: [described["dtype"], described["shape"]] for name, described in body["arrays"].items()}
-        leaves = _named(jax.eval_shape(without_keys, template))
-        refuse_another_run(self.folder, there, {name: [str(leaf.dtype), list(leaf.shape)] for name, leaf in leaves})
+        refuse_another_run(self.folder, content.body["run"], self._run)
+        refuse_another_run(self.folder, _describe(content.arrays), _describe(jax.eval_shape(_arrays, template)))
 
-    def _finish_writing(self) -> None:
-        """Waits for the writer; raises any error of its own as an OSError."""
-        try:
-            if self._writing is not None:
-                self._writing.result()
-        except Exception as error:
-            raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
+        def place(leaf: Any, array: np.ndarray) -> jax.Array:
+            # Copied: a step donates its states, so that XLA would write into NumPy's memory.
+            value = jax.random.wrap_key_data(jnp.asarray(array)) if is_key(leaf) else array
+            return jax.device_put(value, getattr(leaf, "sharding", None), may_alias=False)
 
-    def _prepare(self) -> None:
+        leaves, structure = jax.tree.flatten(template)
+        return jax.tree.unflatten(structure, map(place, leaves, content.arrays.values()))
+
+    def _open(self) -> ocp.CheckpointManager:
         """Makes the folder, and removes checkpoints that are not whole and those that the run writes anew."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        for path in self.folder.iterdir():
-            if path.name.endswith(_PARTIAL):
-                shutil.rmtree(path)
+        self._remove_unfinished()
         for rounds in self._rounds_on_disk():
             if self.saved is not None and rounds > self.saved:  # damaged, or `restore` had taken it
                 shutil.rmtree(self.path(rounds))
+        # Processes other than the first know of no checkpoints, so that orbax must not wait for them.
+        alone = jax.process_count() == 1
+        first = ocp.options.MultiprocessingOptions(primary_host=0, active_processes=None if alone else {0})
+        options = ocp.CheckpointManagerOptions(
+            preservation_policy=_LastAndBest(self._scores),
+            multiprocessing_options=first,
+            create=False,
+            save_root_metadata=False,
+            lightweight_initialize=True,
+        )
+        registry = ocp.DefaultCheckpointHandlerRegistry()
+        registry.add(_STATE, _Content, _Handler())
+        return ocp.CheckpointManager(self.folder, options=options, handler_registry=registry)
 
-    def _write(self, rounds: int, arrays: dict[str, np.ndarray], body: dict) -> None:
-        body["arrays"] = {name: _describe(array) for name, array in arrays.items()}
-        temporary = self.folder / f".{rounds}{_PARTIAL}"
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raises any error of the writer's as an OSError, once nothing is left of the checkpoint."""
         try:
-            temporary.mkdir()
-            with _checkpointer() as orbax:
-                orbax.save(temporary / _STATE, args=ocp.args.PyTreeSave(arrays))
-                index = orbax.metadata(temporary / _STATE).item_metadata
-            if {name: tuple(index[name].shape) for name in index} != {name: arrays[name].shape for name in arrays}:
-                raise OSError("the checkpoint is not as it was written")
-            write_json(temporary / _RECORD, {"body": body, "sha256": _hash_json(body)})
-            _read_body(temporary)
-            temporary.rename(self.path(rounds))
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
-        on_disk, scores = self._rounds_on_disk(), body["scores"]
-        best = max(on_disk, key=lambda rounds: (scores.get(str(rounds), []), rounds))
-        for old in set(on_disk[KEPT:]) - {best}:
-            shutil.rmtree(self.path(old))
+            yield
+        except Exception as error:  # orbax raises errors of many types
+            self._remove_unfinished()
+            raise OSError(f"cannot write a checkpoint to {self.folder}: {_reason(error)}") from error
+
+    def _remove_unfinished(self) -> None:
+        for path in self.folder.iterdir() if self.folder.is_dir() else ():
+            if _TEMPORARY in path.name:
+                shutil.rmtree(path, ignore_errors=True)
 
 
-def _read_body(folder: Path) -> dict:
-    record = json.loads((folder / _RECORD).read_text())
-    if _hash_json(record["body"]) != record["sha256"]:
-        raise ValueError("its record was altered")
-    return record["body"]
+@dataclasses.dataclass
+class _Content(ocp.args.CheckpointArgs):
+    """Content of a checkpoint, as orbax hands it to the handler."""
+
+    arrays: dict[str, np.ndarray]
+    body: dict
 
 
-def _checkpointer() -> ocp.Checkpointer:
-    """Returns orbax's checkpointer of trees of arrays, of which each is a folder of its own.
+class _Handler(ocp.AsyncCheckpointHandler):
+    """Writes a checkpoint's two files.
 
-    The one store of OCDBT would be merged from parts, which are looked for by a pattern: a folder called `[lab] run`
-    finds none. Processes other than the first know of no checkpoints, so that orbax must not wait for them.
+    Orbax's handlers of arrays write each by tensorstore, which on a full disk prints a traceback for each array.
     """
-    first = ocp.options.MultiprocessingOptions(primary_host=0, active_processes={0})
-    alone = ocp.options.MultiprocessingOptions() if jax.process_count() == 1 else first
-    handler = ocp.PyTreeCheckpointHandler(use_ocdbt=False, multiprocessing_options=alone)
-    return ocp.Checkpointer(handler, multiprocessing_options=alone)
+
+    async def async_save(self, directory: Path, args: _Content) -> list[ocp.future.Future]:
+        async def write() -> None:
+            self.save(directory, args)
+
+        return [ocp.future.CommitFutureAwaitingContractedSignals(write())]
+
+    def save(self, directory: Path, args: _Content) -> None:
+        np.savez(Path(directory) / _ARRAYS, *args.arrays.values())
+        body = args.body | {"sha256": _digest(directory, args.body)}
+        (Path(directory) / _RECORD).write_text(json.dumps(body))
+
+    def restore(self, directory: Path, args: object = None) -> _Content:
+        body = json.loads((Path(directory) / _RECORD).read_text())
+        if body.pop("sha256") != _digest(directory, body):
+            raise ValueError("it was altered")
+        with np.load(Path(directory) / _ARRAYS, allow_pickle=False) as file:
+            return _Content(dict(zip(body["names"], file.values(), strict=True)), body)
 
 
-def _read_arrays(folder: Path, described: dict) -> dict[str, np.ndarray]:
-    as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in described}
-    with _checkpointer() as orbax:
-        arrays = orbax.restore(folder, args=ocp.args.PyTreeRestore(restore_args=as_numpy))
-    for name in described:
-        if _describe(arrays[name]) != described[name]:
-            raise ValueError(f"{name} is not as it was saved")
-    return arrays
+def _digest(directory: Path, body: dict) -> str:
+    """Returns the hash of a checkpoint's arrays and record."""
+    with open(Path(directory) / _ARRAYS, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256")
+    digest.update(json.dumps(body, sort_keys=True).encode())
+    return digest.hexdigest()
 
 
-def _named(tree: Any) -> list[tuple[str, Any]]:
-    leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
-    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]
+class _LastAndBest(ocp.checkpoint_managers.PreservationPolicy):
+    """Keeps the last `KEPT` checkpoints and that of the largest score, the latest of equals."""
+
+    def __init__(self, scores: dict[str, list[float]]) -> None:
+        self._scores = scores
+
+    def should_preserve(self, checkpoints: Sequence[Any], *, context: Any) -> list[bool]:
+        steps = [checkpoint.step for checkpoint in checkpoints]
+        best = max(steps, key=lambda step: (self._scores.get(str(step), []), step))
+        return [step == best or step in steps[-KEPT:] for step in steps]
 
 
-def _from_arrays(arrays: dict[str, np.ndarray], template: Any) -> Any:
-    def place(leaf: Any, array: np.ndarray) -> jax.Array:
-        # Copied: a step donates its states, so that XLA would write into NumPy's memory.
-        value = jax.random.wrap_key_data(jnp.asarray(array)) if is_key(leaf) else array
-        return jax.device_put(value, getattr(leaf, "sharding", None), may_alias=False)
-
-    leaves, structure = jax.tree.flatten(template)
-    values = [place(leaf, arrays[name]) for leaf, (name, _) in zip(leaves, _named(template), strict=True)]
-    return jax.tree.unflatten(structure, values)
+def _arrays(tree: Any) -> dict[str, Any]:
+    """Returns the leaves of a state by name, keys as numbers."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(without_keys(tree))
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in leaves}
 
 
-def _describe(array: np.ndarray) -> dict:
-    digest = hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
-    return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
-
-
-def _hash_json(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _describe(arrays: dict[str, Any]) -> dict:
+    return {name: [str(array.dtype), list(array.shape)] for name, array in arrays.items()}
 
 
 def _reason(error: BaseException) -> str:
-    """Returns an error's message in one line; the operating system's, if it is one of its own or quotes one."""
+    """Returns an error's message in one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    text = str(error).strip()
-    quoted = (os.strerror(code) for code in errno.errorcode if os.strerror(code) in text)
-    return next(quoted, (text.splitlines() or [type(error).__name__])[0][:200])
-
-
-def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
-    """Raises an AnotherRunError that names the first entry in which two nested dicts, of JSON's types, differ."""
-    difference = _difference(there, as_json(here))
-    if difference is not None:
-        name, *values = difference
-        of_there, of_here = ("given" if isinstance(value, dict) else value for value in values)
-        raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
-
-
-def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
-    if not (isinstance(there, dict) and isinstance(here, dict)):
-        return None if there == here else (name, there, here)
-    for key in [*here, *(key for key in there if key not in here)]:
-        found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)
-        if found is not None:
-            return found
-    return None
-
-
-def as_json(content: Any) -> Any:
-    """Returns `content` as JSON gives it back: tuples are lists, keys are text."""
-    return json.loads(json.dumps(content))
+    return next(iter(str(error).splitlines()), type(error).__name__)[:200]

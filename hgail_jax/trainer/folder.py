@@ -2,20 +2,20 @@
 
 import contextlib
 import dataclasses
-import fcntl
 import itertools
 import json
-import os
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import filelock
 import jax
 
 from hgail_jax.devices.processes import silent_but_first
 from hgail_jax.devices.sharding import any_process
-from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints, refuse_another_run
+from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
+from hgail_jax.trainer.identity import refuse_another_run
 from hgail_jax.trainer.loggers import Logger
 from hgail_jax.trainer.run import Run
 
@@ -33,12 +33,11 @@ def create_numbered_folder(parent: Path, stem: str) -> Path:
     for number in itertools.count(1 + max(_numbers(parent, stem), default=0)):
         path = parent / f"{stem}-{number}"
         try:
-            create_folder(path)
-            break
+            return create_folder(path)
         except ValueError:
             if not path.exists():  # else a run that began at the same moment has this number
                 raise
-    return path
+    raise AssertionError("numbers do not end")
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
@@ -66,8 +65,8 @@ def _is_empty(folder: Path) -> bool:
     return all(path.name.startswith(".") for path in folder.iterdir())
 
 
-def create_folder(path: Path) -> None:
-    """Makes a run's folder.
+def create_folder(path: Path) -> Path:
+    """Makes a run's folder and returns it.
 
     Raises:
       ValueError: it is there already, or cannot be made.
@@ -75,6 +74,7 @@ def create_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True)
+        return path
     except FileExistsError:
         unfinished = (path / "config.json").exists() and not (path / "summary.json").exists()
         hint = f"go on with its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
@@ -106,23 +106,22 @@ def reopen_folder(path: Path, identity: dict) -> None:
 
 @contextlib.contextmanager
 def sole_user(path: Path) -> Iterator[None]:
-    """Holds a folder for this process; the system lets go of it however the process ends.
+    """Holds a folder for this process, by its file `.lock`; the system lets go of it however the process ends.
 
     Raises:
       ValueError: another process holds it.
+      OSError: the folder cannot be written to.
 
     """
-    descriptor = os.open(path, os.O_RDONLY)
+    lock = filelock.FileLock(path / ".lock", timeout=0)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{path} is in use by another process") from None
-        except OSError:  # a file system without locks
-            pass
+        lock.acquire()
+    except filelock.Timeout:
+        raise ValueError(f"{path} is in use by another process") from None
+    try:
         yield
     finally:
-        os.close(descriptor)
+        lock.release()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,37 +156,29 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
         unwanted = held.enter_context(silent_but_first())
         refusal: Exception | None = None
         try:
-            path, goes_on = _choose(run, unwanted or out, resume if unwanted is None else None)
-            folder = _open(run, path, goes_on, held)
+            if unwanted is not None:  # of a process that writes no files
+                out, resume = unwanted, None
+            folder = _open(run, out, resume, held)
         except (ValueError, OSError) as error:
             refusal = error
         if any_process(refusal is not None):
-            raise refusal or ValueError("another process cannot go on, and says why")
+            raise refusal or ValueError("another process failed; see its message")
         yield folder
 
 
-def _choose(run: Run, out: Path | str | None, resume: Path | str | None) -> tuple[Path, bool]:
-    """Returns the run's folder, and whether it is that of a run that goes on; if not, it is made."""
+def _open(run: Run, out: Path | str | None, resume: Path | str | None, held: contextlib.ExitStack) -> RunFolder:
     stem = f"{run.task.split(':')[-1]}-{run.method}"
-    resumed = newest_folder(_RUNS, stem) if resume == "auto" else resume
-    if resumed is not None:
-        return Path(resumed), True
-    if not out:
-        return create_numbered_folder(_RUNS, stem), False
-    create_folder(Path(out))
-    return Path(out), False
-
-
-def _open(run: Run, path: Path, goes_on: bool, held: contextlib.ExitStack) -> RunFolder:
-    checkpoints = Checkpoints(path / "checkpoints", run.identity())
-    restored = None
-    if goes_on:
+    path = newest_folder(_RUNS, stem) if resume == "auto" else resume and Path(resume)
+    if not path:
+        path = create_folder(Path(out)) if out else create_numbered_folder(_RUNS, stem)
+        held.enter_context(sole_user(path))
+        folder = RunFolder(path, Checkpoints(path / "checkpoints", run.identity()), None)
+    else:
+        checkpoints = Checkpoints(path / "checkpoints", run.identity())
         reopen_folder(path, run.identity())
-    held.enter_context(sole_user(path))
-    if goes_on:
-        restored = checkpoints.restore(jax.eval_shape(run.program().init))
-        _announce(path, restored, run.config.rounds)
-    folder = RunFolder(path, checkpoints, restored)
+        held.enter_context(sole_user(path))
+        folder = RunFolder(path, checkpoints, checkpoints.restore(jax.eval_shape(run.program().init)))
+        _announce(folder, run.config.rounds)
     held.callback(_close, folder.loggers)
     return folder
 
@@ -197,8 +188,9 @@ def _close(loggers: list[Logger]) -> None:
         logger.close()
 
 
-def _announce(path: Path, restored: Checkpoint | None, rounds: int) -> None:
+def _announce(folder: RunFolder, rounds: int) -> None:
     """Prints the round that a run of so many rounds goes on with, and its damaged checkpoints."""
+    path, restored = folder.path, folder.restored
     for line in restored.damaged if restored else ():
         print(line, file=sys.stderr)
     if restored is None:

@@ -14,6 +14,7 @@ import jax
 
 from hgail_envs import GoalEnv
 from hgail_envs.randomized import RandomizedEnv
+from hgail_envs.validation import plain_number
 from hgail_jax.devices.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
 from hgail_jax.io.policy import load_policy
@@ -53,7 +54,9 @@ class Trainer:
     """
 
     def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:
-        self.options = dataclasses.replace(options or TrainOptions(), **changes)
+        given = dataclasses.replace(options or TrainOptions(), **changes)
+        numbers = {field.name: plain_number(getattr(given, field.name)) for field in dataclasses.fields(given)}
+        self.options = dataclasses.replace(given, **numbers)
         self.run: Run = plan(self.options, platform_name())
         self._folder: Path | None = None
 

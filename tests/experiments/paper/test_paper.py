@@ -320,14 +320,14 @@ def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_pat
     ("arguments", "message"),
     [
         ([], "nothing to make; name a --table, a --figure or a --study"),
-        (["--table", "4"], "choose from"),
-        (["--figure", "8"], "choose from"),
+        (["--table", "4"], "invalid choice '4'"),
+        (["--figure", "8"], "invalid choice '8'"),
         (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
         (
             ["--study", "off-policy", "--task", "slide"],
-            "study 'off-policy' has HER twice on 'slide': its 'as it is' is",
+            "study 'off-policy' on 'slide': 'as it is' and 'HER' are both HER",
         ),
         (["--study", "parts"], "study 'parts' is for tasks with the option 'observation'; 'reach' has none"),
         (["--plots-only"], "holds no figure's data"),

@@ -24,8 +24,8 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
     ("arguments", "message"),
     [
         (["--episodes", "0"], "episodes is 0; it must be at least 1"),
-        (["--to", "mars"], "--to is 'mars'; choose from fetch, gymnasium, ur5e, franka\n"),
-        (["--task", "point"], "--task is 'point'; choose from reach, grasp, push, pick-and-place, slide\n"),
+        (["--to", "mars"], "invalid choice 'mars' for argument '--to'"),
+        (["--task", "point"], "invalid choice 'point' for argument '--task'"),
         (["--delay", "-1"], "delay is -1; it must be at least 0"),
         (["--noise", "-0.1"], "noise is -0.1; it must be at least 0"),
         (["--stride", "3"], "stride is 3.0; it must be from 0 to 2.0"),

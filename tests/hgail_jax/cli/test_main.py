@@ -163,7 +163,7 @@ def test_a_training_needs_no_standard_streams(tmp_path, closed, out, err):
     assert out in done.stdout and (out or not done.stdout)
     assert err in done.stderr and (err or not done.stderr)
     folder = tmp_path / "runs" / "point-hgail-1"
-    names = {"config.json", "metrics.csv", "summary.json", "curves.png", "policies", "checkpoints"}
+    names = {".lock", "config.json", "metrics.csv", "summary.json", "curves.png", "policies", "checkpoints"}
     assert {path.name for path in folder.iterdir()} == names
     assert json.loads((folder / "summary.json").read_text())["seeds"] == 1
 

@@ -122,7 +122,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         ),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "hgail play: there is no file or folder none.npz"),
-        (["--episodes", "many"], "'many' is not a whole number"),
+        (["--episodes", "many"], "--episodes INT: invalid literal for int() with base 10: 'many'"),
         (["--task", REACH], f"no policy of {REACH} comes with the package; name one by --policy"),
         (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
         (["--out", "none/film.mp4"], "there is no folder none to write film.mp4 into"),
@@ -254,7 +254,7 @@ def test_a_terminal_is_told_how_far_the_film_is(in_folder, shipped_policy, monke
     pictures = 2 * (3 + 10) + 8  # episodes with their ends held, and a fade between them
     told = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]
     assert list(dict.fromkeys(told)) == [f"picture {number} of {pictures}" for number in range(1, pictures + 1)]
-    assert frames[0].startswith("compiling and filming, 0:00 elapsed")
+    assert frames[0].startswith("compiling and filming, 00:00 elapsed")
     assert frames[-1].startswith("writing near.gif")
     assert max(map(len, frames)) < 80
 

@@ -49,7 +49,7 @@ def test_what_cannot_be_written_is_refused_before(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path):
-    for name in (".metrics.csv.17.partial", "metrics.csv", ".hidden", "a.partial"):
+    for name in (".17.partial.metrics.csv", "metrics.csv", ".hidden", "a.partial"):
         (tmp_path / name).touch()
     remove_partial_files(tmp_path)
     assert names(tmp_path) == [".hidden", "a.partial", "metrics.csv"]
@@ -61,10 +61,18 @@ def test_json_has_plain_numbers_and_null_for_what_is_none(tmp_path):
         "array": np.float32([1, np.inf]),
         "jax": jnp.array([[1, 2]]),
         "path": Path("p"),
+        "scalars": [np.int64(8), np.float32(0.5), np.bool_(True)],
         "nested": {"tuple": (1, float("-inf"), "x")},
     }
     write_json(tmp_path / "a.json", content)
-    expected = {"nan": None, "array": [1.0, None], "jax": [[1, 2]], "path": "p", "nested": {"tuple": [1, None, "x"]}}
+    expected = {
+        "nan": None,
+        "array": [1.0, None],
+        "jax": [[1, 2]],
+        "path": "p",
+        "scalars": [8, 0.5, True],
+        "nested": {"tuple": [1, None, "x"]},
+    }
     assert json.loads((tmp_path / "a.json").read_text()) == expected
 
 

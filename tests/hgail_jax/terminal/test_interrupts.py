@@ -29,17 +29,6 @@ with one_line_errors("it"), replace_file("file") as file:
     time.sleep(60)
 """
 
-SWALLOWED = """
-with one_line_errors("it"):
-    for _ in range(2):
-        try:
-            interrupt()
-            time.sleep(0.5)
-        except BaseException:
-            pass
-    raise SystemExit(0)
-"""
-
 IN_A_CALLBACK = """
 import jax, jax.numpy as jnp
 from hgail_envs.engines.host_call import host_call
@@ -52,26 +41,13 @@ with one_line_errors("it"):
     jax.block_until_ready(call(jnp.zeros(3)))
 """
 
-NOTED_LATE = """
-say = signals._say
-signals._say = lambda line: (time.sleep(0.5), say(line))
+COMPLAINT = """
 with one_line_errors("it"):
     try:
         interrupt()
-        time.sleep(60)
     except KeyboardInterrupt:
         print("a complaint", file=sys.stderr, flush=True)
         raise
-"""
-
-STUCK = """
-signals._GRACE = 0.1
-with one_line_errors("it"), replace_file("file") as file:
-    interrupt()
-    try:
-        time.sleep(60)
-    except KeyboardInterrupt:
-        threading.Event().wait()
 """
 
 # Threads of XLA call the C engine's functions until the very end, so Python is not to be taken away from them.
@@ -107,9 +83,15 @@ with signals.stop_on_signal() as stop:
     print("never")
 """
 
+HANGUP = """
+with signals.stop_on_signal() as stop:
+    interrupt("SIGHUP")
+    print("to nobody", flush=True)
+    raise SystemExit(0 if stop.is_set() else 1)
+"""
+
 TRAIN = """
 from hgail_jax.cli import main
-from hgail_jax.trainer import training
 from hgail_jax.trainer.loop import Program
 signals._ONE_SIGNAL = 0.1
 {}
@@ -118,27 +100,6 @@ main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
 
 WHILE_COMPILING = """
 Program.compile = lambda program: (interrupt(), time.sleep(60))
-"""
-
-WHILE_THE_EVALUATION_COMPILES = """
-stopped, over = threading.Event(), threading.Event()
-train_rounds = training.train_rounds
-def train(program, step, progress, checkpoints, saving, stop, after_round):
-    interrupt()
-    stop.wait()
-    stopped.set()
-def train_and_tell(*arguments):
-    train_rounds(*arguments)
-    over.set()
-def compile_evaluation():
-    stopped.wait()
-    over.wait()
-    time.sleep(0.5)
-    interrupt()
-    time.sleep(60)
-Program.compile = lambda program: None
-training.train, training.train_rounds = train, train_and_tell
-training.trace_evaluations = lambda run: dict(final=compile_evaluation)
 """
 
 PLAY = """
@@ -164,16 +125,14 @@ main(["train", "--help"])
 SCRIPTS = {
     "writing": WHILE_WRITING.format("SIGINT"),
     "terminated": WHILE_WRITING.format("SIGTERM"),
-    "swallowed": SWALLOWED,
     "callback": IN_A_CALLBACK,
-    "late": NOTED_LATE,
-    "stuck": STUCK,
+    "complaint": COMPLAINT,
     "end": AT_THE_END,
     "timeout": BY_TIMEOUT,
     "SIGINT": TWICE.format("SIGINT"),
     "SIGTERM": TWICE.format("SIGTERM"),
+    "hangup": HANGUP,
     "compiling": TRAIN.format(WHILE_COMPILING),
-    "evaluation": TRAIN.format(WHILE_THE_EVALUATION_COMPILES),
     "play": PLAY,
     "reader": READER_LEAVES,
 }
@@ -184,7 +143,7 @@ def ended(tmp_path_factory):
     return run_scripts(tmp_path_factory.mktemp("scripts"), {name: BEGIN + code for name, code in SCRIPTS.items()})
 
 
-@pytest.mark.parametrize("name", ["writing", "terminated", "swallowed", "callback", "late", "stuck", "end"])
+@pytest.mark.parametrize("name", ["writing", "terminated", "callback", "complaint", "end"])
 def test_a_signal_is_one_line_and_leaves_no_file(ended, name):
     signalled = "SIGTERM" if name == "terminated" else "SIGINT"
     assert ended[name].returncode == 128 + getattr(signal, signalled)
@@ -199,6 +158,10 @@ def test_signals_that_come_together_are_one(ended):
     assert ended["timeout"].stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
 
 
+def test_a_closed_terminal_stops_a_training_which_writes_nothing_more_to_it(ended):
+    assert (ended["hangup"].returncode, ended["hangup"].stdout, ended["hangup"].stderr) == (0, "", "")
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_second_signal_exits_at_once(ended, name):
     assert ended[name].returncode == 128 + getattr(signal, name)
@@ -209,18 +172,14 @@ def test_a_second_signal_exits_at_once(ended, name):
     ]
 
 
-@pytest.mark.parametrize("name", ["compiling", "evaluation"])
-def test_an_interrupt_with_nothing_to_save_ends_the_run_at_once(ended, name):
-    """While the program is compiled; or the second, while a run that was stopped waits for the compiler."""
-    ended = ended[name]
+def test_an_interrupt_while_the_program_compiles_ends_the_run_at_once(ended):
+    ended = ended["compiling"]
     assert ended.returncode == 130
     begun, _, command = ended.stderr.splitlines()[-1].partition("; go on with: ")
     assert begun == "hgail train: stopped before round 0"
     assert shlex.split(command)[1:] == ["train", "--task", "point", "--num-envs", "4", "--resume", "run"]
-    assert ("SIGINT: stopping after this round; once more stops at once" in ended.stderr) == (name == "evaluation")
     assert "Traceback" not in ended.stderr
-    left = {path.name for path in (ended.folder / "run").iterdir()}
-    assert left == {"config.json", *(["metrics.csv"] if name == "evaluation" else [])}
+    assert {path.name for path in (ended.folder / "run").iterdir()} == {".lock", "config.json"}
 
 
 def test_an_interruption_leaves_no_film(ended):

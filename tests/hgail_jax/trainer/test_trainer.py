@@ -18,7 +18,7 @@ from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import results, training
 from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.options import plan
-from tests.hgail_jax.trainer.test_checkpoint import record_of, saved_in
+from tests.hgail_jax.trainer.test_checkpoint import arrays_of, saved_in
 from tests.support import compile_once, make_runs_tiny
 
 SMALL = TrainOptions(task="point", seeds=2, num_envs=4, iterations=4)  # as `test_resume` has it
@@ -65,7 +65,7 @@ def table(folder):
 
 def bits(folder):
     """All that a run of `SMALL` computed."""
-    return table(folder), json.loads(record_of(folder / "checkpoints" / "5"))["body"]["arrays"]
+    return table(folder), arrays_of(folder / "checkpoints" / "5").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -208,3 +208,10 @@ def test_curves_are_drawn_where_some_rounds_measured_nothing(tmp_path):
     values = np.array([[0.1, 0.2], [np.nan, 0.3], [np.nan, np.nan]])
     results.draw_curves(tmp_path / "curves.png", "title", np.arange(3), values, values)
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_numpy_s_numbers_are_numbers():
+    given = {"seeds": np.int64(1), "first_seed": np.int32(0), "num_envs": np.int64(8), "bc_weight": np.float32(0.5)}
+    trainer = Trainer(task="point", checkpoint_every=np.int64(1), evaluation_episodes=np.uint8(8), **given)
+    json.dumps([trainer.run.options, trainer.run.identity()])
+    assert (trainer.options.num_envs, trainer.options.bc_weight) == (8, 0.5)

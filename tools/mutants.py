@@ -1,6 +1,6 @@
 """Breaks the learning core, one small change at a time, and tells which changes no test notices.
 
-    python -m tests.mutants [module ...] [--sample N] [--seed S]
+    python -m tools.mutants [module ...] [--sample N] [--seed S]
 
 A module is named by its path less the suffix, e.g. `hgail_jax/train`. Each mutant runs in a process of its own, forked
 from this one, which has imported the libraries but started nothing of JAX.
@@ -53,7 +53,7 @@ TESTS = {
     "hgail_jax/rollout": [SAMPLES, ROLLOUT, PPO],
     "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN, EVALUATE],
     "hgail_jax/state": [PPO, TRAIN, LEARNING],
-    "hgail_jax/methods": [LEARNING, EXPERTS, METHODS],
+    "hgail_jax/settings/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/layout": [LAYOUT],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
@@ -68,71 +68,6 @@ TESTS = {
     "envs/hgail_envs/fetch/tower_goals": [CUBES, TOWER],
 }
 """What is run for a module, the quickest first."""
-
-EQUIVALENT = {
-    "hgail_jax/hindsight": [
-        # Where nothing of a kind lies ahead, what is divided by 0 is left out.
-        "states_of_kind = jnp.maximum(ahead @ jax.nn.one_hot(kind, len(kind_share)), 0.0)",
-        # Floats count as exactly; the last of two axes.
-        "before = jnp.cumsum(jax.nn.one_hot(kind, kinds), axis=-2)",
-        "kind = jnp.minimum((cumulative <= kind_uniform[:, None] * cumulative[:, -1:]).sum(axis=(1)), latest)",
-    ],
-    "hgail_jax/samples": [
-        # Blocks may be wider, and the search may begin beyond the end, which it never returns.
-        "width = math.isqrt((samples + 1)) + 1",
-        "width = math.isqrt(samples - 0) + 1",
-        "bounds = jnp.zeros_like(block), jnp.full_like(block, width - 0)",
-        # Both bounds are the column in the end.
-        "return jax.lax.fori_loop(0, width.bit_length(), halve, bounds)[1]",
-    ],
-    "hgail_jax/experts": [
-        # Any constant leaves the order to what was kept earlier.
-        "order = jnp.lexsort((jnp.where(hyper.ties_by_distance, distance, 1.0), -returns))[:count]",
-    ],
-    "hgail_jax/learners/ppo_loss": [
-        # The shapes are the same; a sum of weights is 0 or at least 1.
-        "return jax.lax.scan(accumulate, jnp.zeros_like(delta[1]), delta, reverse=True)[1]",
-        "return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 2e-08)",
-    ],
-    "hgail_jax/learners/ppo": [
-        # Of an axis of one number JAX takes that one for any index.
-        'value = apply(_value_network(config), state.learner.actor_critic["value"], observation)[..., 1]',
-        'predicted = apply(_value_network(config), params["value"], part["observation"])[..., 1]',
-    ],
-    "hgail_jax/discriminator": [
-        # Of an axis of one number JAX takes that one for any index.
-        "return apply(_network(config), params, inputs)[..., 1]",
-    ],
-    "hgail_jax/rollout": [
-        # It only spares the compiler a branch.
-        "if (not env.lift_test_steps and wanted is False):  # so that nothing is compiled for it",
-        # A choice between equals, there for the compiler.
-        "always = jnp.all(jax.random.key_data(rng) >= 0)",
-        "return jax.tree.map(lambda leaf: jnp.where(always, leaf, leaf), tree)",
-    ],
-    "hgail_jax/train": [
-        # A phase that is skipped counts in no mean.
-        "dropped: jax.Array | float = 1.0",
-        "overflow: jax.Array | float = 1.0",
-        "diverged: jax.Array | float = 1.0",
-        # Integers are finite too.
-        "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.floating, jnp.floating)]",
-        "floating = [leaf.ravel() for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, leaf.dtype)]",
-        # The key is replaced right after.
-        "after, metrics = _learn(env, config, phase, state.replace(), trajectory, update_rng)",
-    ],
-    "envs/hgail_envs/fetch/pick_and_place": [
-        # No distance is the bound itself.
-        "away = (jnp.linalg.norm(physics.gripper_position - cube) >= _AT_CUBE)",
-    ],
-    "envs/hgail_envs/fetch/grasp": [
-        # It draws nothing.
-        "return jnp.where(away, elsewhere, self.sample_goal(physics, physics))",
-        # The last number is set.
-        "return jnp.array([0.0, 0.0, 1.0, 1.0]).at[3].set(action[3])",
-    ],
-}
-"""Mutants that change no behaviour: the changed line, or a line of which that is true however it is changed."""
 
 _SWAPS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
@@ -152,14 +87,13 @@ class Mutant(NamedTuple):
 
     module: str
     line: int
-    original: str
     text: str
-    """The line, and the line as changed."""
+    """The line as changed."""
     source: str
 
 
 def mutants(module: str) -> list[Mutant]:
-    """Returns the mutants of a module, less equivalent ones, in the order of its lines."""
+    """Returns the mutants of a module, in the order of its lines."""
     source = (ROOT / f"{module}.py").read_bytes()
     starts = [0]
     for line in source.splitlines(keepends=True):
@@ -169,9 +103,8 @@ def mutants(module: str) -> list[Mutant]:
         for change in _changes(node):
             start, end = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
             changed = (source[:start] + change.encode() + source[end:]).decode()
-            original, text = (each.splitlines()[node.lineno - 1].strip() for each in (source.decode(), changed))
-            if not {original, text} & {*EQUIVALENT.get(module, [])}:
-                found[changed] = Mutant(module, node.lineno, original, text, changed)
+            text = changed.splitlines()[node.lineno - 1].strip()
+            found[changed] = Mutant(module, node.lineno, text, changed)
     return sorted(found.values(), key=lambda mutant: mutant.line)
 
 
