@@ -29,7 +29,7 @@ from hgail_jax.train import (
 from hgail_jax.trainer import Trainer, TrainOptions
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 
-__version__ = "0.3.0"
+__version__ = "0.4.0.dev0"
 
 __all__ = [
     "EXPERT_SOURCES",
