@@ -1,9 +1,11 @@
 """The distribution: its version, and its wheel in a project whose folders are named as this one's are."""
 
 import os
+import pathlib
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 
@@ -84,11 +86,38 @@ def test_a_project_with_folders_of_the_same_names_trains_with_it(wheel, tmp_path
     assert commit == "None"  # HEAD is another project's
 
 
-def test_the_citation_has_the_version_and_the_changelog_its_date():
+def test_the_citation_has_the_version_and_the_changelog_its_heading():
     citation = (ROOT / "CITATION.cff").read_text()
-    version, date = (re.search(rf"^{key}: (\S+)$", citation, re.MULTILINE)[1] for key in ("version", "date-released"))
-    assert version == hgail_jax.__version__
-    assert f"## {version} ({date})" in (ROOT / "CHANGELOG.md").read_text()
+    fields = dict(re.findall(r"^(version|date-released): (\S+)$", citation, re.MULTILINE))
+    assert fields["version"] == hgail_jax.__version__
+    heading = re.search(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1]
+    if "dev" in hgail_jax.__version__:  # the version of a release has its date, and work towards one has none
+        assert (heading, fields.get("date-released")) == ("Unreleased", None)
+    else:
+        assert heading == f"{hgail_jax.__version__} ({fields['date-released']})"
+
+
+@pytest.fixture(scope="module")
+def source_distribution(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sdist")
+    build = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", folder, ROOT]
+    subprocess.run(build, check=True, capture_output=True)
+    (path,) = folder.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        return {name.partition("/")[2] for name in archive.getnames()}
+
+
+def test_a_source_distribution_holds_what_its_readme_needs(source_distribution):
+    readme = (ROOT / "README.md").read_text()
+    links = set(re.findall(r"(?:\]\(|src=\"|href=\")(?!https?:)([^)\"#]+)", readme))
+    assert {"docs/images/policies.webp", "docs/getting-started.md", "CITATION.cff"} <= links
+    needed = links | {"Makefile", "requirements.lock", "pyproject.toml", "LICENSE", "assets/fetch/reach.xml"}
+    held = source_distribution | {folder for name in source_distribution for folder in parents(name)}
+    assert needed <= held, needed - held
+
+
+def parents(name):
+    return [str(folder) for folder in pathlib.PurePosixPath(name).parents]
 
 
 def test_the_distribution_takes_the_version_from_the_package():

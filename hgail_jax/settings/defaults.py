@@ -122,7 +122,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
         "td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 8}}, OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
         # Networks 256 wide reach .95 in 40 to 55 rounds where those 64 wide take 49 to 102 or never do (suite,
-        # networks); their number on a CPU is from docs/lab/suite-settings.md. Solved samples, whose cube is at the goal
+        # networks); their number on a CPU is from docs/lab/ppo.md. Solved samples, whose cube is at the goal
         # already, count .3 times: at full weight they take more than half of push's success (study parts-push), and at
         # .1 it is .85 for .93 (suite/push-tuning).
         "ppo": {

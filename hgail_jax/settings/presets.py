@@ -76,12 +76,12 @@ def ppo_with_object(
 ) -> Preset:
     """Returns the settings that the tasks with an object share: BC beside PPO, few and large updates.
 
-    They were chosen on grasp (docs/lab/grasp.md) and kept for the others.
+    They were chosen on grasp (docs/lab/ppo.md) and kept for the others.
     """
     widths = {} if hidden is None else wide(hidden, layers=2)
     shared: dict[str, Any] = {
         "action_std": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
-        "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/grasp.md, what was tried)
+        "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/ppo.md, what was tried)
         "policy_learning_rate": 1e-3,
         "discriminator_learning_rate": 2e-4,  # at 1e-3 it wins against the policy: slide .34 for .56 (slide-deviation)
     }

@@ -39,7 +39,7 @@ class Push(ObjectEnv):
     In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
     uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. PPO does not need them for
     push: on the evaluation's goals alone its success is .890 against .679 after 40 rounds, and no different after all
-    120 (`docs/lab/suite-parts.md`). TD3, which takes far fewer steps, does: .062 for .999. So does `Slide`, which
+    120 (`docs/lab/ppo.md`). TD3, which takes far fewer steps, does: .062 for .999. So does `Slide`, which
     inherits them.
 
     See `ObjectEnv` for the arguments.

@@ -27,7 +27,7 @@ class Slide(Push):
 
     The observation and the training goals are those of `Push`, with the puck in the cube's place. The waypoints of its
     training goals are needed here: without them the success is .112 instead of .341 after 33 rounds
-    (`docs/lab/suite-parts.md`). A puck moves away from the side on which it is hit, and hindsight alone shows only hits
+    (`docs/lab/ppo.md`). A puck moves away from the side on which it is hit, and hindsight alone shows only hits
     that began on the right side; a hand that visits waypoints is also shown to go round the puck.
 
     With `achieved="at-rest"` the achieved goal is the gripper's position while the puck moves, faster than 5 cm/s: a
