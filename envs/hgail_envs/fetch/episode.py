@@ -11,7 +11,7 @@ from hgail_envs.registry import find_class
 
 
 class Robot(Protocol):
-    """What an episode needs of a robot; positions are metres, `[3]`."""
+    """Robot or reference that does a Fetch task; positions are metres, `[3]`."""
 
     task: str
     """Name in `hgail_envs.TASKS`."""
