@@ -145,7 +145,7 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--impl", "warp"], "impl 'warp' needs warp-lang and an NVIDIA GPU"),
         (
             ["--method", "gasil", "--learner", "td3", "--environment-reward", "1"],
-            "environment_reward is 1, with which gasil would learn nothing from its expert samples; it must be below 1",
+            "environment_reward is 1, with which the discriminator has no say: that is the method her; it must be below 1",
         ),
         (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),
         (["--action-std", "0"], "action_std is 0.0; it must be positive"),
@@ -333,17 +333,17 @@ def test_every_option_has_a_help_line(capsys):
 def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     with pytest.raises(SystemExit):
         run.main(["--task", "point", "--method", "ppo", "--help"])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --learner " in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --method " in line]
     assert "--action-std" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 
 def test_help_tells_the_settings_of_randomised_episodes(capsys):
-    def told(*words):
+    def help_of(*words):
         with pytest.raises(SystemExit):
             run.main(["--task", "push", *words, "--help"])
-        return next(line for line in capsys.readouterr().out.splitlines() if " has --learner " in line)
+        return next(line for line in capsys.readouterr().out.splitlines() if " has --method " in line)
 
-    assert "--p-ht 0.8" in told() and "--p-ht 0.6" in told("--randomize", "mild")
+    assert "--p-ht 0.8" in help_of() and "--method her --learner td3" in help_of("--randomize", "mild")
 
 
 def test_help_of_a_task_that_is_not_there_is_the_help(capsys):
@@ -362,7 +362,7 @@ class Mistaken(Point):
         return physics + np.asarray(action)
 
 class Greedy(Point):
-    training = {"cpu": {"num_envs": 4}}
+    training = {"ppo": {"cpu": {"num_envs": 4}}}
 """
 
 
@@ -370,7 +370,7 @@ class Greedy(Point):
     ("name", "message"),
     [
         ("Mistaken", "Mistaken.step_physics fails ("),
-        ("Greedy", "Greedy.training['cpu'] is not TrainingDefaults of fields that there are"),
+        ("Greedy", "Greedy.training['ppo']['cpu'] is not TrainingDefaults of fields that there are"),
     ],
 )
 def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_folder, capsys, monkeypatch, name, message):

@@ -23,6 +23,7 @@ from hgail_jax import (
     save_policy,
 )
 from hgail_jax.io.policy import from_state
+from hgail_jax.samples import Samples
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def policy(shipped_policy):
 def test_a_saved_policy_is_the_mean_action(tmp_path):
     env = hgail_envs.make("point")
     state = init_state(env, Config(PPO()), Hyperparameters(), jax.random.key(0))
-    state = state.count(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, jnp.ones(100))
+    state = state.count(Samples(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, None, jnp.ones(100)))
     # weights large enough that some actions are clipped
     networks = jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.learner.actor_critic)
     state = state.replace(learner=state.learner.replace(actor_critic=networks))
@@ -167,7 +168,7 @@ def off_policy(tmp_path):
     """A policy that was saved and loaded, observations, and the actions that training would take."""
     env, config = hgail_envs.make("point"), Config(learner=TD3(), policy_hidden=(16, 8), layer_norm=True)
     state = init_state(env, config, Hyperparameters(), jax.random.key(0))
-    state = state.count(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1 + 0.05, jnp.ones(100))
+    state = state.count(Samples(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1 + 0.05, None, jnp.ones(100)))
     noise = np.random.default_rng(0)
     target = jax.tree.map(
         lambda leaf: leaf + noise.normal(size=leaf.shape).astype(np.float32), state.learner.target

@@ -249,7 +249,7 @@ def test_observations_are_standardised_and_clipped_at_5():
 def test_observations_have_statistics_where_they_are_standardised(standard):
     state = init(CONFIG, HYPER.replace(standardize_observation=standard), jax.random.key(0))
     seen = (RNG.normal(size=(2000, 4)) * [1.0, 2.0, 0.5, 1.5] + [0.5, 0.0, -1.0, 2.0]).astype(np.float32)
-    state = state.count(seen, np.ones(len(seen), np.float32))
+    state = state.count(Samples(seen, None, np.ones(len(seen), np.float32)))
     expected = (seen - seen.mean(axis=0)) / seen.std(axis=0) if standard else seen
     np.testing.assert_allclose(state.normalize(seen), np.clip(expected, -5, 5), atol=1e-3)
     assert int(state.statistics.count) == (2000 if standard else 0)
