@@ -20,7 +20,7 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_OF_ONE_LEARNER = ("random_actions", "target_rate", "target_noise", "discriminator_steps")
+_OF_ONE_LEARNER = ("epsilon", "tau", "target_noise", "discriminator_horizon")
 """Hyperparameters that only the learners read which name them, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
@@ -144,9 +144,9 @@ class Hyperparameters(struct.PyTreeNode):
     bc_weight: jax.Array | float = 1.0
     """Weight of the behaviour-cloning (BC) loss: with PPO the negative log-likelihood of expert samples, where the
     config has a `bc_batch`; with TD3 the squared distance from actions of the buffer that the critics prefer."""
-    action_std: Any = 0.3
+    exploration_noise: Any = 0.3
     """Standard deviation of the policy, in units of action: one number, or `[action_size]`, one for each of them."""
-    final_action_std: jax.Array | float = 1.0
+    final_exploration_noise: jax.Array | float = 1.0
     """Standard deviation at the end of the last round, as a fraction of its start: wide to explore, narrow where a
     place must be met exactly."""
     discount: jax.Array | float = 0.98
@@ -157,13 +157,13 @@ class Hyperparameters(struct.PyTreeNode):
     """Adam's step size for the policy and the value functions."""
     discriminator_learning_rate: jax.Array | float = 1e-3
     """Adam's step size for the discriminator."""
-    random_actions: jax.Array | float = 0.3
+    epsilon: jax.Array | float = 0.3
     """Probability of a uniformly random action in a step of a roll-out to learn from (TD3)."""
-    target_rate: jax.Array | float = 0.01
+    tau: jax.Array | float = 0.01
     """Rate τ at which target networks follow the networks (TD3)."""
     target_noise: jax.Array | float = 0.2
     """Standard deviation of the noise on target actions, which is clipped at 2.5 of it (TD3)."""
-    discriminator_steps: jax.Array | int = 2**30
+    discriminator_horizon: jax.Array | int = 2**30
     """Most steps from an expert sample to the one that its hindsight goal is taken from (TD3). At 1 the discriminator
     learns which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
 
@@ -190,14 +190,14 @@ class Hyperparameters(struct.PyTreeNode):
             check_positive(name, getattr(self, name))
         for name in ("ppo_weight", "bc_weight", "solved_weight", "target_noise"):
             check_not_negative(name, getattr(self, name))
-        if not isinstance(self.discriminator_steps, jax.core.Tracer) and np.any(
-            np.asarray(self.discriminator_steps) < 1
+        if not isinstance(self.discriminator_horizon, jax.core.Tracer) and np.any(
+            np.asarray(self.discriminator_horizon) < 1
         ):
-            raise ValueError(f"discriminator_steps is {self.discriminator_steps}; it must be at least 1")
-        std = self.action_std
+            raise ValueError(f"discriminator_horizon is {self.discriminator_horizon}; it must be at least 1")
+        std = self.exploration_noise
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
         if action_size is not None and shape not in ((), (action_size,)):
-            raise ValueError(f"action_std is {self.action_std}; it must be one number or {action_size}")
+            raise ValueError(f"exploration_noise is {self.exploration_noise}; it must be one number or {action_size}")
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
         if config is not None and not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(self)):
@@ -207,9 +207,9 @@ class Hyperparameters(struct.PyTreeNode):
 
 _SHARES = (
     *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
-    *("standardize_reward", "standardize_advantage", "standardize_observation", "random_actions", "target_rate"),
+    *("standardize_reward", "standardize_advantage", "standardize_observation", "epsilon", "tau"),
 )
 _POSITIVE = (
-    *("action_std", "final_action_std", "clip_ratio", "reward_scale"),
+    *("exploration_noise", "final_exploration_noise", "clip_ratio", "reward_scale"),
     *("policy_learning_rate", "discriminator_learning_rate"),
 )

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-_SMALL = ["--seeds", "2", "--num-envs", "16", "--iterations", "2", "--evaluation-episodes", "16"]
+_SMALL = ["--seeds", "2", "--num-envs", "16", "--rounds", "2", "--evaluation-episodes", "16"]
 TRAININGS = {
     "point": ["--task", "point"],
     "point, td3": ["--task", "point", "--learner", "td3"],
     "reach": ["--task", "reach"],
     "push, td3": ["--task", "push", "--learner", "td3"],
-    "stack, td3": ["--task", "stack", "--learner", "td3", "--seeds", "1", "--iterations", "1"],
+    "stack, td3": ["--task", "stack", "--learner", "td3", "--seeds", "1", "--rounds", "1"],
     "grasp with a history": ["--task", "grasp", "--randomize", "full-history", "--seeds", "1", "--num-envs", "64"],
 }
 """Options of `hgail train`, by the name that is printed."""

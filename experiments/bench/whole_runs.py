@@ -21,7 +21,7 @@ _SUCCESS_ELSE = 0.95
 
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _TRAIN = (sys.executable, "-m", "hgail_jax.cli.train")
-_QUICK = ("--num-envs", "4", "--seeds", "2", "--iterations", "1")
+_QUICK = ("--num-envs", "4", "--seeds", "2", "--rounds", "1")
 
 
 def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -38,7 +38,7 @@ def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple
       quick: take the smallest sizes.
 
     """
-    arguments = ["--task", task, "--iterations", "0", *(_QUICK if quick else ()), *options]
+    arguments = ["--task", task, "--rounds", "0", *(_QUICK if quick else ()), *options]
     with tempfile.TemporaryDirectory() as name:
         folder, measured = Path(name), dict[str, Any](task=task)
         for run, programs in (("first", "of-first"), ("cold", "of-others"), ("cached", "of-others")):

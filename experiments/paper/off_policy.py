@@ -26,7 +26,7 @@ _NUMBERS = Study(
         *(_change(f"p_ht {p_ht:g}", p_ht=p_ht) for p_ht in (0.5, 1.0)),
         _change("BC weight 0.1", bc_weight=0.1),
         _change("solved samples × 0.3", solved_weight=0.3),
-        _change("discriminator's goals any number of steps ahead", discriminator_steps=2**30),
+        _change("discriminator's goals any number of steps ahead", discriminator_horizon=2**30),
     ),
     curves=True,
 )

@@ -31,7 +31,7 @@ _METHODS = Study(
     "methods",
     (
         Setting(
-            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), with likelihood",
+            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), with BC",
             method="gail-demo",
             demonstrations=PAPER_DEMONSTRATIONS,
             paper=_GAIL_DEMO,
@@ -52,10 +52,10 @@ _METHODS = Study(
             paper={"reach": (".01 ± .01", ".62 ± .27"), "grasp": (".02 ± .02", "1.49 ± .04")},
         ),
         Setting("GCSL", method="gcsl"),
-        Setting("GAIL-demo (5), with likelihood", _VARIANTS, method="gail-demo", demonstrations=5),
-        Setting("GAIL-demo (100), with likelihood", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
+        Setting("GAIL-demo (5), with BC", _VARIANTS, method="gail-demo", demonstrations=5),
+        Setting("GAIL-demo (100), with BC", _VARIANTS, method="gail-demo", demonstrations=MOST_DEMONSTRATIONS),
         Setting(
-            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), no likelihood",
+            f"GAIL-demo ({PAPER_DEMONSTRATIONS}), no BC",
             _VARIANTS,
             method="gail-demo",
             config={"bc_batch": 0},
@@ -64,7 +64,7 @@ _METHODS = Study(
         ),
         *(
             Setting(
-                f"GAIL-demo ({PAPER_DEMONSTRATIONS}), likelihood × {weight:g}",
+                f"GAIL-demo ({PAPER_DEMONSTRATIONS}), BC × {weight:g}",
                 _VARIANTS,
                 method="gail-demo",
                 hyperparameters={"bc_weight": weight},
@@ -192,7 +192,7 @@ _PARTS = Study(
     (
         _part("HGAIL"),
         _part("without the adversary (GCSL and the same exploration)", ppo_weight=0.0),
-        _part("without likelihood (the paper's HGAIL)", bc_weight=0.0),
+        _part("without BC (the paper's HGAIL)", bc_weight=0.0),
         _part("PPO on the sparse reward, same starts and goals", environment_reward=1.0, bc_weight=0.0),
         _part("solved samples × 0.3", solved_weight=0.3),  # one of the two is the task's own
         _part("solved samples × 1", solved_weight=1.0),

@@ -21,7 +21,7 @@ def _second_change(name: str, config: dict[str, Any] | None = None, **hyperparam
 # 64 for the discriminator. Settings that differ in numbers alone are one program.
 _OF_NUMBERS = (
     _change("as they are"),
-    *(_change(f"σ {std:g}", action_std=std) for std in (0.1, 0.2, 0.3, 0.5)),
+    *(_change(f"σ {std:g}", exploration_noise=std) for std in (0.1, 0.2, 0.3, 0.5)),
     *(_change(f"policy's learning rate {rate:g}", policy_learning_rate=rate) for rate in (1e-4, 3e-4)),
     *(
         _change(f"discriminator's learning rate {rate:g}", discriminator_learning_rate=rate)
@@ -53,11 +53,11 @@ _OF_COUNTS = (
 )
 _SECOND = (
     _second_change("as they are"),
-    _second_change("σ 0.5", action_std=0.5),
-    _second_change("σ 0.3", action_std=0.3),
+    _second_change("σ 0.5", exploration_noise=0.5),
+    _second_change("σ 0.3", exploration_noise=0.3),
     _second_change("policy's learning rate 0.0003", policy_learning_rate=3e-4),
     _second_change("policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}),
-    _second_change("σ 0.3, policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}, action_std=0.3),
+    _second_change("σ 0.3, policy's learning rate shrinks to 0", {"final_learning_rate": 0.0}, exploration_noise=0.3),
 )
 _PAPER_SIZES = Study(
     "paper-sizes",
@@ -72,10 +72,10 @@ _PAPER_SIZES = Study(
 )
 _GAIL_DEMO_WEIGHT = Study(
     "gail-demo-weight",
-    "weights of GAIL-demo's likelihood",
+    "weights of GAIL-demo's BC",
     tuple(
         Setting(
-            f"likelihood × {weight:g}",
+            f"BC × {weight:g}",
             method="gail-demo",
             hyperparameters={"bc_weight": weight},
             demonstrations=PAPER_DEMONSTRATIONS,
@@ -99,7 +99,7 @@ def _grasp(episodes: int, rounds: int, hidden: int | None) -> tuple[Setting, ...
     sizes = {"num_envs": episodes, "rounds": rounds}
     panel = f"{episodes} episodes, {rounds} rounds" + (f", {hidden} wide" if hidden else "")
     return tuple(
-        Setting(f"likelihood × {weight:g}", panel, config=sizes | widths, hyperparameters={"bc_weight": weight})
+        Setting(f"BC × {weight:g}", panel, config=sizes | widths, hyperparameters={"bc_weight": weight})
         for weight in (0.3, 1.0, 3.0)
     )
 

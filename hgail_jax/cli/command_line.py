@@ -22,7 +22,7 @@ from hgail_jax.terminal.signals import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
-RENAMED = {"--likelihood": "--bc-weight"}
+RENAMED = {"--iterations": "--rounds", "--action-std": "--exploration-noise"}
 """New names of the options that still have their old name, for one release."""
 
 _STDERR = 2  # the last of the standard streams' descriptors
@@ -58,8 +58,8 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
 def with_new_names(words: Iterable[str]) -> list[str]:
     """Returns a command line's words with the new names of renamed options.
 
-    >>> with_new_names(["--likelihood=1", "--task", "reach"])
-    ['--bc-weight=1', '--task', 'reach']
+    >>> with_new_names(["--iterations=1", "--task", "reach"])
+    ['--rounds=1', '--task', 'reach']
     """
     options = (word.partition("=") for word in words)
     return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]

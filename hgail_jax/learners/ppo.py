@@ -159,7 +159,7 @@ class PPO(Learner):
     def policy_std(self, config: Config, state: TrainState) -> jax.Array:
         """Returns the policy's standard deviation after the gradient steps so far, `[]` or `[action_size]`."""
         hyper, count = state.hyperparameters, state.learner.optimizer[-1].count
-        return jnp.asarray(hyper.action_std) * self.decay_schedule(config, hyper.final_action_std)(count)
+        return jnp.asarray(hyper.exploration_noise) * self.decay_schedule(config, hyper.final_exploration_noise)(count)
 
     def fit_to_first(
         self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array

@@ -71,9 +71,7 @@ class TD3(Learner):
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
         "discriminator_accuracy": "fraction of samples that the discriminator tells right",
     }
-    hyperparameters: ClassVar[tuple[str, ...]] = (
-        *("random_actions", "target_rate", "target_noise", "discriminator_steps"),
-    )
+    hyperparameters: ClassVar[tuple[str, ...]] = (*("epsilon", "tau", "target_noise", "discriminator_horizon"),)
     without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
     squashes: ClassVar[bool] = True
 
@@ -137,12 +135,12 @@ class TD3(Learner):
         """See `Learner`; noise is Gaussian, and some actions are uniformly random, all of them before any update.
 
         The target actor acts, in roll-outs, in evaluations and in the exported policy: it is an average over the last
-        1 / target_rate gradient steps, and steadier than the actor.
+        1 / tau gradient steps, and steadier than the actor.
         """
         hyper = state.hyperparameters
-        decay = 1.0 + (hyper.final_action_std - 1.0) * self.progress(config, state)
-        std = noise * decay * jnp.asarray(hyper.action_std)
-        random = noise * jnp.where(state.learner.steps > 0, decay * hyper.random_actions, 1.0)
+        decay = 1.0 + (hyper.final_exploration_noise - 1.0) * self.progress(config, state)
+        std = noise * decay * jnp.asarray(hyper.exploration_noise)
+        random = noise * jnp.where(state.learner.steps > 0, decay * hyper.epsilon, 1.0)
         network = _actor_network(config, env.action_size)
 
         def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -243,7 +241,7 @@ def _update_discriminator(
             expert_rng,
             samples,
             jnp.where(hyper.p_ht > 0, 1.0, 0.0),
-            hyper.discriminator_steps,
+            hyper.discriminator_horizon,
         )
         expert = Samples(drawn.observation, drawn.action, drawn.weight)
     else:
@@ -293,7 +291,7 @@ class _Step:
         online = Networks(actor, critics)
         after = TD3State(
             online=online,
-            target=jax.tree.map(lambda kept, new: kept + hyper.target_rate * (new - kept), state.target, online),
+            target=jax.tree.map(lambda kept, new: kept + hyper.tau * (new - kept), state.target, online),
             optimizer=Networks(actor_optimizer, critics_optimizer),
             steps=state.steps + 1,
         )

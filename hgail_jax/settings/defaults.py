@@ -19,7 +19,7 @@ _REACH_SUBSTEPS = {"substeps": 4}
 
 # Neither noise on target actions nor many random ones: where a hit or a grasp must be exact, the critics have to tell
 # such actions from those beside them (docs/lab/off-policy.md).
-_EXACT: dict[str, Any] = {"target_noise": 0.0, "random_actions": 0.1}
+_EXACT: dict[str, Any] = {"target_noise": 0.0, "epsilon": 0.1}
 
 # Sixteen rounds are enough on a CPU (grasp-hgail-cpu-8: .995, worst .975), with a BC weight of 1. On a GPU runs of
 # 16 rounds leave a seed behind now and then (study grasp-sizes and suite/grasp-smaller-trainings), so 40 stay.
@@ -60,7 +60,7 @@ def _stacking(**sizes: dict[str, Any]) -> dict[str, Preset]:
     """
     shared = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
     changes = {platform: shared | own for platform, own in sizes.items()}
-    return td3(changes, OBJECT_SUBSTEPS, "her", target_rate=0.01, p_ht=0.6)
+    return td3(changes, OBJECT_SUBSTEPS, "her", tau=0.01, p_ht=0.6)
 
 
 def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
@@ -136,7 +136,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         "td3": td3(
             {"cpu": {"rounds": 15}, "gpu": {"rounds": 12}},
             OBJECT_SUBSTEPS,
-            on_cpu=_EXACT | {"environment_reward": 0.5, "target_rate": 0.01},
+            on_cpu=_EXACT | {"environment_reward": 0.5, "tau": 0.01},
             environment_reward=0.25,
         ),
         "ppo": _PPO_PICKING,
@@ -184,7 +184,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             OBJECT_SUBSTEPS | {"achieved": "passed"},
             "her",
             solved_weight=0.3,
-            final_action_std=0.1,
+            final_exploration_noise=0.1,
             **_EXACT,
         ),
         # The deviation shrinks from .2 to .2 × .075 = .015: a wide one finds the puck sooner, later noise in the hand's
@@ -198,8 +198,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
                 rounds=165,
                 hidden=256,
                 solved_weight=0.3,
-                action_std=0.2,
-                final_action_std=0.075,
+                exploration_noise=0.2,
+                final_exploration_noise=0.075,
                 bc_weight=0.03,
                 policy_learning_rate=2e-3,
             ),

@@ -44,7 +44,7 @@ PRESETS = {
             discriminator_minibatches=50,
             discriminator_batch=64,
         ),
-        Hyperparameters(action_std=1.0, policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
+        Hyperparameters(exploration_noise=1.0, policy_learning_rate=1e-3, discriminator_learning_rate=4e-4),
     ),
 }
 """`parallel` is the default: wide roll-outs and few, large updates. `paper` has the paper's sizes."""
@@ -80,7 +80,7 @@ def ppo_with_object(
     """
     widths = {} if hidden is None else wide(hidden, layers=2)
     shared: dict[str, Any] = {
-        "action_std": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
+        "exploration_noise": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
         "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/ppo.md, what was tried)
         "policy_learning_rate": 1e-3,
         "discriminator_learning_rate": 2e-4,  # at 1e-3 it wins against the policy: slide .34 for .56 (slide-deviation)
@@ -143,15 +143,15 @@ def td3(
     shared: dict[str, Any] = {
         "p_ht": 0.8,  # at 1, where the critics hardly see a goal that is missed, picking is not learnt
         "bc_weight": 0.0,
-        "action_std": 0.2,
+        "exploration_noise": 0.2,
         # fewer random actions and less noise on target actions than HER and TD3 have, .3 and .2: pick and place
         # reaches .95 after 198 k steps instead of 326 k
-        "random_actions": 0.2,
+        "epsilon": 0.2,
         "target_noise": 0.1,
         "policy_learning_rate": 1e-3,  # at half of it push and picking are learnt later
-        "target_rate": 0.02,  # at .01 push learns later, at .05 picking does not learn sooner
+        "tau": 0.02,  # at .01 push learns later, at .05 picking does not learn sooner
         "discriminator_learning_rate": 1e-3,  # at 3e-4 picking without the goal test has .81 for .93
-        "discriminator_steps": 1,  # a learned goal test, to which the critics add the horizon; see docs/off-policy.md
+        "discriminator_horizon": 1,  # a learned goal test, to which the critics add the horizon; see docs/off-policy.md
     }
     presets = {}
     for platform, (usual, learner) in _TD3_SIZES.items():

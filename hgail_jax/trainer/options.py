@@ -59,7 +59,7 @@ class TrainOptions:
     """The first seed; the others count up from it."""
     num_envs: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Environments per seed, that is episodes per roll-out."""
-    iterations: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
+    rounds: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds of the adversarial training. 0 leaves the pre-training alone."""
     preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
     pretrain: bool = True
@@ -81,7 +81,7 @@ class TrainOptions:
     bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the behaviour-cloning (BC) loss in the policy's updates, 0 for the paper's: PPO clones expert samples,
     TD3 actions of the buffer that its critics prefer."""
-    action_std: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
+    exploration_noise: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
     """Standard deviation of the policy, one number or one for each of the action's."""
     devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
     """Devices to spread seeds, and then environments, over."""
@@ -152,12 +152,12 @@ def task_defaults(
         "method": chosen,
         "learner": config.learner.name,
         "num_envs": config.num_envs,
-        "iterations": config.rounds,
+        "rounds": config.rounds,
         **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
         "p_ht": hyperparameters.p_ht,
         "environment_reward": hyperparameters.environment_reward,
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
-        "action_std": " ".join(map(str, np.ravel(hyperparameters.action_std))),
+        "exploration_noise": " ".join(map(str, np.ravel(hyperparameters.exploration_noise))),
     }
     return {name: value for name, value in values.items() if name not in METHODS[chosen].without_effect}
 
@@ -214,8 +214,8 @@ def _check(options: TrainOptions) -> None:
     check_count("checkpoint_every", options.checkpoint_every)
     if options.evaluate_every is not None:
         check_count("evaluate_every", options.evaluate_every)
-    if options.iterations is not None:
-        check_count("iterations", options.iterations, least=0)
+    if options.rounds is not None:
+        check_count("rounds", options.rounds, least=0)
     if options.evaluation_episodes is not None:
         check_count("evaluation_episodes", options.evaluation_episodes)
     check_name("strategy", options.strategy, STRATEGIES)
@@ -240,17 +240,17 @@ def _refuse_without_effect(options: TrainOptions, method: str, learner: str) -> 
 
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     """Returns a method's preset with the sizes and hyperparameters that are given."""
-    sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.iterations}
+    sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.rounds}
     if not options.pretrain:
         sizes["pretrain"] = False
     if options.bc_weight is not None:
         sizes["learner"] = preset.config.learner.with_bc(options.bc_weight)
-    std = options.action_std
+    std = options.exploration_noise
     scalars = {
         "p_ht": options.p_ht,
         "environment_reward": options.environment_reward,
         "bc_weight": options.bc_weight,
-        "action_std": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
+        "exploration_noise": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
         "strategy": STRATEGIES[options.strategy],
         "reward": REWARDS[options.reward],
         "standardize_reward": options.standardize_reward,

@@ -26,8 +26,8 @@ COUNTS = {
 }
 SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
 POSITIVE = (
-    "action_std",
-    "final_action_std",
+    "exploration_noise",
+    "final_exploration_noise",
     "clip_ratio",
     "reward_scale",
     "policy_learning_rate",
@@ -111,7 +111,10 @@ def test_good_values_are_taken(learner, draw, share, positive, widths):
     own = {name: changes.get(name, value) for name, value in before.pop("learner").items()}
     expected = {name: changes.get(name, value) for name, value in before.items()} | {"learner": own}
     assert Config(learner=learner()).replace(**changes).as_dict() == expected
-    for good in (Hyperparameters(p_ht=share), Hyperparameters(action_std=positive, reward=3, include_current=True)):
+    for good in (
+        Hyperparameters(p_ht=share),
+        Hyperparameters(exploration_noise=positive, reward=3, include_current=True),
+    ):
         assert good.validate() is good
 
 

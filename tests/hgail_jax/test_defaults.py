@@ -63,7 +63,7 @@ def test_a_task_changes_the_default_preset_and_no_other():
     grasp = hgail_envs.find_class("grasp")
     changed = task_preset(grasp, "cpu")
     assert changed.config.learner.bc_batch == 2048
-    assert changed.hyperparameters.action_std == (0.2, 0.2, 0.2, 0.5)
+    assert changed.hyperparameters.exploration_noise == (0.2, 0.2, 0.2, 0.5)
     assert changed.config.discriminator_minibatches == PRESETS["parallel"].config.discriminator_minibatches
     paper = task_preset(grasp, "cpu", "paper")
     assert (paper.config, paper.hyperparameters) == (PRESETS["paper"].config, PRESETS["paper"].hyperparameters)
@@ -161,5 +161,5 @@ def test_the_paper_s_sizes_are_those_it_tells():
     assert (config.num_envs * 50 / ppo.minibatches, config.discriminator_batch) == (128, 64)
     numbers = PRESETS["paper"].hyperparameters
     assert (numbers.policy_learning_rate, numbers.discriminator_learning_rate) == (1e-3, 4e-4)
-    assert numbers.action_std == 1.0
+    assert numbers.exploration_noise == 1.0
     assert set(AS_WRITTEN) == {"policy_phases"}  # the one departure

@@ -93,7 +93,7 @@ def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, bc_batch):
     if method == "ppo":
         assert metrics.evaluation.success[0] < 0.3
         assert (np.diff(metrics.evaluation.success[[1, 3, -1]]) >= 0).all()
-    else:  # pre-training or cloning beside PPO has raised the likelihood of the actions that led to a goal
+    else:  # pre-training or cloning beside PPO has raised the probability of the actions that led to a goal
         assert metrics.update["bc_loss"][0] < 0.5
 
 

@@ -20,7 +20,7 @@ HYPER = Hyperparameters()
 
 
 def test_a_sweep_starts_every_setting_with_every_seed():
-    settings = [HYPER, HYPER.replace(p_ht=0.2, strategy=1), HYPER.replace(action_std=0.7, reward=2)]
+    settings = [HYPER, HYPER.replace(p_ht=0.2, strategy=1), HYPER.replace(exploration_noise=0.7, reward=2)]
     keys = seed_keys(3, 2)
     swept = split_sweep(init_sweep(ENV, TINY, settings, keys), 3)
     start = jax.jit(functools.partial(init_state, ENV, TINY))

@@ -159,9 +159,9 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
 
 def test_evaluations_are_of_the_mean_action_and_training_has_noise():
     """Either is the roll-out that its key and its noise give alone."""
-    state = start(0, action_std=1.0)
+    state = start(0, exploration_noise=1.0)
     keys = split_key(state.rng)
-    wide = functools.partial(start, 0, action_std=1.0)  # anew for each round, which uses its key
+    wide = functools.partial(start, 0, exploration_noise=1.0)  # anew for each round, which uses its key
 
     @jax.jit
     def alone(rng, noise):
@@ -272,7 +272,9 @@ EIGHT = TINY.replace(num_envs=8, bc_batch=16, best_episodes=12)
 
 
 def start_wide(config):
-    return jax.jit(functools.partial(init_state, ENV, config))(Hyperparameters(action_std=1.0), jax.random.key(0))
+    return jax.jit(functools.partial(init_state, ENV, config))(
+        Hyperparameters(exploration_noise=1.0), jax.random.key(0)
+    )
 
 
 @functools.cache
@@ -325,7 +327,7 @@ def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source)
 def test_programs_are_traced_where_ranks_and_types_must_not_be_promoted(options):
     """As under JAX_NUMPY_RANK_PROMOTION=raise and JAX_NUMPY_DTYPE_PROMOTION=strict."""
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
-        run = plan(TrainOptions(seeds=2, num_envs=4, iterations=1, **options), "cpu")
+        run = plan(TrainOptions(seeds=2, num_envs=4, rounds=1, **options), "cpu")
         program = run.program()
         states = jax.eval_shape(program.init)
         one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], program.init()))

@@ -453,15 +453,15 @@ def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
-def test_likelihoods_are_weighed_as_their_names_say(task):
+def test_bc_is_weighed_as_their_names_say(task):
     trials = {trial.setting.name: trial for trial in trials_of(BY_NAME["table1"], task)}
-    weights = {"with likelihood": 1.0, "likelihood × 3": 3.0, "likelihood × 10": 10.0}
+    weights = {"with BC": 1.0, "BC × 3": 3.0, "BC × 10": 10.0}
     for name, weight in weights.items():
         trial = trials[f"GAIL-demo (20), {name}"]
         assert (trial.method, trial.setting.demonstrations) == ("gail-demo", 20)
         assert float(trial.hyperparameters.bc_weight) == weight
         assert trial.config.learner.bc_batch > 0
-    assert trials["GAIL-demo (20), no likelihood"].config.learner.bc_batch == 0
+    assert trials["GAIL-demo (20), no BC"].config.learner.bc_batch == 0
 
 
 def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
@@ -486,7 +486,7 @@ def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
         changes.pop("pretrain", None)
         assert len(changes) <= 2 or trial.setting.name == "raw rewards and advantages"
         assert trial.config.learner.policy_phases == changes.get("policy_phases", 16)
-        assert float(trial.hyperparameters.action_std) == changes.get("action_std", 1.0)
+        assert float(trial.hyperparameters.exploration_noise) == changes.get("exploration_noise", 1.0)
         assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
         samples = trial.config.num_envs * 50 // trial.config.learner.minibatches
         assert samples == pytest.approx(128, abs=6) or set(changes) <= {"epochs", "minibatches"}
@@ -501,7 +501,7 @@ def test_sizes_of_grasp_are_those_that_their_names_tell():
         sizes = f"{trial.config.num_envs} episodes, {trial.config.rounds} rounds"
         wide = trial.config.policy_hidden == trial.config.discriminator_hidden == (256, 256)
         assert trial.setting.panel == sizes + (", 256 wide" if wide else "")
-        assert trial.setting.name == f"likelihood × {float(trial.hyperparameters.bc_weight):g}"
+        assert trial.setting.name == f"BC × {float(trial.hyperparameters.bc_weight):g}"
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():

@@ -54,7 +54,7 @@ def bad(option, values):
 
 bad_arguments = st.one_of(
     *(bad(option, outside(1, MOST) | no_number(int)) for option in ("--seeds", "--num-envs", "--checkpoint-every")),
-    bad("--iterations", outside(0, MOST) | no_number(int)),
+    bad("--rounds", outside(0, MOST) | no_number(int)),
     bad("--first-seed", outside(0, 2**31 - 2) | no_number(int)),
     bad("--substeps", outside(4, 20) | no_number(int)),
     bad("--p-ht", st.floats().filter(lambda share: not 0.0 <= share <= 1.0).map(str) | no_number(float)),

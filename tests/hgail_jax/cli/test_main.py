@@ -155,7 +155,7 @@ main(sys.argv[1:])
     [("2>&-", "success ", ""), (">&-", "", "compiling "), ("<&- >&- 2>&-", "", "")],
 )
 def test_a_training_needs_no_standard_streams(tmp_path, closed, out, err):
-    words = [sys.executable, "-c", A_COMMAND, "train", "--task", "point", "--seeds", "1", "--iterations", "1"]
+    words = [sys.executable, "-c", A_COMMAND, "train", "--task", "point", "--seeds", "1", "--rounds", "1"]
     environment = os.environ | {"PYTHONPATH": SOURCES}
     line = f"{shlex.join(words)} {closed}"
     done = subprocess.run(line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
@@ -205,9 +205,9 @@ def test_a_user_without_a_home_folder_has_help(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "numbers"),
     [
-        (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--action-std 0.2 0.2 0.2 0.5"]),
+        (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--exploration-noise 0.2 0.2 0.2 0.5"]),
         (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
-        (["--preset", "paper"], ["reach", "--action-std 1.0"]),
+        (["--preset", "paper"], ["reach", "--exploration-noise 1.0"]),
     ],
 )
 def test_help_has_the_numbers_of_the_task(capsys, prepared, arguments, numbers):

@@ -20,7 +20,7 @@ from hgail_jax.trainer.options import plan
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.support import compile_once, make_runs_tiny
 
-TINY = ["--seeds", "2", "--num-envs", "2", "--iterations", "1"]
+TINY = ["--seeds", "2", "--num-envs", "2", "--rounds", "1"]
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--task", "poke"], "unknown task 'poke'; choose from point, reach"),
         (["--seeds", "-1"], "seeds is -1; it must be at least 1"),
         (["--num-envs", "-4"], "num_envs is -4; it must be at least 1"),
-        (["--iterations", "-1"], "iterations is -1; it must be at least 0"),
+        (["--rounds", "-1"], "rounds is -1; it must be at least 0"),
         (["--p-ht", "1.5"], "p_ht is 1.5; it must be from 0 to 1"),
         (["--method", "ppo", "--p-ht", "0.5"], "--p-ht changes nothing for the method ppo"),
         (
@@ -148,8 +148,8 @@ def test_folders_are_numbered(in_folder, monkeypatch):
             "with which the discriminator has no say: that is the method her; it must be below 1",
         ),
         (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),
-        (["--action-std", "0"], "action_std is 0.0; it must be positive"),
-        (["--action-std", "1", "2"], "action_std is (1.0, 2.0); it must be one number or 4"),
+        (["--exploration-noise", "0"], "exploration_noise is 0.0; it must be positive"),
+        (["--exploration-noise", "1", "2"], "exploration_noise is (1.0, 2.0); it must be one number or 4"),
         (["--task-options", "height"], "task option 'height' is not name=value"),
         (["--task-options", "height=[1]"], "task option 'height=[1]' is not name=value"),
         (["--task-options", "height=very tall"], "task option 'height=very tall' is not name=value"),
@@ -226,7 +226,7 @@ HANDED_ON = {
     "seeds": (3, lambda run: run.program().seeds),
     "first_seed": (7, lambda run: run.program().first_seed),
     "num_envs": (6, lambda run: run.program().config.num_envs),
-    "iterations": (5, lambda run: run.program().config.rounds),
+    "rounds": (5, lambda run: run.program().config.rounds),
     "pretrain": (False, lambda run: run.config.learner.pretrain),
     "impl": ("jax", lambda run: run.env.impl),
     "substeps": (7, lambda run: run.env.substeps),
@@ -238,7 +238,7 @@ HANDED_ON = {
     "standardize_reward": (False, lambda run: run.hyperparameters.standardize_reward),
     "environment_reward": (0.75, lambda run: run.hyperparameters.environment_reward),
     "bc_weight": (0.125, lambda run: run.hyperparameters.bc_weight),
-    "action_std": ((0.5,), lambda run: (run.hyperparameters.action_std,)),
+    "exploration_noise": ((0.5,), lambda run: (run.hyperparameters.exploration_noise,)),
     "checkpoint_every": (4, lambda run: run.checkpoint_every),
     "evaluate_every": (3, lambda run: run.program().evaluate_every),
     "evaluation_episodes": (9, lambda run: run.evaluation_episodes),
@@ -295,7 +295,7 @@ def test_options_of_several_processes_are_handed_on(in_folder, capsys, monkeypat
 def test_a_run_promotes_no_ranks_or_types(in_folder):
     """Under settings that forbid it, up to its policies and its curves."""
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
-        run.main(["--task", "point", "--seeds", "1", "--num-envs", "3", "--iterations", "1", "--out", "run"])
+        run.main(["--task", "point", "--seeds", "1", "--num-envs", "3", "--rounds", "1", "--out", "run"])
     assert json.loads(Path("run/summary.json").read_text())["diverged_seeds"] == []
     assert load_policy("run/policies/seed-0.npz")(np.zeros((2, 6))).shape == (2, 3)
 
@@ -312,10 +312,10 @@ def test_an_option_by_its_old_name_is_taken_with_a_line(in_folder, capsys, monke
     planned = []
     monkeypatch.setattr(run, "plan", lambda options, platform: planned.append(options) or plan(options, platform))
     monkeypatch.setattr(run, "train_run", lambda *_: None)
-    run.main(["--task", "point", "--likelihood", "0.5", "--out", "run"])
+    run.main(["--task", "point", "--iterations", "1", "--out", "run"])
     assert planned[0].bc_weight == 0.5
     shown = capsys.readouterr()
-    assert shown.err == "hgail train: --likelihood is --bc-weight now; the old name goes with the next release\n"
+    assert shown.err == "hgail train: --iterations is --rounds now; the old name goes with the next release\n"
     assert shown.out.endswith("train --task point --bc-weight 0.5 --resume run\n")
 
 
@@ -334,7 +334,7 @@ def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     with pytest.raises(SystemExit):
         run.main(["--task", "point", "--method", "ppo", "--help"])
     (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --method " in line]
-    assert "--action-std" in line and "--p-ht" not in line and "--bc-weight" not in line
+    assert "--exploration-noise" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 
 def test_help_tells_the_settings_of_randomised_episodes(capsys):
@@ -392,7 +392,10 @@ def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_fold
         ([], ["--resume", "my run"]),
         (["--seeds", "2", "--out", "my run", "--no-pretrain"], ["--seeds", "2", "--no-pretrain", "--resume", "my run"]),
         (["--out=other", "--task-options", "a=1", "b=2"], ["--task-options", "a=1", "b=2", "--resume", "my run"]),
-        (["--resume", "auto", "--action-std", "1", "2"], ["--action-std", "1", "2", "--resume", "my run"]),
+        (
+            ["--resume", "auto", "--exploration-noise", "1", "2"],
+            ["--exploration-noise", "1", "2", "--resume", "my run"],
+        ),
         (["--resume=auto"], ["--resume", "my run"]),
     ],
 )
@@ -428,7 +431,7 @@ def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
 def test_a_stopped_run_says_how_far_it_is(saved, said):
     checkpoints = Checkpoints("checkpoints", {})
     checkpoints.saved = saved
-    stopped = plan(TrainOptions(task="point", iterations=4), "cpu")
+    stopped = plan(TrainOptions(task="point", rounds=4), "cpu")
     assert run._stopped(stopped, RunFolder(Path("run"), checkpoints, None)) == said
 
 

@@ -21,7 +21,7 @@ JOB = 4096 * 7 + os.getpid() % 4096
 
 
 def start(folder, *arguments, task="point", rounds=1, variables=None):
-    command = [sys.executable, "-c", TINY_RUN, *SIZES, "--task", task, "--iterations", str(rounds)]
+    command = [sys.executable, "-c", TINY_RUN, *SIZES, "--task", task, "--rounds", str(rounds)]
     command += [*(() if "--resume" in arguments else ("--out", str(folder))), *arguments]
     quickly = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
     environment = os.environ | {"PYTHONPATH": SOURCES, "XLA_FLAGS": quickly} | (variables or {})
@@ -65,7 +65,7 @@ def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypa
     assert [process.returncode for process in pair] == [0, 0]
     assert b"success" in output[0] and b"success" not in output[1]
     make_runs_tiny(monkeypatch)
-    options = ["--task", "point", "--learner", learner, *SIZES, "--iterations", "1"]
+    options = ["--task", "point", "--learner", learner, *SIZES, "--rounds", "1"]
     train.main([*options, "--out", str(tmp_path / "single")])
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)

@@ -96,7 +96,9 @@ CONFIG = Config(
     policy_hidden=(6, 5),
     discriminator_hidden=(7,),
 )
-HYPER = Hyperparameters(action_std=jnp.array([0.3, 0.6]), policy_learning_rate=1e-2, discriminator_learning_rate=1e-2)
+HYPER = Hyperparameters(
+    exploration_noise=jnp.array([0.3, 0.6]), policy_learning_rate=1e-2, discriminator_learning_rate=1e-2
+)
 DEMONSTRATION = Samples(
     jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
 )
@@ -277,8 +279,8 @@ def test_networks_start_apart_and_the_state_holds_what_it_is_given():
     assert not np.array_equal(jax.random.key_data(state.rng), jax.random.key_data(jax.random.key(0)))
     given = init(CONFIG.replace(expert_source=DEMONSTRATIONS), HYPER, jax.random.key(0), DEMONSTRATION)
     assert_close(given.expert, DEMONSTRATION)
-    with pytest.raises(ValueError, match=r"action_std is .* it must be one number or 2"):
-        init_state(ENV, CONFIG, HYPER.replace(action_std=(0.1, 0.2, 0.3)), jax.random.key(0))
+    with pytest.raises(ValueError, match=r"exploration_noise is .* it must be one number or 2"):
+        init_state(ENV, CONFIG, HYPER.replace(exploration_noise=(0.1, 0.2, 0.3)), jax.random.key(0))
 
 
 def test_keys_of_a_state_are_all_different():
@@ -499,7 +501,7 @@ def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_clo
 def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretraining):
     """A roll-out acts by the deviations that its update then takes its log-probabilities by."""
     config = WITH_CLONING.replace(epochs=1, pretrain=pretraining)
-    state, given = make_state(config, demonstrations=DEMONSTRATION, final_action_std=final), a_trajectory(VALID)
+    state, given = make_state(config, demonstrations=DEMONSTRATION, final_exploration_noise=final), a_trajectory(VALID)
     before, rounds = 4 if pretraining else 0, 2  # gradient steps
     for steps in range(before + rounds + 2):
         std = np.array([0.3, 0.6]) * np.interp(steps, [before, before + rounds], [1.0, final])
@@ -656,7 +658,7 @@ def mean_policy(state):
 
 def broad(state, **changes):
     """With so wide a policy that its noise alone decides, and breaks some episodes down."""
-    hyper = jax.tree.map(jnp.asarray, HYPER.replace(action_std=jnp.array([0.8, 50.0]), **changes))
+    hyper = jax.tree.map(jnp.asarray, HYPER.replace(exploration_noise=jnp.array([0.8, 50.0]), **changes))
     return state.replace(hyperparameters=hyper)
 
 

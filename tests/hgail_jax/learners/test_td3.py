@@ -74,13 +74,13 @@ CONFIG = Config(
 )
 HYPER = Hyperparameters(
     p_ht=0.6,
-    action_std=jnp.array([0.3, 0.05]),
+    exploration_noise=jnp.array([0.3, 0.05]),
     discount=0.4,
     bc_weight=0.7,
     environment_reward=0.4,
-    target_rate=0.3,
+    tau=0.3,
     target_noise=0.4,
-    discriminator_steps=2,
+    discriminator_horizon=2,
     policy_learning_rate=1e-2,
     discriminator_learning_rate=1e-2,
 )
@@ -368,7 +368,7 @@ def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
 
 @pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
 def test_actions_are_the_actor_s_from_the_first_gradient_step_on(steps, random):
-    state = make_state(steps=steps, random_actions=0.0, action_std=1e-6)
+    state = make_state(steps=steps, epsilon=0.0, exploration_noise=1e-6)
     observation = jnp.ones((500, ENV.observation_size))
     explored, mean = (np.asarray(act(state, observation, noise)[0]) for noise in (1.0, 0.0))
     assert (np.abs(explored - mean).max() > 0.1) == random
@@ -437,7 +437,7 @@ def test_without_noise_the_target_actor_acts():
 
 
 def test_before_the_first_update_all_actions_are_random():
-    action = np.asarray(act(make_state(steps=0, random_actions=0.0), OBSERVATION, 1.0)[0])
+    action = np.asarray(act(make_state(steps=0, epsilon=0.0), OBSERVATION, 1.0)[0])
     for column in action.T:
         assert kstest(column, "uniform", (-1, 2)).pvalue > UNLIKELY
     assert abs(np.corrcoef(action.T)[0, 1]) < 0.06
@@ -447,7 +447,7 @@ def test_before_the_first_update_all_actions_are_random():
 @pytest.mark.parametrize(("steps", "decay"), [(2, 0.8), (4, 0.6), (8, 0.2), (50, 0.2)])
 def test_deviations_and_random_actions_shrink_over_the_run(steps, decay):
     std = jnp.array([0.03, 0.005])
-    state = make_state(steps=steps, action_std=std, final_action_std=0.2, random_actions=0.3)
+    state = make_state(steps=steps, exploration_noise=std, final_exploration_noise=0.2, epsilon=0.3)
     action, mean = np.asarray(act(state, OBSERVATION, 1.0)[0]), mean_of(state)
     assert np.abs(action).max() <= 1.0
     deviation = (action - mean) / std / decay
@@ -460,7 +460,7 @@ def test_deviations_and_random_actions_shrink_over_the_run(steps, decay):
 
 
 def test_actions_are_clipped_to_the_range_of_the_environment():
-    action = np.asarray(act(make_state(action_std=5.0, random_actions=0.0), OBSERVATION, 1.0)[0])
+    action = np.asarray(act(make_state(exploration_noise=5.0, epsilon=0.0), OBSERVATION, 1.0)[0])
     assert np.abs(action).max() == 1.0
     assert (np.abs(action) == 1.0).mean() > 0.5
 
@@ -488,7 +488,7 @@ class Short(Plane):
 def test_hindsight_solves_a_line_by_the_discriminator_alone_and_by_the_goal_test(method):
     sizes = TD3(rollouts=4, updates=32, batch=128, buffer_episodes=1024)
     config = Config(sizes, num_envs=32, rounds=3, policy_hidden=(32, 32), discriminator_hidden=(32, 32))
-    usual = DEFAULTS["point"]["td3"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, target_rate=0.05)
+    usual = DEFAULTS["point"]["td3"]["cpu"].hyperparameters.replace(policy_learning_rate=3e-3, tau=0.05)
     preset = Preset(config.replace(discriminator_minibatches=16, discriminator_batch=128, layer_norm=True), usual)
     preset = METHODS[method].apply(preset)
     states = init_sweep(Short(), preset.config, [preset.hyperparameters], seed_keys(0, 1))
@@ -518,7 +518,7 @@ def test_a_run_that_was_interrupted_ends_as_one_that_was_not(tmp_path, monkeypat
     compile_once(monkeypatch)
     monkeypatch.chdir(tmp_path)
     tiny = CONFIG.replace(updates=4, batch=16, policy_hidden=(8,))
-    monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": Preset(tiny, HYPER.replace(action_std=0.2))})
+    monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": Preset(tiny, HYPER.replace(exploration_noise=0.2))})
     monkeypatch.setattr(training, "_MOST_OF_SAVING", 1.0)  # so that each round is saved, fast as these are
     start("--learner", "td3", "--out", "whole")
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crash"):

@@ -27,7 +27,7 @@ from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.hgail_jax.trainer.test_trainer import After
 from tests.support import compile_once, make_runs_tiny
 
-SMALL = TrainOptions(task="point", seeds=2, num_envs=4, iterations=4)  # as `test_resume` has it
+SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)  # as `test_resume` has it
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,7 @@ from hgail_jax.io.policy import save_policy
 from tests.support import compile_once, make_runs_tiny
 
 SMALL = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
-SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--iterations", "1", "--out", "run"]
+SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--rounds", "1", "--out", "run"]
 
 
 @pytest.fixture(autouse=True)
@@ -80,7 +80,7 @@ def test_a_run_of_an_earlier_release_goes_on_under_the_same_sizes_alone(monkeypa
 
 
 def test_a_plain_run_is_what_it_was():
-    plain = Trainer(task="point", seeds=2, num_envs=4, iterations=1)
+    plain = Trainer(task="point", seeds=2, num_envs=4, rounds=1)
     assert set(plain.run.identity()["physics"]) == {"impl", "substeps"}
     assert type(plain.run.env) is Point
 

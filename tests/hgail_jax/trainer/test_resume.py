@@ -45,7 +45,7 @@ def demonstrations(tmp_path_factory):
 
 
 def start(*arguments, method="hgail"):
-    size = ["--seeds", "2", "--num-envs", "4", "--iterations", str(ROUNDS)]
+    size = ["--seeds", "2", "--num-envs", "4", "--rounds", str(ROUNDS)]
     run.main(["--task", "point", "--method", method, *size, *arguments])
 
 
@@ -254,7 +254,7 @@ def test_a_folder_is_trained_in_by_one_process_at_a_time(capsys, complete):
     ("arguments", "message"),
     [
         (["--num-envs", "8"], "config.num_envs is 4 there and 8 here"),
-        (["--iterations", "8"], "config.rounds is 4 there and 8 here"),
+        (["--rounds", "8"], "config.rounds is 4 there and 8 here"),
         (["--seeds", "3"], "seeds is 2 there and 3 here"),
         (["--first-seed", "1"], "first_seed is 0 there and 1 here"),
         (["--method", "ppo"], "method is hgail there and ppo here"),
@@ -381,7 +381,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     In reach C MuJoCo's threads are among what is killed.
     """
     rounds, moments = 160, random.Random(0)
-    size = ["--task", task, "--seeds", "2", "--num-envs", "2", "--iterations", str(rounds)]
+    size = ["--task", task, "--seeds", "2", "--num-envs", "2", "--rounds", str(rounds)]
     command = [sys.executable, "-c", TINY_RUN, *size, *(["--impl", "c"] if task == "reach" else [])]
 
     def launch(*arguments):

@@ -21,7 +21,7 @@ from hgail_jax.trainer.options import plan
 from tests.hgail_jax.trainer.test_checkpoint import arrays_of, saved_in
 from tests.support import compile_once, make_runs_tiny
 
-SMALL = TrainOptions(task="point", seeds=2, num_envs=4, iterations=4)  # as `test_resume` has it
+SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)  # as `test_resume` has it
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +51,7 @@ def test_a_run_has_no_number_that_is_none(monkeypatch, learner):
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8)
     preset = Preset(Config(num_envs=4, rounds=1, learner=few, policy_hidden=(8,), discriminator_minibatches=1))
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": preset})
-    options = dataclasses.replace(SMALL, seeds=1, iterations=1, learner=learner)
+    options = dataclasses.replace(SMALL, seeds=1, rounds=1, learner=learner)
     with jax.debug_nans(True):
         assert Trainer(options, out=Path("run")).train()["diverged_seeds"] == []
         with pytest.raises(FloatingPointError):
