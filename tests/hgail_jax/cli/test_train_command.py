@@ -313,10 +313,10 @@ def test_an_option_by_its_old_name_is_taken_with_a_line(in_folder, capsys, monke
     monkeypatch.setattr(run, "plan", lambda options, platform: planned.append(options) or plan(options, platform))
     monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main(["--task", "point", "--iterations", "1", "--out", "run"])
-    assert planned[0].bc_weight == 0.5
+    assert planned[0].rounds == 1
     shown = capsys.readouterr()
     assert shown.err == "hgail train: --iterations is --rounds now; the old name goes with the next release\n"
-    assert shown.out.endswith("train --task point --bc-weight 0.5 --resume run\n")
+    assert shown.out.endswith("train --task point --rounds 1 --resume run\n")
 
 
 def test_every_option_has_a_help_line(capsys):
