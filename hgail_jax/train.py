@@ -161,7 +161,7 @@ def check_metrics(metrics: RoundMetrics) -> None:
     Raises:
       OverflowError: the simulation ran out of room for contacts.
       FloatingPointError: each seed had an update in the round that was not finite, or no episode whose simulation did
-        not break down. Where a seed is sound the others go on: their updates were undone and are counted in
+        not break down. Where a seed is sound the others continue: their updates were undone and are counted in
         `metrics.diverged`, or they learnt nothing, see `metrics.dropped`.
 
     """

@@ -1,4 +1,4 @@
-"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of one's own.
+"""Goal-reaching tasks in JAX: the Fetch scenes on MJX, and the interface for a task of your own.
 
 To import it changes nothing in the process, and to make a task does not start JAX.
 """

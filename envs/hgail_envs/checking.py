@@ -1,4 +1,4 @@
-"""Checks a task of one's own against the interface, method by method, before anything is compiled for it."""
+"""Checks a user's task against the interface, method by method, before anything is compiled for it."""
 
 import inspect
 import math
@@ -32,7 +32,7 @@ _Shapes = Any
 
 
 def check_task(env: GoalEnv) -> None:
-    """Checks a task against the interface that the learner relies on, e.g. in a test of one's own task.
+    """Checks a task against the interface that the learner relies on, e.g. in a test of a user's task.
 
     Each method is traced alone, so that the message names the method with the mistake, and then two environments are
     reset and take one step.

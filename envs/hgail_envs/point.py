@@ -1,4 +1,4 @@
-"""A task of one's own in a few lines: a point in space that must reach another."""
+"""A complete task in a few lines: a point in space that must reach another."""
 
 from collections.abc import Mapping
 from typing import ClassVar

@@ -49,7 +49,7 @@ def make(task: str, **options: Any) -> GoalEnv:
     """Makes a task.
 
     Args:
-      task: a name in `TASKS`, or `"module:Class"` for a task of one's own.
+      task: a name in `TASKS`, or `"module:Class"` for a user's task.
       **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
 
     Raises:

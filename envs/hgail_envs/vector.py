@@ -49,7 +49,7 @@ class GoalVectorEnv(VectorEnv):
 
     Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
     episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
-    a seed goes on with the next episode.
+    a seed continues with the next episode.
 
     Args:
       env: the task.

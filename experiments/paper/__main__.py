@@ -127,14 +127,14 @@ def main(arguments: list[str] | None = None) -> None:
             with stop_on_signal() as stop:
                 carry_out(unfinished, stop)
             if stop.is_set():
-                print("stopped; the same command goes on")
+                print("stopped; the same command resumes")
                 return
             for study in works[0].studies if len(works) > 1 else ():
                 write_means_over_tasks(folder, [work.task for work in works], study)
             for work in works if options.sweep else ():
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:
-            fail(_PROGRAM, f"stopped: {error}; the same command goes on", 1)
+            fail(_PROGRAM, f"stopped: {error}; the same command resumes", 1)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from hgail_envs.randomization import Randomization
 
 
 def tracks_cube(policy: MeanAction) -> bool:
-    """Returns whether a policy is told at each step where the cube is; see `hgail_envs.fetch.grasp.Grasp`."""
+    """Returns whether a policy observes the cube at each step; see `hgail_envs.fetch.grasp.Grasp`."""
     return getattr(policy, "task_options", {}).get("cube") == "tracked"
 
 

@@ -41,7 +41,7 @@ def parts(source: str, robots: Iterable[str], tasks: Iterable[str]) -> list[tupl
 
 
 def _cube(policy: Path, task: str) -> str | None:
-    """Returns what a policy of grasp is told of the cube, a name in `CUBES`; None of another task."""
+    """Returns how a policy of grasp observes the cube, a name in `CUBES`; None of another task."""
     return load(policy, task).task_options.get("cube", CUBES[0]) if task == "grasp" else None
 
 

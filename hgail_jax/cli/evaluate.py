@@ -17,7 +17,7 @@ from hgail_envs.past import Past
 from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, randomization, told
+from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, randomization
 from hgail_jax.evaluate import Evaluation
 from hgail_jax.io.files import from_here
 from hgail_jax.io.provenance import installed
@@ -76,7 +76,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(_report(task, engine, options, policies[0][1], rows), indent=2))
         return
     for (path, policy), row in zip(policies, rows, strict=True):
-        print(told(path, policy, "none" if options.reference else options.randomize) + f", engine {engine}")
+        print(describe_policy(path, policy, "none" if options.reference else options.randomize) + f", engine {engine}")
         print(_text(row))
     if len(rows) > 1:
         mean = _mean(rows)

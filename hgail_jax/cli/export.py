@@ -41,7 +41,7 @@ class Options:
     """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
     episodes: int = 100
     """Episodes, randomised as in its training, in which the success is measured that an ONNX file tells; none for a
-    policy in its run's folder, whose final evaluation is told, or with 0."""
+    policy in its run's folder, whose final evaluation is taken, or with 0."""
 
 
 def main(arguments: list[str] | None = None) -> None:

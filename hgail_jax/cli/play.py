@@ -13,7 +13,7 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, find_task, make_task, shipped, told
+from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, shipped
 from hgail_jax.play.film import check_film
 from hgail_jax.play.playback import film, show
 from hgail_jax.policy import MeanPolicy
@@ -36,7 +36,7 @@ class Options:
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 3
-    """Episodes to play; the page goes on until it is stopped."""
+    """Episodes to play; the page plays until it is stopped."""
     seed: int = 0
     """Of the episodes."""
     out: Annotated[Path | None, unless_given("the viewer; <task>.mp4 without a display", "FILE")] = None
@@ -123,7 +123,7 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
     """
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)
-    print(told(file, policy, level), flush=True)
+    print(describe_policy(file, policy, level), flush=True)
     return env, policy
 
 

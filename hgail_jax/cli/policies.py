@@ -30,7 +30,7 @@ def policy_files(path: Path) -> list[Path]:
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
     if not found and (path / "config.json").exists() and not (path / "summary.json").exists():
-        raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} goes on with it")
+        raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} resumes it")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
     return sorted(found, key=lambda file: [int(part) if part.isdigit() else part for part in _NUMBER.split(file.name)])
@@ -137,7 +137,7 @@ def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
     return dataclasses.replace(LEVELS[level], history=shown.history, known_delay=shown.known_delay)
 
 
-def told(path: Path, policy: MeanPolicy, level: str | None) -> str:
+def describe_policy(path: Path, policy: MeanPolicy, level: str | None) -> str:
     """Returns a line that names the policy's file and the level, and says if its training had no disturbance."""
     sizes, trained = randomization(policy, level), policy.randomization
     new = " (trained without)" if trained == trained.nominal() and sizes != sizes.nominal() else ""

@@ -23,7 +23,7 @@ from hgail_jax.cli.command_line import (
     prepare_process,
     with_new_names,
 )
-from hgail_jax.devices.processes import GO_ON, HEARTBEAT_TIMEOUT, end_without_the_others, join
+from hgail_jax.devices.processes import HEARTBEAT_TIMEOUT, RESUME, end_without_the_others, join
 from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
@@ -76,12 +76,12 @@ def main(arguments: list[str] | None = None) -> None:
         size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
             print(f"{run.method} on {command.task}, {size} -> {folder.path}")
-        go_on = _go_on(words, folder.path)
-        summary = _train(run, folder, go_on)
+        resume_hint = _resume_hint(words, folder.path)
+        summary = _train(run, folder, resume_hint)
         if not is_first_process():
             return
         if summary is None:
-            print(f"{_stopped(run, folder)}; {go_on}")
+            print(f"{_stopped(run, folder)}; {resume_hint}")
             return
         _report(summary, folder.path)
         if command.video:
@@ -104,13 +104,13 @@ def _description(words: list[str]) -> str:
     return f"{__doc__}\n\nThe task {named.task} has {said}."
 
 
-def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
+def _train(run: Run, folder: RunFolder, resume_hint: str) -> dict[str, Any] | None:
     """Trains; ends the process with one line if the training diverges or a file cannot be written."""
 
     def nothing_to_save() -> str | None:
         if folder.in_rounds.is_set() or jax.process_count() > 1:  # the others would wait for this one
             return None
-        return f"\n{PROGRAM}: {_stopped(run, folder)}; {go_on}"
+        return f"\n{PROGRAM}: {_stopped(run, folder)}; {resume_hint}"
 
     try:
         with stop_on_signal(nothing_to_save) as stop:
@@ -120,14 +120,14 @@ def _train(run: Run, folder: RunFolder, go_on: str) -> dict[str, Any] | None:
         last = "none" if saved is None else folder.checkpoints.path(saved)
         fail(PROGRAM, f"the training stops: {error}; the last good checkpoint: {last}", 1)
     except OSError as error:
-        fail(PROGRAM, f"the run stops: {error}; {go_on}", 1)
+        fail(PROGRAM, f"the run stops: {error}; {resume_hint}", 1)
     except (MemoryError, jax.errors.JaxRuntimeError, ValueError) as error:
         if is_out_of_memory(error):
             fail(PROGRAM, f"out of memory; a run with fewer --num-envs or --seeds takes less than {folder.path}", 1)
         if jax.process_count() == 1:
             raise
         # An exchange with a process that died raises errors of these types.
-        end_without_the_others(f"{PROGRAM}: the training stops: {error}; {GO_ON}")
+        end_without_the_others(f"{PROGRAM}: the training stops: {error}; {RESUME}")
 
 
 def _stopped(run: Run, folder: RunFolder) -> str:
@@ -136,13 +136,13 @@ def _stopped(run: Run, folder: RunFolder) -> str:
     return f"stopped after round {done - 1} of {run.config.rounds}" if done else "stopped before round 0"
 
 
-def _go_on(words: list[str], folder: Path) -> str:
+def _resume_hint(words: list[str], folder: Path) -> str:
     """Returns a line with the command that resumes a run: the words of its own, less another folder."""
     pairs = itertools.pairwise(["", *with_new_names(words)])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
     script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated
     hgail = from_here(script) if script.exists() and shutil.which("hgail") != str(script) else "hgail"
-    return f"go on with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
+    return f"resume with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
 
 
 def _film(run: Run, folder: RunFolder) -> None:

@@ -23,7 +23,7 @@ _OF_A_CLUSTER = "that Slurm, Open MPI or Kubernetes started, if any did"
 
 HEARTBEAT_TIMEOUT = 100
 """Seconds after which a process that is silent counts as dead; JAX's own default."""
-GO_ON = "the same command with --resume FOLDER goes on, with as many processes as are left"
+RESUME = "the same command with --resume FOLDER resumes it, with as many processes as are left"
 """Advice once a process of several died."""
 
 

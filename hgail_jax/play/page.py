@@ -172,7 +172,7 @@ class Page:
         self._show_scene()
 
     def _drag(self, phase: str, position: np.ndarray) -> None:
-        """Follows a drag of the handle, which starts, goes on or ends."""
+        """Follows a drag of the handle, which starts, continues or ends."""
         self._dragged = phase != "end"
         if phase == "update":
             self.session.move_target(position)

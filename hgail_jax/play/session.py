@@ -25,7 +25,7 @@ class Phase(enum.Enum):
     LIFT_TEST = "lift test"
     """The policy's time is over, and the task tests its grasp."""
     STAYING = "staying"
-    """The episode was a success, and the policy goes on at the same target, because it was moved there by hand."""
+    """The episode was a success, and the policy continues at the same target, because it was moved there by hand."""
     RESTING = "resting"
     """The episode is over; the scene stands still."""
 
@@ -51,7 +51,7 @@ class Session:
     """A policy at work on a task that has a scene, action by action.
 
     Until the target is moved, episodes follow one another as the task starts them. Once it is moved, the target stays
-    where it was put, and the time of the episode starts anew: after a success the policy goes on there, and after
+    where it was put, and the time of the episode starts anew: after a success the policy continues there, and after
     a failure, or in a task that ends with a lift test, the next episode starts with the target in that place.
 
     For use in one thread.

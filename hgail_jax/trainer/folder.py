@@ -77,7 +77,7 @@ def create_folder(path: Path) -> Path:
         return path
     except FileExistsError:
         unfinished = (path / "config.json").exists() and not (path / "summary.json").exists()
-        hint = f"go on with its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
+        hint = f"resume its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
         raise ValueError(f"{path} exists already; {hint}") from None
     except OSError as error:
         raise ValueError(f"cannot make the folder {path}: {error.strerror}") from None
@@ -131,7 +131,7 @@ class RunFolder:
     path: Path
     checkpoints: Checkpoints
     restored: Checkpoint | None
-    """Checkpoint that the run goes on from; None begins it."""
+    """Checkpoint that the run resumes from; None begins it."""
     loggers: list[Logger] = dataclasses.field(default_factory=list)
     """Opened by the training, closed with the folder."""
     in_rounds: threading.Event = dataclasses.field(default_factory=threading.Event)
@@ -140,12 +140,12 @@ class RunFolder:
 
 @contextlib.contextmanager
 def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None) -> Iterator[RunFolder]:
-    """Makes the folder of a run, or opens the one to go on with. If one of several processes cannot, none goes on.
+    """Makes the folder of a run, or opens the one to resume. If one of several processes cannot, none continues.
 
     Args:
       run: the run to train.
       out: folder to make; None numbers one in `runs/`.
-      resume: folder of a run that goes on; `"auto"` takes the newest in `runs/`, if there is one.
+      resume: folder of a run to resume; `"auto"` takes the newest in `runs/`, if there is one.
 
     Raises:
       ValueError: the folder, or its checkpoints, cannot be used.
@@ -189,14 +189,14 @@ def _close(loggers: list[Logger]) -> None:
 
 
 def _announce(folder: RunFolder, rounds: int) -> None:
-    """Prints the round that a run of so many rounds goes on with, and its damaged checkpoints."""
+    """Prints the round that a run of so many rounds resumes with, and its damaged checkpoints."""
     path, restored = folder.path, folder.restored
     for line in restored.damaged if restored else ():
         print(line, file=sys.stderr)
     if restored is None:
         print(f"{path} has no checkpoint yet and begins with round 0")
     elif restored.rounds <= rounds:
-        print(f"{path} goes on after round {restored.rounds - 1} of {rounds}")
+        print(f"{path} resumes after round {restored.rounds - 1} of {rounds}")
     elif (path / "summary.json").exists():
         print(f"{path} is complete; without --resume another run begins")
     else:

@@ -31,7 +31,7 @@ class Logger(abc.ABC):
       folder: the run's folder.
       run: the run.
       settings: its settings, as config.json has them.
-      history: records of the rounds done before, if the run goes on from a checkpoint.
+      history: records of the rounds done before, if the run resumes from a checkpoint.
 
     Raises:
       OSError: it cannot be opened.
@@ -88,7 +88,7 @@ class TensorboardLogger(Logger):
         super().__init__(folder, run, settings, history)
         goes_on = (folder / "tensorboard").is_dir()
         self._done = len(history) if goes_on else 0
-        # Rounds after the checkpoint that a run goes on from are run, and logged, again.
+        # Rounds after the checkpoint that a run resumes from are run, and logged, again.
         purge = (history[-1]["env_steps"] + 1 if history else 0) if goes_on else None
         # A file is named by its second and its host: one of the same second would be overwritten.
         number = len(list((folder / "tensorboard").glob("events*")))

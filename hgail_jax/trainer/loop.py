@@ -119,7 +119,7 @@ def train(
 ) -> None:
     """Runs the rounds that are left, or until `stop` is set, and saves a checkpoint.
 
-    A seed whose update is not finite is left as it was before that update, and goes on; the round's record counts it.
+    A seed whose update is not finite is left as it was before that update, and continues; the round's record counts it.
 
     Args:
       program: the program.
@@ -156,7 +156,7 @@ def train(
                 saved = time.perf_counter()
                 cost = saved - saving_from
             now, timed = time.perf_counter(), progress.rounds - done
-            if not index:  # which only pre-trains or fills a buffer; no other round can be told by it
+            if not index:  # which only pre-trains or fills a buffer; it says nothing about the other rounds
                 begun = now
             left = (now - begun) / timed * (len(phases) - progress.rounds) if timed else None
             line.show(_status(program, progress), left, log=phases[index, -1] == EVALUATE)
@@ -169,7 +169,7 @@ def begin(program: Program, untrained: TrainState, restored: Checkpoint | None =
     Args:
       program: the program.
       untrained: from `Program.init`.
-      restored: checkpoint to go on from, which the first of several processes has for all; None begins anew.
+      restored: checkpoint to resume from, which the first of several processes has for all; None begins anew.
 
     """
     progress = Progress(untrained)

@@ -88,7 +88,7 @@ class TrainOptions:
     out: Annotated[Path | None, unless_given("runs/<task>-<method>-<number>", "FOLDER")] = None
     """Folder to write, which must not exist."""
     resume: Annotated[str | None, unless_given("begins a run", "FOLDER|auto")] = None
-    """Folder of a run to go on with; auto takes the run of the task and method in runs/ that was saved last, or
+    """Folder of a run to resume; auto takes the run of the task and method in runs/ that was saved last, or
     begins one."""
     checkpoint_every: int = 1
     """Rounds from one checkpoint to the next; more where saving would take a twentieth of the time."""
@@ -223,7 +223,7 @@ def _check(options: TrainOptions) -> None:
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:
-        raise ValueError("--resume and --out exclude each other; a run goes on in its own folder")
+        raise ValueError("--resume and --out exclude each other; a run resumes in its own folder")
 
 
 def _refuse_without_effect(options: TrainOptions, method: str, learner: str) -> None:

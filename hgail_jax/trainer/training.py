@@ -40,7 +40,7 @@ class Trainer:
         summary = trainer.train()
         action = trainer.policy(seed=0)(observation)
 
-    Nothing is written before `train`. A training that was stopped goes on, in this process or another, with
+    Nothing is written before `train`. A training that was stopped resumes, in this process or another, with
     `resume=trainer.folder`, and ends with the bits of one that was not. Of several processes that train together each
     has a trainer; the first writes the folder.
 

@@ -174,7 +174,7 @@ class _Entry(threading.local):
     """Entry point that XLA calls with the address of a frame. Returns the address of an error, or None; never raises.
 
     Python raises a signal's exception, e.g. KeyboardInterrupt for Ctrl-C, at the next line that it runs. In a function
-    that C calls this is before any `try`; ctypes would print it and go on, with results that were never written. A
+    that C calls this is before any `try`; ctypes would print it and continue, with results that were never written. A
     generator resumes within its `try`, and on the way to it no line of Python runs. Each thread has a generator.
     """
 

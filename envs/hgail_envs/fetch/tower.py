@@ -193,10 +193,10 @@ class Tower(FetchEnv):
         cubes, left = self.cube_positions(physics), self.are_left(physics)
         present = jnp.arange(CUBES) == _role(physics)
         at_hand = jnp.linalg.norm(cubes - physics.gripper_position, axis=1) <= _AT_HAND
-        told = (jnp.linalg.norm(cubes - physics.starts, axis=1) > MOVED) & (present | at_hand)
-        chosen = jnp.argmax(jnp.where(told, 1 + present, 0))
+        displaced = (jnp.linalg.norm(cubes - physics.starts, axis=1) > MOVED) & (present | at_hand)
+        chosen = jnp.argmax(jnp.where(displaced, 1 + present, 0))
         of_cube = goal_of(cubes[chosen], chosen, left[chosen])
-        return jnp.where(told.any(), of_cube, goal_of(physics.gripper_position))
+        return jnp.where(displaced.any(), of_cube, goal_of(physics.gripper_position))
 
     def sample_goal(self, rng: jax.Array, physics: TowerPhysics) -> jax.Array:
         return self.placement(physics)

@@ -122,7 +122,7 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--seed", "-1"], "seed is -1"),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "there is no file or folder none.npz"),
-        (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped goes on"),
+        (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped resumes"),
         (["--policy", "ended"], "ended does not hold a policy: it is no regular file, nor a run's folder"),
         (["--policy", "text.md"], "text.md does not hold a policy: it is no npz archive"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),

@@ -401,8 +401,8 @@ def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_fold
 )
 def test_a_run_goes_on_by_its_own_command_line(words, goes_on, monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: str(Path(sys.executable).with_name(name)))
-    said, command = run._go_on(words, Path("my run")).split(": ")
-    assert said == "go on with"
+    said, command = run._resume_hint(words, Path("my run")).split(": ")
+    assert said == "resume with"
     assert shlex.split(command) == ["hgail", "train", *goes_on]
 
 
@@ -417,7 +417,7 @@ def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
     (in_folder / "venv" / "bin" / "hgail").touch()
     monkeypatch.setattr("shutil.which", lambda name: found)
     monkeypatch.setattr(sys, "executable", str(in_folder / executable))
-    assert run._go_on([], Path("run")) == f"go on with: {program} train --resume run"
+    assert run._resume_hint([], Path("run")) == f"resume with: {program} train --resume run"
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_a_second_signal_exits_at_once(ended, name):
 def test_an_interrupt_while_the_program_compiles_ends_the_run_at_once(ended):
     ended = ended["compiling"]
     assert ended.returncode == 130
-    begun, _, command = ended.stderr.splitlines()[-1].partition("; go on with: ")
+    begun, _, command = ended.stderr.splitlines()[-1].partition("; resume with: ")
     assert begun == "hgail train: stopped before round 0"
     assert shlex.split(command)[1:] == ["train", "--task", "point", "--num-envs", "4", "--resume", "run"]
     assert "Traceback" not in ended.stderr

@@ -77,7 +77,7 @@ def test_a_folder_is_made_once(tmp_path):
 
 def test_a_run_that_is_not_finished_is_not_begun_again_but_gone_on_with(tmp_path):
     (tmp_path / "config.json").touch()
-    hint = re.escape(f"exists already; go on with its run by --resume {tmp_path}, or name another folder")
+    hint = re.escape(f"exists already; resume its run by --resume {tmp_path}, or name another folder")
     with pytest.raises(ValueError, match=hint):
         create_folder(tmp_path)
     (tmp_path / "summary.json").touch()

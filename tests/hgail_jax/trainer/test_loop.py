@@ -39,7 +39,7 @@ def measured(success, distance, **changes):
     )
 
 
-def told(*rounds, given=None):
+def describe_policy(*rounds, given=None):
     """A step that returns these metrics, one after another, and states in which each round has left its mark.
 
     It adds the phases of each round to the list `given`.

@@ -156,7 +156,7 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
         start("--out", "run", "--checkpoint-every", "10")  # returns: exit code 0
     shown = capsys.readouterr()
     assert "SIGTERM: stopping after this round" in shown.err
-    said, _, command = shown.out.splitlines()[-1].partition("; go on with: ")
+    said, _, command = shown.out.splitlines()[-1].partition("; resume with: ")
     assert said == "stopped after round 1 of 4"
     assert saved_in(Path("run")) == [2]
     assert not Path("run/summary.json").exists()
@@ -164,7 +164,7 @@ def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, caps
     program, name, *words = shlex.split(command)
     assert (Path(program).name, name) == ("hgail", "train")
     run.main(words)
-    assert "run goes on after round 1 of 4" in capsys.readouterr().out
+    assert "run resumes after round 1 of 4" in capsys.readouterr().out
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
@@ -226,7 +226,7 @@ def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole
     start("--resume", "run")
     shown = capsys.readouterr()
     assert f"checkpoint 3 in {tmp_path}/run/checkpoints is damaged" in shown.err
-    assert "run goes on after round 1 of 4" in shown.out
+    assert "run resumes after round 1 of 4" in shown.out
     assert outcome(tmp_path / "run") == whole("hgail")
 
 

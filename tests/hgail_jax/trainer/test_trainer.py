@@ -173,7 +173,7 @@ def test_a_training_may_be_stopped_before_it_begins_and_a_folder_is_trained_in_o
     trainer = Trainer(SMALL, out=Path("run"))
     assert trainer.train(stop) is None
     assert saved_in(trainer.folder) == []
-    with pytest.raises(ValueError, match="run exists already; go on with its run by --resume run"):
+    with pytest.raises(ValueError, match="run exists already; resume its run by --resume run"):
         trainer.train()
 
 
