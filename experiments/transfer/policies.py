@@ -35,8 +35,8 @@ Policies = Mapping[str, Mapping[str, Sequence[Path]]]
 class Script:
     """The first scripted controller of a task as a policy, which tells what a robot's hand allows.
 
-    In grasp it is told where the cube is at the start: told at each step, it chases a cube that its fingers push, and
-    picks fewer.
+    In grasp it observes the cube's place at the start: at each step, it would chase a cube that its fingers push, and
+    pick fewer.
 
     Args:
       task: a name in `hgail_envs.TASKS`, of a task with controllers.

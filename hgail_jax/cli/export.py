@@ -40,8 +40,8 @@ class Options:
     out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
     """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
     episodes: int = 100
-    """Episodes, randomised as in its training, in which the success is measured that an ONNX file tells; none for a
-    policy in its run's folder, whose final evaluation is taken, or with 0."""
+    """Episodes for the success rate in an ONNX file's metadata, randomised as in training; 0 leaves it out. For a policy
+    in its run's folder the run's final evaluation is taken."""
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -115,8 +115,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             **_EXACT,
         ),
     },
-    # Off-policy a policy that sees the cube at each step learns in 400 k steps; with its place at the start alone it does
-    # not quite learn in 1.5 M (docs/lab/off-policy.md). PPO, the default, learns that.
+    # Off-policy a policy that sees the cube at each step learns in 400 k steps; with its place at the start alone it is
+    # not quite learnt in 1.5 M (docs/lab/off-policy.md). PPO, the default, learns that.
     "grasp": {"ppo": _PPO_GRASP, "td3": _td3_grasp(cube="tracked")},
     "push": {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.

@@ -39,7 +39,7 @@ def measured(success, distance, **changes):
     )
 
 
-def describe_policy(*rounds, given=None):
+def steps_of(*rounds, given=None):
     """A step that returns these metrics, one after another, and states in which each round has left its mark.
 
     It adds the phases of each round to the list `given`.
@@ -69,7 +69,7 @@ def test_a_round_in_which_every_episode_broke_is_never_the_best(tmp_path):
     rounds = [measured([0.0, 0.0], [distance, distance]) for distance in distances]
     progress = start(program())
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
-        train(program(), told(*rounds), progress, checkpoints)
+        train(program(), steps_of(*rounds), progress, checkpoints)
     assert saved(tmp_path / "checkpoints") == [2, 6, 7, 8]
     assert progress.history[2]["distance_l1"] == [None, None]
     json.dumps(progress.history, allow_nan=False)
@@ -77,7 +77,7 @@ def test_a_round_in_which_every_episode_broke_is_never_the_best(tmp_path):
 
 def test_where_the_episodes_of_one_seed_broke_the_others_are_scored():
     progress = start(program())
-    train(program(rounds=0), told(measured([0.0, 0.5], [NAN, 0.3])), progress)
+    train(program(rounds=0), steps_of(measured([0.0, 0.5], [NAN, 0.3])), progress)
     assert progress.score() == (0.25, -0.3)
     assert dataclasses.replace(progress, history=[{"success_rate": [0.0], "distance_l1": [None]}]).score() is None
 
@@ -86,7 +86,7 @@ def test_success_comes_before_distance(tmp_path):
     rounds = [measured([success] * 2, [distance] * 2) for success, distance in [(0.5, 0.1), (0.9, 0.6), (0.9, 0.5)]]
     rounds += [measured([0.2] * 2, [0.01] * 2)] * 5
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
-        train(program(), told(*rounds), start(program()), checkpoints)
+        train(program(), steps_of(*rounds), start(program()), checkpoints)
     assert saved(tmp_path / "checkpoints") == [3, 6, 7, 8]
 
 
@@ -99,7 +99,7 @@ def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
         def watch(progress):
             seen.append((progress.rounds, progress.history[-1]["success_rate"], checkpoints.saved))
 
-        train(program(rounds=2), told(*rounds, given=given), progress, checkpoints, after_round=watch)
+        train(program(rounds=2), steps_of(*rounds, given=given), progress, checkpoints, after_round=watch)
     assert given == phase_table(dataclasses.replace(TINY, rounds=2)).tolist()
     assert seen == [(1, [0.0, 0.0], None), (2, [0.0, 0.25], 1), (3, [0.0, 0.5], 2)]
     np.testing.assert_array_equal(progress.states.expert, 3.0)
@@ -115,7 +115,7 @@ def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
 def test_checkpoints_are_saved_when_they_are_due_and_at_the_end(tmp_path, saving, kept):
     rounds = [measured([0.0] * 2, [1.0] * 2)] * 8
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
-        train(program(), told(*rounds), start(program()), checkpoints, saving)
+        train(program(), steps_of(*rounds), start(program()), checkpoints, saving)
     assert saved(tmp_path / "checkpoints") == kept
 
 
@@ -124,7 +124,7 @@ def test_checkpoints_are_saved_when_they_are_due_and_at_the_end(tmp_path, saving
 )
 def test_saving_takes_no_more_than_its_fraction_of_the_time(monkeypatch, most, expected):
     """By a clock of which a round takes 1, and saving 1: of four rounds' time three pass until saving is a quarter."""
-    clock, rounds, step = [0.0], [], told(*[measured([0.0] * 2, [1.0] * 2)] * 8)
+    clock, rounds, step = [0.0], [], steps_of(*[measured([0.0] * 2, [1.0] * 2)] * 8)
     monkeypatch.setattr(loop.time, "perf_counter", lambda: clock[0])
 
     def timed(*arguments):
@@ -145,7 +145,7 @@ def test_a_round_that_is_refused_is_neither_recorded_nor_saved(tmp_path):
     progress = start(program())
     refused = pytest.raises(OverflowError, match="the simulation ran out of room for contacts in round 2")
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints, refused:
-        train(program(), told(valid, valid, full), progress, checkpoints)
+        train(program(), steps_of(valid, valid, full), progress, checkpoints)
     assert progress.rounds == 2
     assert saved(tmp_path / "checkpoints") == [1, 2]
 
@@ -159,11 +159,11 @@ def test_a_training_that_is_stopped_ends_with_its_round_and_a_checkpoint(tmp_pat
             stop.set()
 
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
-        train(program(), told(*rounds), progress, checkpoints, SavingPolicy(10), stop, stop_after_two)
+        train(program(), steps_of(*rounds), progress, checkpoints, SavingPolicy(10), stop, stop_after_two)
     assert progress.rounds == 2
     assert saved(tmp_path / "checkpoints") == [2]
-    train(program(), told(), progress, stop=stop)  # it stays stopped
-    train(program(), told(*rounds[2:]), progress)
+    train(program(), steps_of(), progress, stop=stop)  # it stays stopped
+    train(program(), steps_of(*rounds[2:]), progress)
     assert progress.rounds == 8
 
 
@@ -172,7 +172,7 @@ def test_a_round_is_saved_once(tmp_path):
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
         save(checkpoints, progress)  # nothing is done yet
         assert checkpoints.saved is None
-        train(program(rounds=0), told(measured([0.0] * 2, [1.0] * 2)), progress, checkpoints)
+        train(program(rounds=0), steps_of(measured([0.0] * 2, [1.0] * 2)), progress, checkpoints)
         save(checkpoints, progress)
     assert saved(tmp_path / "checkpoints") == [1]
     save(None, progress)
