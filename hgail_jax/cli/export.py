@@ -40,7 +40,7 @@ class Options:
     out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
     """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
     episodes: int = 100
-    """Episodes for the success rate in an ONNX file's metadata, randomised as in training; 0 leaves it out. For a policy
+    """Episodes for the success rate in an ONNX file's metadata, randomised as in training; 0 is none. For a policy
     in its run's folder the run's final evaluation is taken."""
 
 
