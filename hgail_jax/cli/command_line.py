@@ -176,7 +176,8 @@ def prepare_process() -> None:
     JAX keeps programs that took a second to compile; most programs of a run take less.
     """
     configure_xla()
-    # A CPU then runs a program in the thread that calls it, which meanwhile lets C MuJoCo's threads have Python's lock.
+    # A CPU then runs a program in the thread that calls it, so that no line of this thread competes for Python's lock
+    # with the program's calls of C MuJoCo. They work without it too.
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # which JAX has read
         jax.config.update("jax_compilation_cache_dir", str(user_cache() / "hgail_jax"))

@@ -85,7 +85,7 @@ def test_displacements_are_scaled_and_sink():
     np.testing.assert_allclose(np.diff(truth(states), axis=0), moves, atol=1e-6)
 
 
-@pytest.mark.parametrize(("source", "part"), [("robot", "observation"), ("goal", "achieved_goal")])
+@pytest.mark.parametrize(("source", "part"), [("robot", "features"), ("goal", "achieved_goal")])
 def test_noises_and_offsets_have_their_deviations(source, part):
     noise, offset = 0.01, 0.03
     states = [starts(**{f"{source}_noise": noise, f"{source}_offset": offset})]
@@ -98,7 +98,7 @@ def test_noises_and_offsets_have_their_deviations(source, part):
         assert abs(np.corrcoef(errors[0, :, first], errors[0, :, second])[0, 1]) < 0.1  # axes have their own
 
 
-@pytest.mark.parametrize(("source", "part"), [("robot", "observation"), ("goal", "achieved_goal")])
+@pytest.mark.parametrize(("source", "part"), [("robot", "features"), ("goal", "achieved_goal")])
 def test_an_offset_stays_for_an_episode_and_is_another_in_the_next(source, part):
     env = RandomizedEnv(Point(), Randomization(**{f"{source}_offset": 0.02}))
     errors = [
@@ -123,7 +123,7 @@ def test_relabelled_goals_are_positions_as_observed():
     env = RandomizedEnv(Point(), Randomization(goal_noise=0.02, goal_offset=0.05))
     states = follow(env, np.tile(ACTIONS, (4, 1)))
     achieved, desired, features = (
-        np.array([state.info[name] for state in states]) for name in ("achieved_goal", "desired_goal", "observation")
+        np.array([state.info[name] for state in states]) for name in ("achieved_goal", "desired_goal", "features")
     )
     relabelled = jax.jit(relabel)(jax.random.key(1), achieved, desired[:-1], p_ht=1.0)
     np.testing.assert_array_equal(relabelled.goal, achieved[relabelled.source])
@@ -221,7 +221,7 @@ def test_seeds_side_by_side_are_what_each_is_alone():
     for index, rng in enumerate(rngs):
         each = jax.tree.map(lambda leaf, i=index: leaf[i], together)
         jax.tree.map(lambda *leaves: np.testing.assert_allclose(*leaves, atol=1e-6), each, of_one(rng))
-    assert np.abs(np.asarray(together["observation"][0] - together["observation"][1])).max() > 1e-3
+    assert np.abs(np.asarray(together["features"][0] - together["features"][1])).max() > 1e-3
 
 
 def test_a_randomised_task_fits_the_interface():
