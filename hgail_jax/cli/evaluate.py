@@ -18,9 +18,9 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, randomization
-from hgail_jax.evaluate import Evaluation
 from hgail_jax.io.files import from_here
 from hgail_jax.io.provenance import installed
+from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.options import unless_given

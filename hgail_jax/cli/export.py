@@ -13,10 +13,10 @@ from hgail_envs.registry import TASKS
 from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task
-from hgail_jax.evaluate import Evaluation
 from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_writable, from_here
 from hgail_jax.io.policy import save_policy
+from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal.status import StatusLine
 from hgail_jax.trainer.options import unless_given
