@@ -177,7 +177,7 @@ def _open(run: Run, out: Path | str | None, resume: Path | str | None, held: con
         checkpoints = Checkpoints(path / "checkpoints", run.identity())
         reopen_folder(path, run.identity())
         held.enter_context(sole_user(path))
-        folder = RunFolder(path, checkpoints, checkpoints.restore(jax.eval_shape(run.program().init)))
+        folder = RunFolder(path, checkpoints, checkpoints.restore(jax.eval_shape(run.init)))
         _announce(folder, run.config.rounds)
     held.callback(_close, folder.loggers)
     return folder

@@ -72,7 +72,7 @@ def summarize(
         "success_rate_l1": over_seeds(final.success_l1),
         "distance_l1": over_seeds(final.distance_l1),
         "distance_l2": over_seeds(final.distance_l2),
-        "diverged_seeds": diverged_seeds(run.program(), progress),
+        "diverged_seeds": diverged_seeds(run, progress),
         "evaluation_episodes_per_seed": rollouts * run.config.num_envs,
         "env_steps_per_seed": steps,
         "env_steps_per_second": steps * run.seeds / timing["train"],

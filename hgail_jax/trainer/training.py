@@ -136,7 +136,7 @@ def _finished(run: Run, folder: RunFolder) -> dict[str, Any] | None:
 
 
 def _train(run: Run, folder: RunFolder, stop: threading.Event) -> dict[str, Any] | None:
-    program, timing = run.program(), dict[str, float]()
+    timing = dict[str, float]()
     # Other threads prepare the physics, make the untrained states and trace the final evaluation while this one
     # compiles the training; the evaluation is compiled while the training runs. They must have done with the device
     # by then: the graph that MuJoCo Warp records in its first steps, to repeat it later, cannot bear another thread's
@@ -145,12 +145,12 @@ def _train(run: Run, folder: RunFolder, stop: threading.Event) -> dict[str, Any]
     try:
         with _timed(timing, "compile"), StatusLine("compiling the training program"):
             preparing = background.submit(run.env.prepare)
-            initialising = background.submit(program.init)
+            initialising = background.submit(run.init)
             tracing = background.submit(trace_evaluations, run)
-            step = program.compile()
+            step = run.compile()
             preparing.result()
             untrained, traced = initialising.result(), tracing.result()
-        progress = begin(program, untrained, folder.restored)
+        progress = begin(run, untrained, folder.restored)
         compiling = background.submit(lambda: {name: compile_one() for name, compile_one in traced.items()})
         train_rounds(run, folder, step, progress, stop)
     finally:
@@ -173,7 +173,7 @@ def trace_evaluations(run: Run) -> dict[str, Callable[[], SeedsEvaluation]]:
 
     They are of the task as it was trained and, if that is randomised, of the nominal task too.
     """
-    states = jax.eval_shape(run.program().init)
+    states = jax.eval_shape(run.init)
     tasks: dict[str, GoalEnv] = {"final": run.env}
     if isinstance(run.env, RandomizedEnv):
         tasks["nominal"] = run.env.nominal()
@@ -196,7 +196,7 @@ def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progres
     folder.in_rounds.set()
     try:
         with folder.checkpoints as checkpoints:
-            train(run.program(), step, progress, checkpoints, saving, stop, after_round=log)
+            train(run, step, progress, checkpoints, saving, stop, after_round=log)
     finally:
         folder.in_rounds.clear()
 

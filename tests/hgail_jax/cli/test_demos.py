@@ -22,7 +22,7 @@ def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
     options = TrainOptions(task="point", method="gail-demo", demos=Path("demonstrations/point.npz"), seeds=2)
     prepared = plan(options, "cpu")
     assert prepared.identity()["demonstrations"] == recorded.sha256
-    for expert_action in prepared.program().init().expert.action:
+    for expert_action in prepared.init().expert.action:
         np.testing.assert_array_equal(expert_action, recorded.action.reshape(-1, 3))
 
 

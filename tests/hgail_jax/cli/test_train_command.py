@@ -223,10 +223,10 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
 
 
 HANDED_ON = {
-    "seeds": (3, lambda run: run.program().seeds),
-    "first_seed": (7, lambda run: run.program().first_seed),
-    "num_envs": (6, lambda run: run.program().config.num_envs),
-    "rounds": (5, lambda run: run.program().config.rounds),
+    "seeds": (3, lambda run: run.seeds),
+    "first_seed": (7, lambda run: run.first_seed),
+    "num_envs": (6, lambda run: run.config.num_envs),
+    "rounds": (5, lambda run: run.config.rounds),
     "pretrain": (False, lambda run: run.config.learner.pretrain),
     "impl": ("jax", lambda run: run.env.impl),
     "substeps": (7, lambda run: run.env.substeps),
@@ -240,7 +240,7 @@ HANDED_ON = {
     "bc_weight": (0.125, lambda run: run.hyperparameters.bc_weight),
     "exploration_noise": ((0.5,), lambda run: (run.hyperparameters.exploration_noise,)),
     "checkpoint_every": (4, lambda run: run.checkpoint_every),
-    "evaluate_every": (3, lambda run: run.program().evaluate_every),
+    "evaluate_every": (3, lambda run: run.evaluate_every),
     "evaluation_episodes": (9, lambda run: run.evaluation_episodes),
     "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
 }

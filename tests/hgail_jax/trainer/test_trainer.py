@@ -99,7 +99,7 @@ def test_each_seed_has_its_own_policy(trained):
     """That of the last checkpoint, which says itself which seed is which."""
     trainer, *_ = trained
     checkpoints = Checkpoints(trainer.folder / "checkpoints", trainer.run.identity())
-    states = checkpoints.restore(jax.eval_shape(trainer.run.program().init)).state
+    states = checkpoints.restore(jax.eval_shape(trainer.run.init)).state
     layers = [states.learner.actor_critic["policy"]["params"][f"Dense_{index}"] for index in range(3)]
     for seed in range(SMALL.seeds):
         policy = trainer.policy(seed)
@@ -144,7 +144,7 @@ def test_physics_and_final_evaluation_are_ready_before_the_first_round(monkeypat
 def test_results_name_seeds_and_task_options(tmp_path):
     run = dataclasses.replace(plan(SMALL, "cpu"), first_seed=5, task_options={"radius": 0.1})
     record = {"env_steps": 100, "success_rate": [0.5, 0.5], "distance_l1": [0.1, 0.1]}
-    results.write_results(run, tmp_path, run.program().init(), [record])
+    results.write_results(run, tmp_path, run.init(), [record])
     assert {path.name for path in (tmp_path / "policies").iterdir()} == {"seed-5.npz", "seed-6.npz"}
     assert load_policy(tmp_path / "policies" / "seed-6.npz").task_options == {"radius": 0.1}
 
