@@ -328,8 +328,7 @@ def test_programs_are_traced_where_ranks_and_types_must_not_be_promoted(options)
     """As under JAX_NUMPY_RANK_PROMOTION=raise and JAX_NUMPY_DTYPE_PROMOTION=strict."""
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
         run = plan(TrainOptions(seeds=2, num_envs=4, rounds=1, **options), "cpu")
-        program = run
-        states = jax.eval_shape(program.init)
-        one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], program.init()))
-        jax.eval_shape(functools.partial(train_step, run.env, run.config), one, program.phases()[0])
+        states = jax.eval_shape(run.init)
+        one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], run.init()))
+        jax.eval_shape(functools.partial(train_step, run.env, run.config), one, run.phases()[0])
         trace_evaluation(run.env, run.config, states, 4)
