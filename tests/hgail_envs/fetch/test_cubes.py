@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hgail_jax.defaults import DEFAULTS
+from hgail_jax.settings.defaults import DEFAULTS
 
 import hgail_envs
 from tests.support import check_a_round

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hgail_jax.defaults import DEFAULTS
+from hgail_jax.settings.defaults import DEFAULTS
 
 from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
