@@ -68,16 +68,17 @@ def with_new_names(words: Iterable[str]) -> list[str]:
 def _in_one_line(box: str) -> str:
     """Returns tyro's message, which stands in a box below its title, with the options that it thinks were meant."""
     rules = r"(?m)[─-]{3,}\s*$"  # of ASCII, and without sides, where the output takes no other
-    title, *parts = (" ".join(part.split()) for part in re.split(rules, re.sub("[│╭╮╰╯]", "", box)))
+    title, *parts = re.split(rules, re.sub("[│╭╮╰╯]", "", box))
     message, *others = parts or [title]
-    for other in others:
-        if other.startswith("Argument helptext:"):
+    message = " ".join(message.split())
+    for heading, *lines in (other.strip().splitlines() or [""] for other in others):
+        if heading.startswith("Argument helptext:"):
             why = message.split(": ", 1)[-1]
             if " - " in why:  # of a union each type and why it does not fit; the first is None
                 why = why.rpartition(" - ")[2].split(": ", 1)[-1]
-            message = f"{other.removeprefix('Argument helptext:').split(' (')[0].strip()}: {why}"
-        if other.startswith("Perhaps you meant:"):
-            meant = dict.fromkeys(re.findall(r"(?<!\S)--[a-z-]+", other.split(" in hgail")[0]))
+            message = f"{lines[0].strip()}: {why}"
+        if heading.startswith("Perhaps you meant:"):
+            meant = [line.split()[0] for line in lines if line.strip().startswith("--")]
             message = f"{message.rstrip('.')}; did you mean {' or '.join(meant)}?"
     return message
 

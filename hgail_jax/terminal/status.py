@@ -37,6 +37,7 @@ class StatusLine:
 
     def __enter__(self) -> Self:
         print(f"{self._text} ...", file=self._log, flush=True)
+        self._bar.set_description_str(self._line())
         self._ticker.start()
         return self
 

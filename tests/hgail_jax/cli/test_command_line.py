@@ -21,6 +21,7 @@ class Options:
     physics: Literal["c", "warp", "jax"] = "c"
     tables: tuple[Literal[1, 2, 3], ...] = ()
     seeds: int = 8
+    """Number of seeds."""
     envs: Annotated[int | None, unless_given("the task's", "INT")] = None
     share: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     offset: tuple[float, float] = (0.0, 0.0)
