@@ -27,10 +27,10 @@ print(hgail_jax.__file__, hgail_envs.__file__, hgail_envs.scenes.assets_director
 print(hgail_envs.scenes.load_scene("fetch/reach").nv)
 
 from hgail_jax.settings.presets import FEW_UPDATES
-from hgail_jax import Config, Hyperparameters, init_state, make, phase_table, train_step
+from hgail_jax import PPO, Config, Hyperparameters, init_state, make, phase_table, train_step
 import functools, jax
 
-env, config = make("point"), Config().replace(num_envs=2, rounds=1, **FEW_UPDATES)
+env, config = make("point"), Config(PPO()).replace(num_envs=2, rounds=1, **FEW_UPDATES)
 state = init_state(env, config, Hyperparameters(), jax.random.key(0))
 step = jax.jit(functools.partial(train_step, env, config))
 for phases in phase_table(config):
@@ -123,4 +123,4 @@ def parents(name):
 def test_the_distribution_takes_the_version_from_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert "version" in project["project"]["dynamic"]
-    assert project["tool"]["hatch"]["version"]["path"] == "hgail_jax/__init__.py"
+    assert project["tool"]["hatch"]["version"]["path"] == "hgail_jax/_version.py"

@@ -173,7 +173,8 @@ class Layout:
         if values.keys() != self._places.keys():
             wrong = sorted(values.keys() ^ self._places.keys())
             raise ValueError(f"values do not fit the layout: {wrong[0]!r} is {_side(wrong[0] in values)}")
-        parts = [xp.reshape(xp.asarray(values[quantity.title]), -1) for quantity in self]
+        arrays = (xp.asarray(values[quantity.title]) for quantity in self)
+        parts = [xp.reshape(array.astype(np.float32) if array.dtype == bool else array, -1) for array in arrays]
         for quantity, part in zip(self, parts, strict=True):
             if part.size != quantity.size:
                 raise ValueError(f"{quantity.title!r} has {part.size} numbers; its layout says {quantity.size}")

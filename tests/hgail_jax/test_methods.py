@@ -274,4 +274,4 @@ def test_off_policy_a_discriminator_is_trained_where_it_has_a_say(task, changes,
 )
 def test_options_that_a_method_or_a_learner_leaves_no_room_for_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        plan(TrainOptions(task="point", **changes), "cpu")
+        plan(TrainOptions(**{"task": "point"} | changes), "cpu")

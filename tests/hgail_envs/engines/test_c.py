@@ -21,7 +21,7 @@ from tests.hgail_envs.engines.scene import (
     random_states,
     step_by_hand,
 )
-from tests.support import ROOT
+from tests.support import SOURCES
 
 SUBSTEPS = 10
 
@@ -244,7 +244,7 @@ def run_script(script, folder):
     process = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", script],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": SOURCES},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -206,12 +206,12 @@ def test_a_user_without_a_home_folder_has_help(tmp_path):
     ("arguments", "numbers"),
     [
         (["--task", "grasp"], ["grasp", "--num-envs 512", "--substeps 8", "--exploration-noise 0.2 0.2 0.2 0.5"]),
-        (["--task=point", "--method", "hgail-no"], ["hgail-no on point", "--num-envs 64", "--p-ht 0.0"]),
+        (["--task=point", "--method", "hgail-no"], ["point has --method hgail-no", "--num-envs 64", "--p-ht 0.0"]),
         (["--preset", "paper"], ["reach", "--exploration-noise 1.0"]),
     ],
 )
 def test_help_has_the_numbers_of_the_task(capsys, prepared, arguments, numbers):
     with pytest.raises(SystemExit):
         main(["train", *arguments, "--help"])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --learner " in line]
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " has --method " in line]
     assert all(number in line for number in numbers)

@@ -46,7 +46,8 @@ def test_the_model_computes_the_policy(path, tmp_path):
 def test_the_metadata_describe_each_number(path, tmp_path):
     policy = load_policy(path)
     _, told = exported(policy, tmp_path / "p.onnx")
-    env = randomize(hgail_envs.make(policy.task, impl="c", substeps=4), policy.randomization)
+    options = {"impl": "c", "substeps": 4}
+    env = randomize(hgail_envs.make(policy.task, **policy.task_options | options), policy.randomization)
     rows = told["observation"]
     assert [row["index"] for row in rows] == list(range(env.observation_size))
     assert len({row["name"] for row in rows}) == len(rows)
