@@ -1,4 +1,4 @@
-"""Tables of README and pages that come from `experiments/results`; `python -m docs.tables` writes them with cog.
+"""Tables of README and pages, of results and of layouts; `python -m docs.tables` writes them with cog.
 
 A page has such a table between two comments, the first of which calls one of the functions below by name:
 
@@ -19,11 +19,12 @@ import numpy as np
 from cogapp import Cog
 
 from experiments.paper.markdown import plus_minus, table
+from hgail_envs.quantities import describe
 from hgail_envs.randomization import LEVELS, Randomization
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
-PAGES = ("README.md", *(f"docs/{page}.md" for page in ("index", "suite", "off-policy", "robust", "transfer")))
+PAGES = ("README.md", *(f"docs/{page}.md" for page in ("index", "suite", "off-policy", "robust", "tasks", "transfer")))
 """Pages with tables."""
 
 Row = dict[str, Any]
@@ -31,7 +32,7 @@ Row = dict[str, Any]
 _HEADLINE = (  # a run, its task's name, and the methods whose figures stand beside it
     ("reach-hgail", "reach", ("the paper",)),
     ("grasp-hgail", "grasp, with a lift test", ("the paper",)),
-    ("grasp-td3", "grasp, told at each step where the cube is", ()),
+    ("grasp-td3", "grasp, the cube seen at each step", ()),
     ("push-td3", "push", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3-no-reward", "pick and place", ("RHER", "DDPG + HER")),
     ("pick-and-place-td3", "pick and place", ("RHER", "DDPG + HER")),
@@ -51,7 +52,7 @@ _BESIDE_PUBLISHED = (  # a run, and the success looked for, or None for how it e
     *(("pick-and-place-hgail", "0.95"), ("slide-td3", "0.80"), ("slide-td3", None), ("slide-hgail", None)),
 )
 _RANDOMISED = ("-robust", "-other-arms", "-known-delay")
-_POLICIES = {"other arms": "under `other-arms`", "known delay": "told its delay", "robust": "robust policy"}
+_POLICIES = {"other arms": "under `other-arms`", "known delay": "known delay", "robust": "robust policy"}
 
 
 def show(rows: Callable[[], list[list[str]]]) -> None:
@@ -60,6 +61,21 @@ def show(rows: Callable[[], list[list[str]]]) -> None:
 
     header, *body = rows()
     cog.out("\n" + table(header, body).replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}") + "\n\n")
+
+
+def observation(task: str) -> Callable[[], list[list[str]]]:
+    """Returns the table of the numbers that a policy of a task reads, by default options."""
+    described = describe(task)
+    rows, first, features = [["index", "quantity", "unit", "frame"]], 0, described.features.size
+    for quantity in described.observation:
+        place, last = f"{first}", first + quantity.size
+        of_goal = f"{first - features}"
+        if quantity.size > 1:
+            place, of_goal = f"{place}:{last}", f"{of_goal}:{last - features}"
+        index = place if first < features else f"{place}, the goal's {of_goal}"
+        rows.append([index, quantity.name, quantity.unit, quantity.frame])
+        first = last
+    return lambda: rows
 
 
 def headline() -> list[list[str]]:

@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
         _check(options)
         # The task's own code is not needed, so that a file's task may be any.
         task = options.task or (DEFAULT_TASK if options.policy is None else None)
-        found = find_policies(task, options.policy, options.randomize)
+        found = find_policies(task, options.policy, options.randomize, robust=True)
         if len(found) > 1:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]

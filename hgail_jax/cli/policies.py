@@ -58,13 +58,16 @@ def find_task(task: str | None, path: Path | None) -> str:
     return of_policy
 
 
-def find_policies(task: str | None, path: Path | None, level: str | None = None) -> list[tuple[Path, MeanPolicy]]:
+def find_policies(
+    task: str | None, path: Path | None, level: str | None = None, robust: bool = False
+) -> list[tuple[Path, MeanPolicy]]:
     """Returns the policies of a file or a run's folder, and their files.
 
     Args:
       task: its name; None is the policy's own, whose code is not loaded.
       path: of the file or folder; None is a policy that comes with the package, see `shipped`.
       level: of the randomisation, for `shipped`.
+      robust: whether a policy that was trained without disturbances is refused for a level.
 
     Raises:
       ValueError: there is none, or it is not for the task.
@@ -73,7 +76,7 @@ def find_policies(task: str | None, path: Path | None, level: str | None = None)
     """
     if path is None and task is not None:
         hgail_envs.find_class(task)
-        path = shipped(task, level)
+        path = shipped(task, level, robust)
     if path is None:
         raise ValueError(_none_is_shipped(task, level))
     loaded = [(file, load_policy(file)) for file in policy_files(path)]
@@ -83,15 +86,17 @@ def find_policies(task: str | None, path: Path | None, level: str | None = None)
     return loaded
 
 
-def shipped(task: str, level: str | None = None) -> Path | None:
+def shipped(task: str, level: str | None = None, robust: bool = False) -> Path | None:
     """Returns the file of the policy that comes with the package, or None.
 
     Args:
       task: its name.
-      level: of the randomisation; the policy is then the one trained under it, else the robust one of the task.
+      level: of the randomisation; the policy is then the one trained under it, else the robust one, else the plain one.
+      robust: leaves out the plain one for a level.
 
     """
-    names = [task] if level in (None, "none") else [f"{task}-{level}", f"{task}-robust"]
+    for_level = [] if level in (None, "none") else [f"{task}-{level}", f"{task}-robust"]
+    names = for_level + ([] if for_level and robust else [task])
     paths = (assets_directory() / "policies" / f"{name}.npz" for name in names)
     return next((path for path in paths if path.exists()), None)
 

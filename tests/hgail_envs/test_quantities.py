@@ -1,8 +1,5 @@
 """Names of the numbers of an observation, against C MuJoCo's own quantities of the same state."""
 
-import re
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -143,19 +140,3 @@ def test_the_numbers_of_a_task_that_is_not_imported_are_counted():
     numbers = [number.name for layout in described for number in layout.numbers]
     assert numbers == ["feature 0", "feature 1", "goal 0", "action 0"]
     assert describe("hgail_envs.point:Point").goal.numbers[2].name == "target position z"
-
-
-@pytest.mark.parametrize("task", hgail_envs.TASKS)
-def test_the_page_has_the_layouts(task):
-    page = (Path(hgail_envs.__file__).parents[2] / "docs" / "tasks.md").read_text()
-    section = page.split(f"\n## {task}\n")[1].split("\n## ")[0]
-    described, first, rows = describe(task), 0, []
-    for quantity in (*described.observation, None, *described.action):
-        if quantity is None:
-            first = 0
-            continue
-        place = f"{first}:{first + quantity.size}" if quantity.size > 1 else f"{first}"
-        rows.append((place, quantity.name, quantity.unit, quantity.frame))
-        first += quantity.size
-    table = re.findall(r"^\| (\d+(?::\d+)?)(?:, the goal's \S+)? \| (.*) \| (.*) \| (.*) \|$", section, re.M)
-    assert [tuple(cell.strip() for cell in row) for row in table] == rows

@@ -51,7 +51,7 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--seeds", "8", "1"], "bench: seeds is 8 1; the first must be 1"),
         (["--num-envs", "0"], "bench: num_envs is 0; it must be at least 1"),
         (["--task", "reach", "point"], "bench: task is 'point'; choose from "),
-         (["--section", "everything"], "bench: invalid choice 'everything' for argument '--section'"),
+        (["--section", "everything"], "bench: invalid choice 'everything' for argument '--section'"),
         (["--num-envs"], "bench: --num-envs names nothing"),
         (["--section", "physics", "--run=--seeds=1"], "bench: --run is for --section compile and time-to-success"),
     ],

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hgail_jax.settings.defaults import DEFAULTS
 
 import hgail_envs
+from hgail_jax.settings.defaults import DEFAULTS
 from tests.support import check_a_round
 
 WHOSE = {"stack": [(0, 0), (1, 0), (0, 1)], "tower": [(0, 0, 0), *(tuple(row) for row in np.eye(3, dtype=int))]}

@@ -327,7 +327,7 @@ def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder)
         (("reach", "reach-robust"), "none", "reach"),
         (("reach", "reach-robust"), "mild", "reach-robust"),
         (("reach", "reach-robust", "reach-mild"), "mild", "reach-mild"),
-        (("reach", "reach-mild"), "full", None),
+        (("reach", "reach-mild"), "full", "reach"),
         ((), "mild", None),
     ],
 )

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hgail_jax.settings.defaults import DEFAULTS
 
 from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
@@ -15,6 +14,7 @@ from hgail_jax import TD3, Config, Hyperparameters, Preset, Trainer, load_policy
 from hgail_jax.cli import play
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
+from hgail_jax.settings.defaults import DEFAULTS
 from tests.support import compile_once, make_runs_tiny
 
 SMALL = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
