@@ -45,8 +45,8 @@ class Quantity(NamedTuple):
     def numbers(self) -> "tuple[Quantity, ...]":
         """Each number as a quantity.
 
-        >>> [number.name for number in position("cube position").numbers]
-        ['cube position x', 'cube position y', 'cube position z']
+        >>> position("cube position").numbers[2].name
+        'cube position z'
         """
         parts = _AXES if self.size <= len(_AXES) else tuple(map(str, range(self.size)))
         names = [self.name] if self.size == 1 else [f"{self.name} {part}" for part in parts[: self.size]]
@@ -94,8 +94,8 @@ class Layout:
     def numbered(cls, kind: str, size: int) -> "Layout":
         """Returns the layout of a vector that nobody described.
 
-        >>> [number.name for number in Layout.numbered("goal", 2).numbers]
-        ['goal 0', 'goal 1']
+        >>> Layout.numbered("goal", 2).numbers[1].name
+        'goal 1'
         """
         return cls(*(Quantity(f"{kind} {index}") for index in range(size)))
 

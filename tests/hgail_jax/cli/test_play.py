@@ -42,12 +42,12 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))  # where there is no GPU, large pictures take long
-    monkeypatch.setattr(hgail_envs.find_class("reach"), "episode_length", 12)
+    monkeypatch.setattr(hgail_envs.find_class("reach"), "episode_length", 20)
     play.main(["--task", "reach", "--episodes", "1"])
     assert [path.name for path in tmp_path.iterdir()] == ["reach.mp4"]
     with imageio.get_reader("reach.mp4", format="FFMPEG") as written:
         assert written.get_meta_data()["size"] == (64, 48)
-        assert written.count_frames() == 12 + 10
+        assert written.count_frames() == 20 + 10
     shown = capsys.readouterr()
     assert shown.out.splitlines()[1:] == ["reach.mp4", "1 of 1 episodes succeeded"]
     assert shown.err == "compiling and filming ...\n"
@@ -55,7 +55,7 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
 
 @pytest.mark.parametrize(("threshold", "colour"), [(0.05, (0, 158, 115)), (0.0, (213, 94, 0))])
 def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy, rendering, threshold, colour):
-    env, pictures, steps = hgail_envs.make("reach"), [], 12 if threshold else 2
+    env, pictures, steps = hgail_envs.make("reach"), [], 20 if threshold else 2
     monkeypatch.setattr(env, "success_threshold", threshold)
     monkeypatch.setattr(env, "episode_length", steps)
     monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))

@@ -15,7 +15,7 @@ from hgail_jax.terminal import status
 from hgail_jax.terminal.status import StatusLine, progress_bar
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, train
-from tests.hgail_jax.trainer.test_loop import measured, start, told
+from tests.hgail_jax.trainer.test_loop import measured, start, steps_of
 from tests.support import TINY
 
 
@@ -77,7 +77,7 @@ def test_a_training_says_what_came_of_each_evaluation(capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
     program = dataclasses.replace(program, evaluate_every=2)
     rounds = [measured([0.25, 0.75], [0.1, 0.2])] * 5
-    train(program, told(*rounds), start(program))
+    train(program, steps_of(*rounds), start(program))
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "round 0/4 ..."  # the pre-training, as in metrics.csv
     assert [line.split(",")[0] for line in lines[1:]] == ["round 0/4", "round 2/4", "round 4/4"]
@@ -110,14 +110,14 @@ def timed(monkeypatch):
 def test_the_time_left_is_told_by_the_rounds_that_are_alike(timed, capsys):
     """Round 0 only fills a buffer, which here takes a second."""
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
-    train(program, timed(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
+    train(program, timed(steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
     lines = capsys.readouterr().err.splitlines()[1:]
     assert [line.partition("elapsed")[2] for line in lines] == ["", ", 00:20 left", ", 00:10 left", ", 00:00 left"]
 
 
 def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(timed, capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
-    progress, step = start(program), timed(told(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
+    progress, step = start(program), timed(steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
     stop = threading.Event()
     train(program, step, progress, stop=stop, after_round=lambda progress: progress.rounds == 2 and stop.set())
     capsys.readouterr()
@@ -128,7 +128,7 @@ def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(tim
 
 def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=1, pretrain=False), (Hyperparameters(),), 2)
-    train(program, told(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
+    train(program, steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
     _, zero, one = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 0/1, success 0\.500, \d\d:\d\d elapsed", zero)
     assert re.fullmatch(r"round 1/1, success 0\.500, \S+ env steps/s, \d\d:\d\d elapsed, \d\d:\d\d left", one)
@@ -142,12 +142,12 @@ def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(
         if progress.rounds == 2:
             stop.set()
 
-    train(program, told(*rounds), progress, stop=stop, after_round=stop_after_two)
+    train(program, steps_of(*rounds), progress, stop=stop, after_round=stop_after_two)
     assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()][1:] == ["round 0/3", "round 1/3"]
-    train(program, told(*rounds), progress)
+    train(program, steps_of(*rounds), progress)
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(",")[0] for line in lines] == ["round 2/3 ...", "round 2/3", "round 3/3"]
-    train(program, told(), progress)
+    train(program, steps_of(), progress)
     assert capsys.readouterr().err == ""
 
 
