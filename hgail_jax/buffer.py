@@ -11,7 +11,7 @@ from hgail_envs import GoalEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.hindsight import count_kinds, draw_source
 from hgail_jax.rollout import Trajectory
-from hgail_jax.samples import kind_share
+from hgail_jax.samples import Samples, jitter_goals, kind_share, shuffle_goals
 
 _STEPS_AHEAD = 2**30  # more than any episode has
 
@@ -46,6 +46,10 @@ class Transitions(struct.PyTreeNode):
     """`[B]` booleans: whether the next state is at the goal."""
     weight: jax.Array
     """`[B]`: in a loss; 0 for episodes whose simulation broke down."""
+    features: jax.Array
+    """`[B, feature_size]`: the observations without their goals."""
+    goal: jax.Array
+    """`[B, goal_size]`."""
 
 
 def init_buffer(env: GoalEnv, episodes: int) -> EpisodeBuffer:
@@ -131,4 +135,28 @@ def draw(
         next_observation=env.goal_observation(following, goal),
         reached=env.goal_test(following, buffer.achieved[episode, step + 1], goal),
         weight=valid[episode] * jnp.where(chosen & solved, hyper.solved_weight, 1.0),
+        features=features,
+        goal=goal,
     )
+
+
+def draw_positives(
+    env: GoalEnv, hyper: Hyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, jitter_rng: jax.Array
+) -> Samples:
+    """Draws the discriminator's expert samples, whose goals are achieved within `discriminator_horizon` steps.
+
+    With a `goal_jitter` a goal is anywhere in a box around that, within what counts as reached.
+    """
+    # without hindsight at all (p_ht 0) nothing tells them from the policy's
+    drawn = draw(env, hyper, buffer, rng, count, jnp.where(hyper.p_ht > 0, 1.0, 0.0), hyper.discriminator_horizon)
+    goal = jitter_goals(env, drawn.goal, hyper.goal_jitter, jitter_rng)
+    return Samples(env.goal_observation(drawn.features, goal), drawn.action, drawn.weight)
+
+
+def draw_negatives(
+    env: GoalEnv, hyper: Hyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, shuffle_rng: jax.Array
+) -> Samples:
+    """Draws the discriminator's policy samples, under the goals that they pursued, or under those of others."""
+    drawn = draw(env, hyper, buffer, rng, count, hyper.negative_p_ht)
+    goal = shuffle_goals(drawn.goal, hyper.shuffled_goals, shuffle_rng)
+    return Samples(env.goal_observation(drawn.features, goal), drawn.action, drawn.weight)

@@ -20,7 +20,10 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_OF_ONE_LEARNER = ("epsilon", "tau", "target_noise", "discriminator_horizon")
+_OF_ONE_LEARNER = (
+    *("epsilon", "tau", "target_noise", "discriminator_horizon"),
+    *("goal_jitter", "shuffled_goals", "negative_p_ht", "negative_weight"),
+)
 """Hyperparameters that only the learners read which name them, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
@@ -167,6 +170,18 @@ class Hyperparameters(struct.PyTreeNode):
     """Most steps from an expert sample to the one that its hindsight goal is taken from (TD3). At 1 the discriminator
     learns which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
 
+    goal_jitter: jax.Array | float = 0.0
+    """Edge of the box from which the discriminator's expert samples draw their goals, as a fraction of the task's
+    `GoalEnv.goal_tolerance`; 0 is the paper's, the very position that is achieved next (TD3)."""
+    shuffled_goals: jax.Array | float = 0.0
+    """Fraction of the discriminator's policy samples that have the goal of another one; 0 is the paper's, the goals
+    that were pursued. With 1 the best logit is log p(goal achieved next | s, a) - log p(goal), as in contrastive RL
+    (TD3)."""
+    negative_p_ht: jax.Array | float = 0.0
+    """Probability that a policy sample's goal, before it is shuffled, is one that its episode achieved later (TD3)."""
+    negative_weight: jax.Array | float = 1.0
+    """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's (TD3)."""
+
     def as_dict(self, learner: Learner) -> dict[str, Any]:
         """Returns the fields as JSON has them, less those that other learners alone read."""
         others = set(_OF_ONE_LEARNER) - set(learner.hyperparameters)
@@ -208,8 +223,10 @@ class Hyperparameters(struct.PyTreeNode):
 _SHARES = (
     *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
     *("standardize_reward", "standardize_advantage", "standardize_observation", "epsilon", "tau"),
+    *("goal_jitter", "shuffled_goals", "negative_p_ht"),
 )
 _POSITIVE = (
+    "negative_weight",
     *("exploration_noise", "final_exploration_noise", "clip_ratio", "reward_scale"),
     *("policy_learning_rate", "discriminator_learning_rate"),
 )

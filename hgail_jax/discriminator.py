@@ -34,14 +34,16 @@ def discriminate(config: Config, params: Any, observation: jax.Array, action: ja
     return apply(_network(config), params, inputs)[..., 0]
 
 
-def discriminator_loss(expert_logits: jax.Array, policy_logits: jax.Array) -> jax.Array:
+def discriminator_loss(
+    expert_logits: jax.Array, policy_logits: jax.Array, policy_weight: jax.Array | float = 1.0
+) -> jax.Array:
     """Binary cross-entropy, `[]`: expert samples `[B]` towards 1 plus policy samples `[B]` towards 0.
 
-    At chance it is 2 log 2, about 1.39.
+    At chance it is 2 log 2, about 1.39. A `policy_weight` of w lowers the best logit by log w.
     """
     expert = optax.sigmoid_binary_cross_entropy(expert_logits, jnp.ones_like(expert_logits))
     policy = optax.sigmoid_binary_cross_entropy(policy_logits, jnp.zeros_like(policy_logits))
-    return expert.mean() + policy.mean()
+    return expert.mean() + policy_weight * policy.mean()
 
 
 def discriminator_accuracy(expert_logits: jax.Array, policy_logits: jax.Array) -> jax.Array:
@@ -50,16 +52,25 @@ def discriminator_accuracy(expert_logits: jax.Array, policy_logits: jax.Array) -
 
 
 def fit_discriminator(
-    config: Config, state: TrainState, expert: Samples, policy: Samples, minibatches: int, rng: jax.Array
+    config: Config,
+    state: TrainState,
+    expert: Samples,
+    policy: Samples,
+    minibatches: int,
+    rng: jax.Array,
+    policy_weight: jax.Array | float = 1.0,
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy."""
+    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy.
+
+    See `discriminator_loss` for `policy_weight`.
+    """
     expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
 
     def loss(params: Any, indices: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
         of_expert, of_policy = indices
         expert_logits = discriminate(config, params, expert_observation[of_expert], expert.action[of_expert])
         policy_logits = discriminate(config, params, policy_observation[of_policy], policy.action[of_policy])
-        value = discriminator_loss(expert_logits, policy_logits)
+        value = discriminator_loss(expert_logits, policy_logits, policy_weight)
         accuracy = discriminator_accuracy(expert_logits, policy_logits)
         return value, {"discriminator_loss": value, "discriminator_accuracy": accuracy}
 

@@ -95,6 +95,17 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     return flatten(Samples(env.goal_observation(features, goal), trajectory.action, weight))
 
 
+def jitter_goals(env: GoalEnv, goal: jax.Array, size: jax.Array | float, rng: jax.Array) -> jax.Array:
+    """Draws a goal uniformly from a box around each of `goal`, `[S, goal_size]`: `size` times the task's tolerance."""
+    return goal + size * env.goal_tolerance(goal) * jax.random.uniform(rng, goal.shape, minval=-1.0)
+
+
+def shuffle_goals(goal: jax.Array, share: jax.Array | float, rng: jax.Array) -> jax.Array:
+    """Gives a fraction of samples the goal of another one; `goal` is `[S, goal_size]`, in a random order, S above 1."""
+    others = jnp.roll(goal, len(goal) // 2, axis=0)
+    return jnp.where(jax.random.bernoulli(rng, share, (len(goal), 1)), others, goal)
+
+
 def kind_share(env: GoalEnv, goal: jax.Array, weight: jax.Array) -> jax.Array:
     """Fraction of each kind, `[goal_kinds]`, among goals `[T, N, goal_size]` of weights `[T, N]`; always positive."""
     of_kind = jax.nn.one_hot(env.goal_kind(goal), env.goal_kinds)

@@ -7,9 +7,10 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax.envs.base import Env, State
 
-from hgail_envs.layout import HasLayouts
+from hgail_envs.layout import HasLayouts, is_flag
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors, SensorErrors
 
@@ -148,6 +149,16 @@ class GoalEnv(HasLayouts, Env):
         all that a replay buffer keeps of it. By default it is `success` of the achieved goal.
         """
         return self.success(achieved, goal)
+
+    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
+        """Returns half the edges of a box around goals, both `[..., goal_size]`, that is within what counts as reached.
+
+        A state that achieves a goal is at every goal of the box around it, by `goal_test`. A discriminator may take its
+        positives' goals from there, see `Hyperparameters.goal_jitter`. By default a cube, with flags as they are.
+        """
+        numbers = np.array([not is_flag(number.unit) for number in self.goal_layout.numbers], np.float32)
+        half = self.success_threshold / np.sqrt(max(numbers.sum(), 1.0))
+        return jnp.broadcast_to(half.astype(np.float32) * numbers, goal.shape)
 
     def reached(self, physics: Any, desired: jax.Array) -> jax.Array:
         """Returns whether `physics` is at the goal `desired`, `[goal_size]`, by `goal_test`: a boolean `[]`."""

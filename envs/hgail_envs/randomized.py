@@ -218,6 +218,9 @@ class RandomizedEnv(GoalEnv):
         """Returns whether observed positions are at observed goals, for a buffer has no true ones; see `GoalEnv`."""
         return self.task.goal_test(features[..., self._past_size :], achieved, goal)
 
+    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
+        return self.task.goal_tolerance(goal)
+
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         return self.task.already_solved(features[..., self._past_size :], goal)
 

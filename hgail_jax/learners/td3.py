@@ -16,7 +16,15 @@ from flax import struct
 
 from hgail_envs import GoalEnv
 from hgail_envs.validation import check_count, check_fraction
-from hgail_jax.buffer import EpisodeBuffer, Transitions, add_episodes, draw, init_buffer
+from hgail_jax.buffer import (
+    EpisodeBuffer,
+    Transitions,
+    add_episodes,
+    draw,
+    draw_negatives,
+    draw_positives,
+    init_buffer,
+)
 from hgail_jax.config import RELABELLED, Config, Hyperparameters
 from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
@@ -25,7 +33,7 @@ from hgail_jax.experts import expert_samples
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP, Learner, Phase, Update, check_sizes
 from hgail_jax.networks import MLP, apply, dense_layers
 from hgail_jax.rollout import Policy, Trajectory
-from hgail_jax.samples import Samples, policy_samples
+from hgail_jax.samples import policy_samples
 from hgail_jax.state import TrainState
 
 _NOISE_CLIP = 2.5  # in deviations of the target noise, as .5 is to .2 in TD3
@@ -226,30 +234,18 @@ class _Batch(NamedTuple):
 def _update_discriminator(
     env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, Metrics]:
-    """Trains the discriminator on expert samples against the buffer's, under the goals that it pursued."""
-    count = config.discriminator_minibatches
-    if not count:
+    """Trains the discriminator on expert samples against the buffer's."""
+    if not (count := config.discriminator_minibatches):
         return state, {}
-    expert_rng, policy_rng, fit_rng = jax.random.split(rng, 3)
+    expert_rng, policy_rng, fit_rng, jitter_rng, shuffle_rng = jax.random.split(rng, 5)
     hyper, samples = state.hyperparameters, count * config.discriminator_batch
     if config.expert_source == RELABELLED:
-        # without hindsight at all (p_ht 0) nothing tells the two apart
-        drawn = draw(
-            env,
-            hyper,
-            state.buffer,
-            expert_rng,
-            samples,
-            jnp.where(hyper.p_ht > 0, 1.0, 0.0),
-            hyper.discriminator_horizon,
-        )
-        expert = Samples(drawn.observation, drawn.action, drawn.weight)
+        expert = draw_positives(env, hyper, state.buffer, samples, expert_rng, jitter_rng)
     else:
         kept, expert = expert_samples(env, config, hyper, state.expert, trajectory, expert_rng)
         state = state.replace(expert=kept)
-    pursued = draw(env, hyper, state.buffer, policy_rng, samples, 0.0)
-    policy = Samples(pursued.observation, pursued.action, pursued.weight)
-    return fit_discriminator(config, state, expert, policy, count, fit_rng)
+    policy = draw_negatives(env, hyper, state.buffer, samples, policy_rng, shuffle_rng)
+    return fit_discriminator(config, state, expert, policy, count, fit_rng, hyper.negative_weight)
 
 
 def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:

@@ -1,6 +1,7 @@
 """Options of a training, and the run that they ask for on a platform."""
 
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -83,6 +84,8 @@ class TrainOptions:
     TD3 actions of the buffer that its critics prefer."""
     exploration_noise: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
     """Standard deviation of the policy, one number or one for each of the action's."""
+    settings: tuple[str, ...] = ()
+    """Other fields of Config, its learner or Hyperparameters, as name=value: a number, true, false or a list."""
     devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
     """Devices to spread seeds, and then environments, over."""
     out: Annotated[Path | None, unless_given("runs/<task>-<method>-<number>", "FOLDER")] = None
@@ -256,6 +259,8 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "reward": REWARDS[options.reward],
         "standardize_reward": options.standardize_reward,
     }
+    for name, value in map(_parse_setting, options.settings):
+        (scalars if name in vars(preset.hyperparameters) else sizes)[name] = value
     hyperparameters = preset.hyperparameters.replace(**_given(scalars))
     return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
 
@@ -288,6 +293,20 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
         raise
     except Exception as error:  # a class that is abstract, or the user's own
         raise ValueError(f"cannot make task {options.task!r}: {error}") from error
+
+
+def _parse_setting(setting: str) -> tuple[str, Any]:
+    """Splits `name=value`; a list becomes a tuple, as `Config` has the widths of networks."""
+    name, _, text = setting.partition("=")
+    if name in {field.name for field in dataclasses.fields(TrainOptions)}:
+        raise ValueError(f"setting {setting!r}: {name} is --{name.replace('_', '-')} here")
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError:
+        value = None
+    if not isinstance(value, bool | int | float | list):
+        raise ValueError(f"setting {setting!r} is not name=value with a number, true, false or a list of numbers")
+    return name, tuple(value) if isinstance(value, list) else value
 
 
 def _parse_task_option(option: str) -> tuple[str, Any]:

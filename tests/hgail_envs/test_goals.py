@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import inspect
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -438,3 +439,19 @@ def test_brax_s_trainers_train_on_it_as_far_as_they_run_on_this_jax(name):
         train(environment=hgail_envs.make("point"), progress_fn=progress, **sizes, **BRAX_S_TRAINERS[name])
     assert bool(measured) != needs_older
     assert all(-50.0 <= reward <= 0.0 for reward in measured)
+
+
+@pytest.mark.parametrize("task", hgail_envs.TASKS)
+def test_every_goal_of_the_box_around_an_achieved_one_is_reached(task):
+    """Goals of all kinds: random positions with all flags, displaced to the corners of the box and at random."""
+    env, rng = hgail_envs.make(task), np.random.default_rng(0)
+    flags = np.array(list(itertools.product([0.0, 1.0], repeat=env.goal_size - 3)))
+    achieved = np.concatenate([rng.uniform(0.3, 1.5, (len(flags), 3)), flags], axis=-1).astype(np.float32)
+    half = np.asarray(env.goal_tolerance(achieved))
+    assert half.shape == achieved.shape and (half[:, 3:] == 0).all() and (half[:, :2] > 0.01).all()
+    corners = np.array([*itertools.product([-1.0, 1.0], repeat=3), *rng.uniform(-1.0, 1.0, (50, 3))])
+    signs = np.concatenate([corners, np.zeros((len(corners), env.goal_size - 3))], axis=-1)
+    inside = achieved + 0.999 * signs[:, None] * half
+    outside = achieved + 1.6 * signs[:8, None] * half
+    assert env.success(jnp.broadcast_to(achieved, inside.shape), inside).all()
+    assert not env.success(jnp.broadcast_to(achieved, outside.shape), outside).any()

@@ -10,8 +10,10 @@ from scipy.stats import binomtest, chisquare
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import Hyperparameters, Trajectory
-from hgail_jax.buffer import add_episodes, draw, init_buffer
+from hgail_jax.buffer import add_episodes, draw, draw_negatives, draw_positives, init_buffer
+from hgail_jax.discriminator import discriminator_loss
 from hgail_jax.hindsight import FINAL, FUTURE
+from hgail_jax.samples import shuffle_goals
 
 LENGTH, HELD, DRAWS = 5, 4, 40_000
 UNLIKELY = 1e-5  # a p-value; keys are fixed, so that a test does not fail by chance now and then
@@ -245,3 +247,83 @@ def test_seeds_side_by_side_draw_what_each_draws_alone():
         jax.tree.map(
             lambda ours, all_of_them, i=index: np.testing.assert_array_equal(ours, all_of_them[i]), alone, together
         )
+
+
+# Samples of the discriminator
+
+
+class Corners(Line):
+    """Two states and two goals, of which a state achieves its own."""
+
+    goal_size, goal_kinds, success_threshold = 1, 1, 0.25
+
+    def goal_kind(self, goal):
+        return jnp.zeros(goal.shape[:-1], jnp.int32)
+
+
+@pytest.fixture(scope="module")
+def corners():
+    """A buffer of random episodes, and the state, the goal achieved next and the goal pursued in each of its steps."""
+    rng = np.random.default_rng(0)
+    state = (rng.uniform(size=(LENGTH + 1, HELD)) < 0.4).astype(np.float32)
+    wanted = (rng.uniform(size=(LENGTH + 1, HELD)) < 0.3 + 0.4 * state).astype(np.float32)  # depends on the state
+    zeros = np.zeros((LENGTH, HELD), np.float32)
+    episodes = Trajectory(
+        features=state[..., None],
+        achieved=state[..., None],
+        desired=wanted[..., None],
+        action=np.zeros((LENGTH, HELD, 2), np.float32),
+        log_prob=zeros,
+        reward=zeros,
+        valid=np.ones(HELD, bool),
+        overflow=np.zeros(HELD, bool),
+        outcome=EpisodeMetrics(),
+    )
+    buffer = add_episodes(init_buffer(Corners(), HELD), jax.tree.map(jnp.asarray, episodes))
+    return buffer, state[:-1].ravel(), state[1:].ravel(), wanted[:-1].ravel()
+
+
+def joint(states, goals):
+    """Returns the frequencies of pairs, `[2, 2]`."""
+    counts = np.zeros((2, 2))
+    np.add.at(counts, (np.rint(states).astype(int), np.rint(goals).astype(int)), 1.0)
+    return counts / counts.sum()
+
+
+@pytest.mark.parametrize(
+    ("changes", "negative"),
+    [
+        ({}, "pursued"),
+        ({"shuffled_goals": 1.0}, "any"),
+        ({"shuffled_goals": 0.5}, "half"),
+        ({"shuffled_goals": 1.0, "goal_jitter": 1.0, "negative_weight": 3.0}, "any"),
+    ],
+)
+def test_the_best_logit_is_the_log_ratio_of_the_densities(corners, changes, negative):
+    """log p(state, goal achieved next) - log w q(state, goal), where q is of the goals pursued or of any."""
+    buffer, state, achieved, pursued = corners
+    hyper, keys = Hyperparameters(discriminator_horizon=1, **changes), jax.random.split(jax.random.key(1), 4)
+    expert = jax.jit(draw_positives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[:2])
+    policy = jax.jit(draw_negatives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[2:])
+    together = joint(state, pursued)
+    apart = together.sum(axis=1, keepdims=True) * together.sum(axis=0, keepdims=True)
+    density = {"pursued": together, "any": apart, "half": 0.5 * (together + apart)}[negative]
+    weight = changes.get("negative_weight", 1.0)
+    best = np.log(joint(state, achieved)) - np.log(weight * density)
+
+    def loss(logits):
+        cells = (jnp.rint(samples.observation).astype(int) for samples in (expert, policy))
+        return discriminator_loss(*(logits[cell[:, 0], cell[:, 1]] for cell in cells), weight)
+
+    np.testing.assert_allclose(jax.grad(loss)(jnp.asarray(best, jnp.float32)), 0.0, atol=5e-3)
+    assert np.abs(jax.grad(loss)(jnp.asarray(best + 0.2, jnp.float32))).max() > 0.01
+    exact = np.abs(np.asarray(expert.observation[:, 1]) - np.rint(expert.observation[:, 1])).max()
+    assert exact == 0.0 if not changes.get("goal_jitter") else 0.24 < exact <= 0.25
+
+
+def test_shuffling_pairs_no_sample_with_its_own_goal():
+    goals = jnp.arange(7.0)[:, None]
+    shuffled = shuffle_goals(goals, 1.0, jax.random.key(0))
+    assert sorted(shuffled[:, 0].tolist()) == list(range(7))
+    assert (shuffled != goals).all()
+    np.testing.assert_array_equal(shuffle_goals(goals, 0.0, jax.random.key(0)), goals)

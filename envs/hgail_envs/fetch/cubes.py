@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hgail_envs.fetch.arm import CONTROL_PERIOD
 
@@ -42,6 +43,12 @@ def is_left(apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
     """
     away = (jnp.linalg.norm(apart, axis=-1) >= LEAST_AWAY) & (gap >= LEAST_GAP)
     return away & (jnp.linalg.norm(velocity, axis=-1) <= AT_REST * CONTROL_PERIOD)
+
+
+def place_tolerance(goal: jax.Array) -> jax.Array:
+    """Returns half the edges of a box that `is_in_place` accepts, `[goal_size]`, for goals `[..., goal_size]`."""
+    aside = MOST_ASIDE / np.sqrt(2.0)
+    return jnp.zeros(goal.shape[-1]).at[:3].set(jnp.array([aside, aside, MOST_HIGH]))
 
 
 def is_in_place(apart: jax.Array) -> jax.Array:

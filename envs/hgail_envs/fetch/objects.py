@@ -179,18 +179,18 @@ class ObjectEnv(FetchEnv):
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         height = goal[..., 2]
         elsewhere = (height > _IN_THE_AIR) | (height < _BELOW_THE_TABLE)
-        return jnp.where(_is_object(goal), 1 + elsewhere.astype(jnp.int32), 0)
+        return jnp.where(is_object(goal), 1 + elsewhere.astype(jnp.int32), 0)
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Tests the position alone, whether the object has moved or not; see `GoalEnv`."""
         gripper = features[..., self.features_layout["gripper position"]]
-        position = jnp.where(_is_object(goal)[..., None], self._object_in(features), gripper)
+        position = jnp.where(is_object(goal)[..., None], self._object_in(features), gripper)
         return jnp.linalg.norm(position - goal[..., GOAL["target position"]], axis=-1) <= self.success_threshold
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
         distance = jnp.linalg.norm(self._object_in(features) - goal[..., GOAL["target position"]], axis=-1)
-        return _is_object(goal) & (distance <= _AT_GOAL)
+        return is_object(goal) & (distance <= _AT_GOAL)
 
     def _object_in(self, features: jax.Array) -> jax.Array:
         """Returns the object's position, `[..., 3]`, of features `[..., feature_size]`."""
@@ -216,7 +216,8 @@ def object_goal(position: jax.Array) -> jax.Array:
     return jnp.append(position, _OBJECT)
 
 
-def _is_object(goal: jax.Array) -> jax.Array:
+def is_object(goal: jax.Array) -> jax.Array:
+    """Returns whether goals are the object's, not the gripper's: booleans `[...]`."""
     return goal[..., GOAL[OF_OBJECT]] > 0.5
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
-from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal, is_object
 from hgail_envs.fetch.push import Push
 from hgail_envs.validation import check_name
 
@@ -85,6 +85,11 @@ class Slide(Push):
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         moves = (jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST) & (self.achieved == "at-rest")
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
+
+    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
+        """Returns a square on the table for goals of the puck, which never leaves it; see `GoalEnv`."""
+        aside = self.success_threshold / 2.0**0.5
+        return jnp.where(is_object(goal)[..., None], jnp.array([aside, aside, 0.0, 0.0]), super().goal_tolerance(goal))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns 0 for the gripper's goals, 1 to 15 for the puck's by field of the table, and 16 elsewhere."""

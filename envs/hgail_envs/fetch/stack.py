@@ -10,7 +10,17 @@ from flax import struct
 from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
+from hgail_envs.fetch.cubes import (
+    AT_GOAL,
+    ELSEWHERE,
+    LEAST_WIDEST_GAP,
+    MOVED,
+    RELAYS,
+    is_in_place,
+    is_left,
+    place_tolerance,
+    relay,
+)
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, of_object
 from hgail_envs.fetch.objects import ObjectPhysics
@@ -204,6 +214,9 @@ class Stack(PickAndPlace):
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
         return self._is_at(_position_of(features, goal), goal) & _is_left_as_wanted(features, goal)
+
+    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
+        return jnp.where(_is_to_be_left(goal)[..., None], place_tolerance(goal), super().goal_tolerance(goal))
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are a cube's and within 3 cm of its present position, and A left as wanted."""

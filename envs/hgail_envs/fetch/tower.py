@@ -9,7 +9,17 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
+from hgail_envs.fetch.cubes import (
+    AT_GOAL,
+    ELSEWHERE,
+    LEAST_WIDEST_GAP,
+    MOVED,
+    RELAYS,
+    is_in_place,
+    is_left,
+    place_tolerance,
+    relay,
+)
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import gripper_values
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
@@ -252,6 +262,11 @@ class Tower(FetchEnv):
         """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
         at_goal = tower_goals.is_at(tower_goals.position_of(features, goal), goal, self.success_threshold)
         return at_goal & tower_goals.is_left_as_wanted(features, goal)
+
+    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
+        return jnp.where(
+            tower_goals.is_to_be_left(goal)[..., None], place_tolerance(goal), super().goal_tolerance(goal)
+        )
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are a cube's and within 3 cm of its present position, and it is left as wanted."""

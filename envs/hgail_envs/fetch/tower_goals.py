@@ -61,7 +61,8 @@ def is_of_gripper(goal: jax.Array) -> jax.Array:
     return (goal[..., _WHOSE] <= 0.5).all(axis=-1)
 
 
-def _is_to_be_left(goal: jax.Array) -> jax.Array:
+def is_to_be_left(goal: jax.Array) -> jax.Array:
+    """Returns whether the cube of goals is to be left there: booleans `[...]`."""
     return goal[..., GOAL["the cube is to be left at the target"]] > 0.5
 
 
@@ -70,7 +71,7 @@ def goal_kind(goal: jax.Array) -> jax.Array:
     is_base, is_top = (goal[..., _WHOSE][..., role] > 0.5 for role in (BASE, TOP))
     raised = (goal[..., 2] > _RAISED) & ~is_base
     of_cube = jnp.where(raised, jnp.where(is_top, _KIND_OF_TOP, _KIND_OF_MIDDLE), _KIND_ON_TABLE)
-    return jnp.where(is_of_gripper(goal), 0, of_cube + _is_to_be_left(goal))
+    return jnp.where(is_of_gripper(goal), 0, of_cube + is_to_be_left(goal))
 
 
 def is_at(position: jax.Array, goal: jax.Array, threshold: float) -> jax.Array:
@@ -79,7 +80,7 @@ def is_at(position: jax.Array, goal: jax.Array, threshold: float) -> jax.Array:
     That is within `threshold`, metres, or in the place of a cube that is to be left there.
     """
     apart = position - goal[..., :3]
-    return jnp.where(_is_to_be_left(goal), is_in_place(apart), jnp.linalg.norm(apart, axis=-1) <= threshold)
+    return jnp.where(is_to_be_left(goal), is_in_place(apart), jnp.linalg.norm(apart, axis=-1) <= threshold)
 
 
 def position_of(features: jax.Array, goal: jax.Array) -> jax.Array:
@@ -92,7 +93,7 @@ def is_left_as_wanted(features: jax.Array, goal: jax.Array) -> jax.Array:
     """Returns whether the cube of each goal is left, or not, as the goal wants it, `[...]`; True for the gripper's."""
     cube, gap = _of_cube(features, goal), features[..., FEATURES["gap between the fingers"]]
     apart, velocity = (cube[..., _OF_ONE[name]] for name in ("cube position less gripper position", "cube velocity"))
-    return is_of_gripper(goal) | (is_left(apart, velocity, gap) == _is_to_be_left(goal))
+    return is_of_gripper(goal) | (is_left(apart, velocity, gap) == is_to_be_left(goal))
 
 
 def pursued_first(features: jax.Array, goal: jax.Array) -> jax.Array:

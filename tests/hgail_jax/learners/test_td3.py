@@ -81,6 +81,10 @@ HYPER = Hyperparameters(
     tau=0.3,
     target_noise=0.4,
     discriminator_horizon=2,
+    goal_jitter=0.5,
+    shuffled_goals=0.7,
+    negative_p_ht=0.4,
+    negative_weight=1.5,
     policy_learning_rate=1e-2,
     discriminator_learning_rate=1e-2,
 )
@@ -247,22 +251,33 @@ def gradient_step(hyper, learner, seen, action, following, reward, weight, noise
     return after, {"value_loss": value_loss, "policy_loss": policy_loss, "value": before.mean()}, cut
 
 
+def under(drawn, goal):
+    """Returns transitions as samples under other goals."""
+    return Samples(
+        jnp.concatenate([drawn.features, jnp.asarray(goal, jnp.float32)], axis=-1), drawn.action, drawn.weight
+    )
+
+
 def learnt_by_hand(config, state, given, rng):
     """Returns the state after an update, its metrics, and what was cut off on the way."""
     discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, config.learner
     state, metrics = filled(state, given), {}
     if config.discriminator_minibatches:
-        expert_rng, policy_rng, fit_rng = jax.random.split(discriminator_rng, 3)
+        expert_rng, policy_rng, fit_rng, jitter_rng, shuffle_rng = jax.random.split(discriminator_rng, 5)
         count, pick = 3 * 7, functools.partial(sampled, ENV, hyper, state.buffer)
         if config.expert_source == "relabelled":
             expert = pick(expert_rng, count, float(hyper.p_ht > 0), 2)
+            spread = np.asarray(jax.random.uniform(jitter_rng, (count, 2), minval=-1.0))
+            expert = under(expert, expert.goal + 0.5 * 0.5 / np.sqrt(2.0) * spread)
         else:
             kept, expert = keep(ENV, config, hyper, state.expert, given, expert_rng)
             state = state.replace(expert=kept)
-        own = pick(policy_rng, count, 0.0)
-        pairs = (Samples(one.observation, one.action, one.weight) for one in (expert, own))
-        state, metrics = fit(CONFIG, state, *pairs, 3, fit_rng)
+        own = pick(policy_rng, count, 0.4)
+        others = np.concatenate([own.goal[-(count // 2) :], own.goal[: -(count // 2)]])
+        shuffled = np.asarray(jax.random.bernoulli(shuffle_rng, 0.7, (count, 1)))
+        own = under(own, np.where(shuffled, others, own.goal))
+        state, metrics = fit(CONFIG, state, expert, own, 3, fit_rng, 1.5)
     drawn = sampled(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
     state = state.replace(learner=jax.device_get(state.learner), discriminator=jax.device_get(state.discriminator))
     drawn, hyper = jax.device_get(drawn), jax.device_get(hyper)
