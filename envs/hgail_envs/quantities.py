@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from hgail_envs.layout import Layout, past
-from hgail_envs.registry import find_class
+from hgail_envs.registry import check_options, find_class
 
 
 class Description(NamedTuple):
@@ -36,7 +36,7 @@ def describe(
       **options: of the task.
 
     Raises:
-      ValueError: no such task, or an option has an unknown value.
+      ValueError: no such task or option, or an option has an unknown value.
 
     >>> describe("reach").features.numbers[3].name
     'gripper velocity x'
@@ -47,6 +47,7 @@ def describe(
     if sizes:
         features, goal, action = map(Layout.numbered, ("feature", "goal", "action"), sizes)
     else:
+        check_options(task, options)
         of_class = find_class(task)
         goal, action = of_class.goal_layout, of_class.action_layout
         features = of_class.seen_layout or of_class.features_with(**options)

@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import inspect
+from collections.abc import Iterable
 from typing import Any
 
 from hgail_envs.base import GoalEnv
@@ -62,11 +63,16 @@ def make(task: str, **options: Any) -> GoalEnv:
     ValueError: unknown task 'poke'; choose from point, reach, grasp, ...
 
     """
-    task_class, allowed = find_class(task), accepted_options(task)
+    check_options(task, options)
+    return find_class(task)(**options)
+
+
+def check_options(task: str, options: Iterable[str]) -> None:
+    """Refuses options, by name, that a task does not take."""
+    allowed = accepted_options(task)
     for option in options:
         if option not in allowed:
             raise ValueError(f"task {task!r} has no option {option!r}; it takes {', '.join(allowed) or 'none'}")
-    return task_class(**options)
 
 
 def accepted_options(task: str) -> tuple[str, ...]:

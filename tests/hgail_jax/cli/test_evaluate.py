@@ -165,7 +165,10 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
         ),
         (["--episodes", "-1"], "episodes is -1"),
         (["--policy", "odd.npz", "--out", "new/folder/p.onnx"], "which is no observation of push"),
-        (["--policy", "official.npz"], "observation of reach is 'official'; choose from compact"),
+        (
+            ["--policy", "official.npz", "--episodes", "0"],
+            "task 'reach' has no option 'observation'; it takes impl, substeps, worlds",
+        ),
     ],
 )
 def test_bad_input_to_export_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, run_folder, shipped_policy):
