@@ -387,10 +387,10 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert studies_of("push") == (BY_NAME["parts"],)
 
 
-@pytest.mark.parametrize("task", ["push", "slide", "grasp"])
+@pytest.mark.parametrize("task", ["push", "grasp"])  # slide's default is HER, with which the study is refused
 def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
     numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
-    assert [trial.setting.name for trial in numbers if trial.method == "her"][-1] == "HER"
+    assert [trial.setting.name for trial in numbers if trial.method == "her"] == ["HER"]
     preset = DEFAULTS[task]["td3"]["gpu"]
     of_task = env_steps(hgail_envs.find_class(task), preset.config, phase_table(preset.config)).sum()
     for trial in numbers + sizes:
