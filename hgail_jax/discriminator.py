@@ -1,7 +1,7 @@
 """The discriminator tells relabelled samples from the policy's own: its network, input, loss, training and rewards.
 
-Sign. The paper's equations drive D to 1 on samples of the *policy*. Here the logit, called `dis` in the paper, is the
-*expert-like* one: D = 1 - σ(dis). Cross-entropy therefore labels expert (here relabelled) samples 1 and the policy's
+Sign. A high logit, called `dis` in the paper, means "as an expert's". The paper's D is the opposite, 1 on samples of
+the policy: D = 1 - σ(dis). Cross-entropy therefore labels expert (here relabelled) samples 1 and the policy's
 own samples 0; at its optimum dis = log p_expert(s, a) - log p_policy(s, a), and a reward that grows with dis draws the
 policy towards the expert's samples.
 """

@@ -1,7 +1,6 @@
-"""Where the expert samples come from: the one choice in which the methods of imitation differ.
+"""Where the expert samples come from: the main choice in which the methods of imitation differ.
 
-The expert samples, which the discriminator learns to tell from the policy's own and to which behaviour cloning fits
-the policy, are
+The discriminator and behaviour cloning use expert samples. They are one of
 
 - `"relabelled"`: the roll-out at hand, relabelled in hindsight (HGAIL);
 - `"frozen"`: the first roll-out of all, relabelled once (the paper's "no curriculum", Table 2);

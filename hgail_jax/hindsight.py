@@ -1,4 +1,7 @@
-"""The hindsight transformation: Algorithm 1 of the paper."""
+"""The hindsight transformation: Algorithm 1 of the paper.
+
+Its probability `p_ht` is a hyperparameter (`config`), with defaults by task in `settings/defaults`.
+"""
 
 from typing import NamedTuple
 

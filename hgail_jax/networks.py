@@ -1,4 +1,4 @@
-"""Networks: the multilayer perceptron that all are, and the Gaussian policy's density."""
+"""The multilayer perceptron that every network is, and the density of the Gaussian policy."""
 
 from collections.abc import Sequence
 from typing import Any, cast

@@ -1,7 +1,8 @@
 """The training step: one round of Algorithm 2 as a pure function.
 
-A round is a row of phases, each of which is one roll-out and its use. A scan over the phases runs them,
-so the roll-out is traced and compiled once whatever the round holds, and `phase_table` lists the rounds of a whole run:
+A round is a sequence of phases. Each makes one roll-out and uses it for one thing: to train the policy, to train the
+discriminator, or to evaluate. A scan runs them, so that all share one compiled roll-out; `phase_table` lists the rounds
+of a whole run:
 
     state, metrics = jax.lax.scan(functools.partial(train_step, env, config), state, phase_table(config))
 """

@@ -8,7 +8,7 @@ class EpisodeMetrics(struct.PyTreeNode):
     """Outcome of an episode: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
 
     success: jax.Array | float = 0.0
-    """1 if the episode is a success by the task's strictest test, else 0."""
+    """1 if the episode is a success by the task's strictest test, after the last step and the lift test, else 0."""
     achieved: jax.Array | float = 0.0
     """1 if the last step satisfies the goal, else 0; differs from `success` in a task with a lift test."""
     success_l1: jax.Array | float = 0.0

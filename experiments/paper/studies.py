@@ -1,4 +1,7 @@
-"""The paper's experiments as data: the settings that each table or figure compares, and the paper's figures."""
+"""The paper's experiments as data: the settings that each table or figure compares, and the paper's figures.
+
+Their seeds are in `study`, the studies of TD3 in `off_policy`.
+"""
 
 import dataclasses
 from typing import Any

@@ -1,6 +1,6 @@
 """The paper's learner: PPO under the discriminator's reward, each roll-out used once.
 
-Below, `S` is a number of samples, of a roll-out its steps times its episodes, and `B` a minibatch of them.
+Below, `S` is a number of samples (of a whole roll-out, steps × episodes), and `B` the size of a minibatch.
 """
 
 import dataclasses

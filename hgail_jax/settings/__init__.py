@@ -1,1 +1,1 @@
-"""Which numbers a training has: defaults by task, learner and platform, presets, and the methods' changes to them."""
+"""Sizes and hyperparameters of a training: per task (`defaults`), shared (`presets`) and per method (`methods`)."""

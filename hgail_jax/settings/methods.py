@@ -1,4 +1,4 @@
-"""The methods of the paper, as data: the few choices in which they differ."""
+"""The methods, those of the paper among them, as data: the few choices in which they differ."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Presets: settings that belong together."""
+"""Settings that several tasks share, and the presets of `--preset`; a task's own numbers are in `defaults`."""
 
 import dataclasses
 from collections.abc import Mapping

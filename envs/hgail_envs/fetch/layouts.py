@@ -1,4 +1,4 @@
-"""Quantities that the layouts of several Fetch tasks share."""
+"""Quantities that the layouts of several Fetch tasks share; `docs/tasks.md` has the whole layouts as tables."""
 
 from typing import Any
 
