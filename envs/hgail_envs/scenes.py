@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
-from hgail_envs.vision.rgbd import open_renderer
+from hgail_envs.vision.rendering import open_renderer
 
 _CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
 _SIZE = (480, 640)  # height, width
