@@ -116,17 +116,15 @@ class Layout:
 
     def span(self, first: str, last: str) -> slice:
         """Returns where the numbers from one quantity to another are, both included."""
-        start, stop = self[first], self[last]
-        return slice(
-            start.start if isinstance(start, slice) else start, stop.stop if isinstance(stop, slice) else stop + 1
-        )
+        places = np.arange(self.size)
+        return slice(int(places[self[first]].min()), int(places[self[last]].max()) + 1)
 
     @property
     def numbers(self) -> tuple[Quantity, ...]:
         """Each number as a quantity, `size` of them."""
         return tuple(number for quantity in self for number in quantity.numbers)
 
-    def where(self, condition: Callable[[str], bool]) -> slice | np.ndarray:
+    def _where(self, condition: Callable[[str], bool]) -> slice | np.ndarray:
         """Returns where the numbers are whose unit meets a condition."""
         places = np.flatnonzero([condition(number.unit) for number in self.numbers])
         if places.size and places.size == places[-1] - places[0] + 1:
@@ -138,16 +136,16 @@ class Layout:
 
         That is if their flags are equal, and their other numbers within a Euclidean distance.
         """
-        flags = self.where(is_flag)
+        flags = self._where(lambda unit: unit == FLAG)
         if not isinstance(flags, slice) and not len(flags):
             return jnp.linalg.norm(one - other, axis=-1) <= distance
-        others = self.where(lambda unit: not is_flag(unit))
+        others = self._where(lambda unit: unit != FLAG)
         near = jnp.linalg.norm(one[..., others] - other[..., others], axis=-1) <= distance
         return near & jnp.all(one[..., flags] == other[..., flags], axis=-1)
 
     def metres(self, vector: jax.Array) -> jax.Array:
         """Returns the metres of a vector, or all of one that is not `[size]`, or of a layout without metres."""
-        metres = self.where(is_metres)
+        metres = self._where(lambda unit: unit == METRES)
         there = isinstance(metres, slice) or len(metres)
         return vector[metres] if there and vector.shape == (self.size,) else vector
 
@@ -157,7 +155,10 @@ class Layout:
 
     def reader(self, function: Callable[[Mapping[str, Any]], Any]) -> Callable[[Any], Any]:
         """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
-        return functools.partial(_read, self, function)
+        return functools.partial(self._read, function)
+
+    def _read(self, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
+        return function(self.split(vector))
 
     def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
         """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
@@ -171,32 +172,15 @@ class Layout:
 
         """
         if values.keys() != self._places.keys():
-            wrong = sorted(values.keys() ^ self._places.keys())
-            raise ValueError(f"values do not fit the layout: {wrong[0]!r} is {_side(wrong[0] in values)}")
+            wrong = min(values.keys() ^ self._places.keys())
+            fault = "given but not in the layout" if wrong in values else "in the layout but not given"
+            raise ValueError(f"values do not fit the layout: {wrong!r} is {fault}")
         arrays = (xp.asarray(values[quantity.title]) for quantity in self)
         parts = [xp.reshape(array.astype(np.float32) if array.dtype == bool else array, -1) for array in arrays]
         for quantity, part in zip(self, parts, strict=True):
             if part.size != quantity.size:
                 raise ValueError(f"{quantity.title!r} has {part.size} numbers; its layout says {quantity.size}")
         return xp.concatenate(parts)
-
-
-def is_flag(unit: str) -> bool:
-    """Returns whether it is the unit of a flag, for `Layout.where`."""
-    return unit == FLAG
-
-
-def is_metres(unit: str) -> bool:
-    """Returns whether it is the unit of positions, for `Layout.where`."""
-    return unit == METRES
-
-
-def _read(layout: Layout, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
-    return function(layout.split(vector))
-
-
-def _side(is_given: bool) -> str:
-    return "given but not in the layout" if is_given else "in the layout but not given"
 
 
 def past(features: Layout, action: Layout, history: int, known_delay: int) -> Layout:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from hgail_envs.base import Controller, State
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET, gripper_values
 from hgail_envs.layout import Layout, flag, position
 from hgail_envs.metrics import EpisodeMetrics
@@ -93,15 +93,13 @@ class Grasp(FetchEnv):
     reference = "FetchPickAndPlace-v4"
     controllers: ClassVar[Mapping[str, Controller]] = _controllers(features_layout + goal_layout)
 
-    def __init__(
-        self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, cube: str = CUBES[0]
-    ) -> None:
+    def __init__(self, *args: Any, cube: str = CUBES[0], **kwargs: Any) -> None:
         self.features_layout = self.features_with(cube=cube)
         self.feature_size = self.features_layout.size
         self.cube = cube
         if cube == "tracked":
             self.controllers = _controllers(self.features_layout + GOAL)  # type: ignore[misc]
-        super().__init__(impl, substeps, worlds)
+        super().__init__(*args, **kwargs)
         self._cube_qpos = int(self.model.joint("cube").qposadr[0])
         self._cube_qvel = int(self.model.joint("cube").dofadr[0])
 

@@ -8,7 +8,7 @@ import numpy as np
 from brax import math
 
 from hgail_envs.base import State
-from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
 from hgail_envs.layout import Layout, flag
 from hgail_envs.metrics import EpisodeMetrics
@@ -71,19 +71,13 @@ class ObjectEnv(FetchEnv):
     target_offset: float = 0.0
     """Metres along x from the gripper's start to the middle of the targets."""
 
-    def __init__(
-        self,
-        impl: str = "auto",
-        substeps: int = REFERENCE_SUBSTEPS,
-        worlds: int = 4096,
-        observation: str = OBSERVATIONS[0],
-    ) -> None:
+    def __init__(self, *args: Any, observation: str = OBSERVATIONS[0], **kwargs: Any) -> None:
         self.observation = observation
         self.features_layout = self.features_with(observation=observation)
         self.feature_size = self.features_layout.size
         if observation == "official":
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
-        super().__init__(impl, substeps, worlds)
+        super().__init__(*args, **kwargs)
         self.object_height = float(np.float32(self._start_qpos[self._object_qpos][2]))
 
     @classmethod

@@ -1,15 +1,14 @@
 """FetchSlide: hit a puck so that it slides to a place out of reach."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
-from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.objects import GOAL, ObjectPhysics, compact_layout, gripper_goal
 from hgail_envs.fetch.push import Push
 from hgail_envs.validation import check_name
 
@@ -70,17 +69,10 @@ class Slide(Push):
         "from-above": (features_layout + goal_layout).reader(controllers.slide)
     }
 
-    def __init__(
-        self,
-        impl: str = "auto",
-        substeps: int = REFERENCE_SUBSTEPS,
-        worlds: int = 4096,
-        observation: str = OBSERVATIONS[0],
-        achieved: str = ACHIEVED[0],
-    ) -> None:
+    def __init__(self, *args: Any, achieved: str = ACHIEVED[0], **kwargs: Any) -> None:
         check_name("achieved", achieved, ACHIEVED)
         self.achieved = achieved
-        super().__init__(impl, substeps, worlds, observation)
+        super().__init__(*args, **kwargs)
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         moves = (jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST) & (self.achieved == "at-rest")
