@@ -172,6 +172,16 @@ class FetchEnv(GoalEnv):
             far &= jnp.linalg.norm(places - other[None], axis=-1) >= LEAST_DISTANCE
         return places[jnp.argmax(far)]
 
+    def qpos_of(self, joint: str) -> slice:
+        """Returns where the position of a body with a free joint is in `qpos`."""
+        first = int(self.model.joint(joint).qposadr[0])
+        return slice(first, first + 3)
+
+    def qvel_of(self, joint: str) -> slice:
+        """Returns where the velocity of a body with a free joint is in `qvel`."""
+        first = int(self.model.joint(joint).dofadr[0])
+        return slice(first, first + 3)
+
     def gap(self, physics: FetchPhysics) -> jax.Array:
         """Returns the distance between the fingers, `[]`, metres."""
         return physics.qpos[self._finger_qpos].sum()

@@ -100,8 +100,6 @@ class Grasp(FetchEnv):
         if cube == "tracked":
             self.controllers = _controllers(self.features_layout + GOAL)  # type: ignore[misc]
         super().__init__(*args, **kwargs)
-        self._cube_qpos = int(self.model.joint("cube").qposadr[0])
-        self._cube_qvel = int(self.model.joint("cube").dofadr[0])
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:
@@ -116,12 +114,12 @@ class Grasp(FetchEnv):
 
     def cube_position(self, physics: FetchPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""
-        return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
+        return physics.qpos[self.qpos_of("cube")]
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         cube = jnp.append(self.random_place(rng, CUBE_RANGE), _CUBE_HEIGHT)
         physics = super().reset_physics(rng)
-        return physics.replace(qpos=physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube))
+        return physics.replace(qpos=physics.qpos.at[self.qpos_of("cube")].set(cube))
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3], action[3])
@@ -159,8 +157,8 @@ class Grasp(FetchEnv):
         physics = state.pipeline_state
         pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
         moved = physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._cube_qpos,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of("cube").start,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of("cube").start,)),
             sensordata=jnp.zeros_like(physics.sensordata),  # the pads no longer touch it
         )
         # The evaluation's plan follows from the cube alone, so that any key will do.

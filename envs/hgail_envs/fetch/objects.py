@@ -78,7 +78,7 @@ class ObjectEnv(FetchEnv):
         if observation == "official":
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(*args, **kwargs)
-        self.object_height = float(np.float32(self._start_qpos[self._object_qpos][2]))
+        self.object_height = float(np.float32(self._start_qpos[self.qpos_of(self.object_name)][2]))
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:
@@ -87,27 +87,17 @@ class ObjectEnv(FetchEnv):
         return official(cls.object_title) if observation == "official" else cls.features_layout
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> ObjectPhysics:
-        start = jnp.asarray(qpos[self._object_qpos], jnp.float32)
+        start = jnp.asarray(qpos[self.qpos_of(self.object_name)], jnp.float32)
         return ObjectPhysics(**vars(super().place(qpos, qvel)), object_start=start)
-
-    @property
-    def _object_qpos(self) -> slice:
-        first = int(self.model.joint(self.object_name).qposadr[0])
-        return slice(first, first + 3)
-
-    @property
-    def _object_qvel(self) -> slice:
-        first = int(self.model.joint(self.object_name).dofadr[0])
-        return slice(first, first + 3)
 
     def object_position(self, physics: ObjectPhysics) -> jax.Array:
         """Returns the object's centre, `[3]`, metres, world frame."""
-        return physics.qpos[self._object_qpos]
+        return physics.qpos[self.qpos_of(self.object_name)]
 
     def reset_physics(self, rng: jax.Array) -> ObjectPhysics:
         start = jnp.append(self.random_place(rng, self.object_range), self.object_height)
         physics: Any = super().reset_physics(rng)  # the arm's, which draws nothing: the key is used once
-        return physics.replace(qpos=physics.qpos.at[self._object_qpos].set(start), object_start=start)
+        return physics.replace(qpos=physics.qpos.at[self.qpos_of(self.object_name)].set(start), object_start=start)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)
@@ -131,13 +121,13 @@ class ObjectEnv(FetchEnv):
         }
 
     def _object_velocity(self, physics: ObjectPhysics) -> jax.Array:
-        return physics.qvel[self._object_qvel] * CONTROL_PERIOD  # metres per action, as the gripper's
+        return physics.qvel[self.qvel_of(self.object_name)] * CONTROL_PERIOD  # metres per action, as the gripper's
 
     def official_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
         """Returns the values of the quantities of `hgail_envs.fetch.layouts.official` by name."""
-        joint, name = self.model.joint(self.object_name), self.object_title
-        quaternion = physics.qpos[int(joint.qposadr[0]) + 3 :][:4]
-        spin = physics.qvel[int(joint.dofadr[0]) + 3 :][:3]  # in the object's frame
+        name = self.object_title
+        quaternion = physics.qpos[self.qpos_of(self.object_name).stop :][:4]
+        spin = physics.qvel[self.qvel_of(self.object_name).stop :][:3]  # in the object's frame
         with jax.default_matmul_precision("highest"):  # by default GPUs round to ten bits
             turning, angles = math.rotate(spin, quaternion) * CONTROL_PERIOD, _euler_angles(quaternion)
         velocities = physics.qvel[self._finger_qvel] * CONTROL_PERIOD

@@ -75,7 +75,7 @@ class Slide(Push):
         super().__init__(*args, **kwargs)
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
-        moves = (jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST) & (self.achieved == "at-rest")
+        moves = (jnp.linalg.norm(physics.qvel[self.qvel_of("puck")]) > _AT_REST) & (self.achieved == "at-rest")
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:

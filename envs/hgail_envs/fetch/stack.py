@@ -97,22 +97,12 @@ class Stack(PickAndPlace):
         super().__init__(impl, substeps, worlds)
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> StackPhysics:
-        start = jnp.asarray(qpos[self._b_qpos], jnp.float32)
+        start = jnp.asarray(qpos[self.qpos_of("cube_b")], jnp.float32)
         return StackPhysics(**vars(super().place(qpos, qvel)), b_start=start)
-
-    @property
-    def _b_qpos(self) -> slice:
-        first = int(self.model.joint("cube_b").qposadr[0])
-        return slice(first, first + 3)
-
-    @property
-    def _b_qvel(self) -> slice:
-        first = int(self.model.joint("cube_b").dofadr[0])
-        return slice(first, first + 3)
 
     def b_position(self, physics: StackPhysics) -> jax.Array:
         """Returns cube B's centre, `[3]`, metres, world frame; cube A's is `object_position`."""
-        return physics.qpos[self._b_qpos]
+        return physics.qpos[self.qpos_of("cube_b")]
 
     def place_on_b(self, physics: StackPhysics) -> jax.Array:
         """Returns the place of cube A's centre on cube B, where B now is, `[3]`, metres, world frame."""
@@ -132,8 +122,8 @@ class Stack(PickAndPlace):
         """Returns the physics with cube B at `position`, `[3]`, upright and at rest, as at the start of an episode."""
         pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
         return physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._b_qpos.start,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._b_qvel.start,)),
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of("cube_b").start,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of("cube_b").start,)),
             sensordata=physics.sensordata.at[_CUBES_TOUCH].set(0.0),
             b_start=position,
         )
@@ -147,7 +137,7 @@ class Stack(PickAndPlace):
         return super().compact_features(physics) | {
             "cube B position less gripper position": b - physics.gripper_position,
             "cube B position": b,
-            "cube B velocity": physics.qvel[self._b_qvel] * CONTROL_PERIOD,
+            "cube B velocity": physics.qvel[self.qvel_of("cube_b")] * CONTROL_PERIOD,
         }
 
     def achieved_goal(self, physics: Any) -> jax.Array:
@@ -155,7 +145,7 @@ class Stack(PickAndPlace):
         a_moved = jnp.linalg.norm(a - physics.object_start) > MOVED
         b_moved = jnp.linalg.norm(b - physics.b_start) > MOVED
         of_others = jnp.where(b_moved, _goal(b, _OF_B), _goal(gripper, _OF_GRIPPER))
-        left = is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
+        left = is_left(a - gripper, physics.qvel[self.qvel_of("cube_a")] * CONTROL_PERIOD, self.gap(physics))
         return jnp.where(a_moved, _goal(a, _OF_A, left), of_others)
 
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
