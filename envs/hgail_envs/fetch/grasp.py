@@ -36,14 +36,7 @@ _CUBE_HEIGHT = 0.425  # metres, on the table
 
 
 def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
-    """Returns whether a hand holds the cube.
-
-    Args:
-      touching: boolean, or an array of them: both pads touch the cube.
-      gap: metres between the fingers, a number or an array as large.
-      width: metres, of the cube.
-
-    """
+    """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres."""
     return touching & (abs(gap - width) <= _GAP_TOLERANCE)
 
 
@@ -55,18 +48,16 @@ def _controllers(observation: Layout) -> dict[str, Controller]:
 class Grasp(FetchEnv):
     """Grasping the cube of FetchPickAndPlace; a goal is a position and whether the cube is held there.
 
-    The hand holds the cube if both pads touch it, and the gap between them is its width within 8 mm. The paper's
-    observation has neither gap nor holding, and its goal is a position alone, independent of the hand. Here hindsight
-    relabels a step with the position and the holding of a later one, so that the expert samples of a goal with holding
-    1 are real grasps.
+    See `is_held` for when the hand holds the cube. The paper's observation has neither gap nor holding, and its goal is
+    a position alone. Here hindsight relabels a step with the position and the holding of a later one, so that the
+    expert samples of a goal with holding 1 are real grasps.
 
-    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
-    the gripper in x and y and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are
-    (a random position, 0).
+    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
+    and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are (a random position, 0).
 
-    Success is strict, and includes a lift test. After the last step the hand holds the cube, and in twelve further
-    steps straight up, with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is
-    without that test. Distances are between gripper and cube after the last step.
+    Success includes a lift test: after the last step the hand holds the cube, and in twelve further steps straight up,
+    with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is without that test.
+    Distances are between gripper and cube after the last step.
 
     A policy sees where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
     does not know. With `cube="tracked"`, which TD3 takes by default, it sees at each step where the cube is, so that it
@@ -108,7 +99,7 @@ class Grasp(FetchEnv):
         return cls.features_layout + (Layout(position(_APART)) if cube == "tracked" else Layout())
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
-        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        """Returns whether the hand holds the cube, a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
         return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
 

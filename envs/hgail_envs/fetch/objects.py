@@ -42,9 +42,9 @@ class ObjectEnv(FetchEnv):
     the object's position, with 1, once the object is more than 1 cm from its start; until then it is the gripper's
     position, with 0. So hindsight first teaches to move the hand, and then to move the object.
 
-    Evaluation episodes have the reference's goals, with 1. Their reward and success (`goal_test`) depend on the
-    object's position alone, moved or not: an object that starts at its target is a success, though its position is not
-    yet an achieved goal. Distances are between object and goal.
+    Evaluation episodes have the reference's goals, with 1. A goal is reached within 5 cm, by the object's position
+    alone: one that starts at its target is a success, though its position is not yet an achieved goal. An episode's
+    success is that of its last step. Distances are between object and goal.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 

@@ -33,19 +33,16 @@ class PickAndPlacePlan(struct.PyTreeNode):
 class PickAndPlace(ObjectEnv):
     """FetchPickAndPlace: grasp a cube and bring it to a place, in half the episodes up to 45 cm above the table.
 
-    The hand holds the cube if both pads touch it, and the gap between them is its width within 8 mm.
-
-    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of the
-    gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the
-    table and in half uniform from there up. It is a success if after the last step the cube's centre is within 5 cm of
-    the target. See `ObjectEnv` for the meaning of a goal.
+    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
+    and at least 0.10 m away, the target uniform in the same square, in half the episodes on the table and in half
+    uniform from there up.
 
     Half the training episodes are relays: while the gripper is more than 4 cm from the cube the goal is the gripper at
     the cube's place, and then the cube at the target. In an eighth the goal is the gripper at a random place. The rest
     have the evaluation's goals. A random policy hardly ever moves the cube: without these training goals PPO's success
     is .770 instead of .987 after half of the steps (`docs/lab/ppo.md`).
 
-    See `ObjectEnv` for the arguments.
+    See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
     features_layout, goal_layout = compact_layout("cube") + HAND, GOAL
@@ -62,7 +59,7 @@ class PickAndPlace(ObjectEnv):
     }
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        """Returns whether the hand holds the cube, see `is_held`: a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
         return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width)
 

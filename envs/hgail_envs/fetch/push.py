@@ -31,10 +31,9 @@ class PushPlan(struct.PyTreeNode):
 class Push(ObjectEnv):
     """FetchPush: push a cube to a place on the table, with closed fingers.
 
-    An episode starts as the reference's FetchPush-v4 does: fingers blocked closed, the gripper at the table, the cube
-    uniform within ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the
-    table. It is a success if after the last step the cube's centre is within 5 cm of the target. See `ObjectEnv` for
-    the meaning of a goal. Unlike the reference's, the table has no edge from which the cube could fall.
+    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the cube uniform within
+    ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the table. Unlike the
+    reference's, the table has no edge from which the cube could fall.
 
     In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
     uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. PPO does not need them for
@@ -42,7 +41,7 @@ class Push(ObjectEnv):
     120 (`docs/lab/ppo.md`). TD3, which takes far fewer steps, does: .062 for .999. So does `Slide`, which
     inherits them.
 
-    See `ObjectEnv` for the arguments.
+    See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
     features_layout, goal_layout = compact_layout("cube"), GOAL

@@ -24,10 +24,9 @@ _AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)
 class Slide(Push):
     """FetchSlide: hit a puck so that it slides over a long table to a place out of the hand's reach.
 
-    The observation and the training goals are those of `Push`, with the puck in the cube's place. The waypoints of its
-    training goals are needed here: without them the success is .112 instead of .341 after 33 rounds
-    (`docs/lab/ppo.md`). A puck moves away from the side on which it is hit, and hindsight alone shows only hits
-    that began on the right side; a hand that visits waypoints is also shown to go round the puck.
+    The observation and the training goals are those of `Push`, with the puck in the cube's place. Without waypoints the
+    success is .112 instead of .341 after 33 rounds (`docs/lab/ppo.md`): hindsight alone shows only hits that began on
+    the right side, while a hand that visits waypoints is also shown to go round the puck.
 
     With `achieved="at-rest"` the achieved goal is the gripper's position while the puck moves, faster than 5 cm/s: a
     policy that lets the puck pass a place has not learnt to stop it there. With `achieved="passed"` each place that the
@@ -38,12 +37,11 @@ class Slide(Push):
     x and three along y, and each field is a kind of goals (`goal_kind`), from which hindsight draws as often as targets
     lie in it.
 
-    An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
-    uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
-    0.40 m before the gripper's start, on the table. It is a success if after the last step the puck's centre is within
-    5 cm of the target.
+    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the puck uniform within
+    ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place 0.40 m before the
+    gripper's start, on the table.
 
-    See `ObjectEnv` for the other arguments.
+    See `ObjectEnv` for success and the other arguments.
 
     Args:
       achieved: `"at-rest"` or `"passed"`, the places of the puck that are achieved goals.
@@ -82,8 +80,7 @@ class Slide(Push):
         """Returns 0 for the gripper's goals, 1 to 15 for the puck's by field of the table, and 16 elsewhere."""
         of_any_object, start = super().goal_kind(goal), self.initial_gripper_position
         offsets = (goal[..., axis] - start[axis] for axis in (0, 1))
-        band, column = (
-            jnp.searchsorted(jnp.array(at), offset) for at, offset in zip((_AHEAD, _ASIDE), offsets, strict=True)
-        )
+        pairs = zip((_AHEAD, _ASIDE), offsets, strict=True)
+        band, column = (jnp.searchsorted(jnp.array(borders), offset) for borders, offset in pairs)
         field = 1 + band * (len(_ASIDE) + 1) + column
         return jnp.select([of_any_object == 0, of_any_object == 1], [0, field], self.goal_kinds - 1)

@@ -50,29 +50,19 @@ class StackPlan(struct.PyTreeNode):
 class Stack(PickAndPlace):
     """Stacking: put cube A on cube B, let go of it and withdraw the hand; B stays where it was.
 
-    The hand holds cube A if both pads touch it, and the gap between them is its width within 8 mm.
-
-    A goal is a position, whose it is, and whether cube A is left there: the gripper at least 5 cm from A's centre, the
-    fingers at least 8 cm apart, and A no faster than 5 cm/s, for a falling cube is left nowhere. The achieved goal of a
-    state is cube A's position, and whether A is left, once A is more than 1 cm from its start; else cube B's position
-    once B is; else the gripper's. A goal of a cube that is left is reached within 2.5 cm in the plane and 1 cm in
-    height, any other goal within 5 cm.
+    A goal is a position, whose it is, and whether cube A is left there; see `hgail_envs.fetch.cubes`, also for the
+    training episodes. The achieved goal of a state is cube A's position, and whether A is left, once A is more than
+    1 cm from its start; else cube B's position once B is; else the gripper's.
 
     An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
     0.10 m away from it and from the other cube. The evaluation's goal is cube A left on cube B, where B started.
     A scripted hand reaches it in 35 to 42 steps. Episodes have a hundred: with a noise of .1 on its actions, as of a
     policy that explores, the same hand reaches two thirds of the goals in fifty steps, and nearly all in a hundred.
 
-    Success is strict, and includes a test that the tower stands. After the last step cube A is left at the goal, its
-    centre is within 2.5 cm of cube B's in the plane and within 1 cm of the height at which it lies on B, and the cubes
-    touch. So B has moved by 5 cm at most. After twelve further steps, in which the hand keeps still and open, A still
-    is there and touches B. `achieved` of the metrics is without that test. Distances are between cube A and its place
-    after the last step.
-
-    Half the training episodes are relays, whose goal depends on the state alone: the gripper at cube A while it is more
-    than 4 cm from it, then A 5 cm above its place on B until it is within 2 cm of B in the plane, then A on B, and once
-    it is there, A left there. In an eighth the goal is the gripper, cube A or cube B at a random place, cubes on the
-    table. The rest have the evaluation's goals.
+    Success includes a test that the tower stands. After the last step cube A is left at the goal and in its place on
+    cube B, and the cubes touch. So B has moved by 5 cm at most. After twelve further steps, in which the hand keeps
+    still and open, A still is there and touches B. `achieved` of the metrics is without that test. Distances are
+    between cube A and its place after the last step.
 
     See `FetchEnv` for the arguments.
     """

@@ -16,13 +16,11 @@ from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerP
 from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
 
-MOST_SHIFT = 0.05
-"""Largest distance of the base cube from its start after a success, metres."""
-
 _RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
 _ON_TABLE = 0.425  # metres, of a cube's centre
 _AT_HAND = 0.15  # metres between gripper and cube, within which this holds for the cubes of other stages
 _PADS = 2 * CUBES  # number of the first sensors, of the pads' contacts with each cube
+_MOST_SHIFT = 0.05  # metres of the base cube from its start after a success
 _BEGUN = 0.5  # fraction of the training episodes that start with the middle cube on the base
 
 
@@ -43,15 +41,12 @@ class Tower(FetchEnv):
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
     goals speak of these roles alone, so a policy sees the order of the tower in the order of its numbers. In the
     observation the target's cube is first, then the one that it is to lie on, then the third, so that one placement
-    looks to the policy like the other. In the features, and under goals of the gripper, the top is first. The hand
-    holds a cube if both pads touch it, and the gap between them is its width within 8 mm.
+    looks to the policy like the other. In the features, and under goals of the gripper, the top is first.
 
-    A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
-    the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
-    2.5 cm in the plane and 1 cm in height, any other goal within 5 cm.
-
-    The goal names one placement after the other: the middle cube left on the base, and as soon as it was left there and
-    as long as it stays there, the top cube left on the middle. The place is where the cube below now is.
+    A goal is a position, whose it is, and whether the cube is left there; see `hgail_envs.fetch.cubes`, also for the
+    training episodes. The goal names one placement after the other: the middle cube left on the base, and as soon as it
+    was left there and as long as it stays there, the top cube left on the middle. The place is where the cube below now
+    is.
 
     The achieved goal of a state is the position of the present placement's cube, and whether it is left, once it is
     more than 1 cm from its start; else of another cube that has moved so far and is within 15 cm of the gripper; else
@@ -67,16 +62,11 @@ class Tower(FetchEnv):
     that the second placement is learnt beside the first. That is a distribution of starts and shows no action: it is no
     demonstration. Evaluation episodes never start so.
 
-    Success is strict, and includes a test that the tower stands. After the last step the middle cube is in its place on
-    the base and the top cube on the middle, within 2.5 cm in the plane and 1 cm in height each, and both pairs touch;
-    the top cube is left, and the base within 5 cm of its start. After twelve further steps, in which the hand keeps
-    still and open, cubes and contacts still are so. `achieved` of the metrics is without that test. Distances are
-    between the top cube and its place in the tower, two cubes above the base, after the last step.
-
-    Half the training episodes are relays, whose goal depends on the state alone: the gripper at the placement's cube
-    while it is more than 4 cm from it, then the cube 5 cm above its place until it is within 2 cm of it in the plane,
-    then in its place, and once it is there, left there. In an eighth the goal is the gripper or one of the cubes at a
-    random place, cubes on the table. The rest have the evaluation's goals.
+    Success includes a test that the tower stands. After the last step the middle cube is in its place on the base and
+    the top cube on the middle, and both pairs touch; the top cube is left, and the base within 5 cm of its start. After
+    twelve further steps, in which the hand keeps still and open, cubes and contacts still are so. `achieved` of the
+    metrics is without that test. Distances are between the top cube and its place in the tower, two cubes above the
+    base, after the last step.
 
     See `FetchEnv` for the arguments.
     """
@@ -272,7 +262,7 @@ class Tower(FetchEnv):
     def stands(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether the tower stands where the base started, wherever the hand is: a boolean `[]`."""
         shift = jnp.linalg.norm(self.cube_positions(physics)[BASE] - physics.starts[BASE])
-        return (self.are_in_place(physics) & self.touching(physics)).all() & (shift <= MOST_SHIFT)
+        return (self.are_in_place(physics) & self.touching(physics)).all() & (shift <= _MOST_SHIFT)
 
 
 def _role(physics: TowerPhysics) -> jax.Array:
