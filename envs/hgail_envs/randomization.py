@@ -60,21 +60,19 @@ class Randomization:
     friction: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the friction of all contacts."""
     object_mass: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the object's mass."""
+    """Factor on the object's mass and its moments of inertia."""
     object_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the object's width, depth and height."""
+    """Factor on the object's width, depth and height; its mass stays the same."""
     finger_force: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the force of the fingers' servos."""
+    """Factor on the force of the fingers' servos, whose speed stays the same."""
     finger_speed: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the speed of the fingers."""
+    """Factor on the speed of the fingers, whose force stays the same."""
     hand_width: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the widest gap between the fingers; a narrow hand is still wider than the object, see the task."""
     pad_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the width and the height of the fingers' pads."""
-    posture: float = field(
-        default=0.0, metadata=_limits(0, 0.15, ramps=False)
-    )  # the goals of reach are as far from the start
-    """Largest displacement of the gripper's start along each axis, metres."""
+    """Factor on the width and the height of the fingers' pads; their thickness and their lower ends stay the same."""
+    posture: float = field(default=0.0, metadata=_limits(0, 0.15, ramps=False))
+    """Largest displacement of the gripper's start along each axis, metres, up to that of the goals of reach."""
     hand_opening: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
     """Largest opening of the hand at the start, as a fraction of its widest."""
     history: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
@@ -139,12 +137,8 @@ class Randomization:
         unknown = set(content) - {size.name for size in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"a randomisation has no field {min(unknown)!r}")
-        sizes: dict[str, Any] = {
-            # JSON has lists in place of tuples, which would be no ranges.
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in content.items()
-        }
-        return cls(**sizes)
+        # JSON has lists in place of tuples, which would be no ranges.
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in content.items()})
 
 
 def _check(size: dataclasses.Field, value: Any) -> None:

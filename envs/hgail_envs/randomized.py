@@ -8,9 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, GoalEnv, State
+from hgail_envs.base import Controller, EpisodeMetrics, GoalEnv, State
 from hgail_envs.layout import past
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 
@@ -53,10 +52,8 @@ class RandomizedEnv(GoalEnv):
         }
         for method, is_needed in needed.items():
             if is_needed and getattr(type(task), method) is getattr(GoalEnv, method):
-                raise ValueError(
-                    f"{type(task).__name__} cannot be randomised so: it has no {method}; write it, or take a"
-                    " randomisation that needs none"
-                )
+                lacking = f"{type(task).__name__} cannot be randomised so: it has no {method}"
+                raise ValueError(f"{lacking}; write it, or take a randomisation that needs none")
         self.task, self.randomization = task, randomization
         self._sizes = dict(vars(randomization))
         for name in _SAME:
@@ -226,9 +223,6 @@ class RandomizedEnv(GoalEnv):
         moved = self.task.move_target(self._true_state(state), position)
         physics = state.pipeline_state.replace(true=moved.pipeline_state)
         return self._advance(state, physics, moved.info["plan"], state.info["step"])
-
-    def aim(self, plan: Any, position: jax.Array) -> Any:
-        return self.task.aim(plan, position)
 
     def lift_test_action(self, action: jax.Array) -> jax.Array:
         return self.task.lift_test_action(action)

@@ -80,17 +80,13 @@ class SceneView:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles and copies a view without its renderer, which is opened again when it is asked for a picture."""
-        return _closed_view, (self._env,)
+        return SceneView, (self._env, None)
 
     def close(self) -> None:
         """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = None
-
-
-def _closed_view(env: GoalEnv) -> SceneView:
-    return SceneView(env, None)
 
 
 def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -5,8 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
+from hgail_envs.base import EpisodeMetrics
 from hgail_envs.fetch.grasp import LEAST_RISE
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.registry import find_class
 
 

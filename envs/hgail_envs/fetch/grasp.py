@@ -6,12 +6,11 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET, gripper_values
 from hgail_envs.layout import Layout, flag, position
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
 
 CUBES = ("at-start", "tracked")

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from brax import math
 
-from hgail_envs.base import State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
 from hgail_envs.layout import Layout, flag
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
 

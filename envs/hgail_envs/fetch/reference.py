@@ -7,11 +7,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from hgail_envs.base import EpisodeMetrics
 from hgail_envs.fetch.episode import run_episode
 from hgail_envs.fetch.grasp import CUBES, is_held
 from hgail_envs.fetch.layouts import official
 from hgail_envs.fetch.objects import OBSERVATIONS
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.past import Past
 from hgail_envs.registry import accepted_options, find_class
 from hgail_envs.validation import MOST_SEED, check_name

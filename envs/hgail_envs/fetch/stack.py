@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
 from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
@@ -16,7 +16,6 @@ from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, of_object
 from hgail_envs.fetch.objects import ObjectPhysics
 from hgail_envs.fetch.pick_and_place import PickAndPlace
 from hgail_envs.layout import Layout, flag
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
 
 FEATURES = GRIPPER + of_object("cube A") + Layout(GAP, flag("hand holds cube A")) + of_object("cube B")

@@ -6,14 +6,13 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import gripper_values
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
 
 _RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
