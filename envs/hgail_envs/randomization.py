@@ -138,7 +138,8 @@ class Randomization:
         if unknown:
             raise ValueError(f"a randomisation has no field {min(unknown)!r}")
         # JSON has lists in place of tuples, which would be no ranges.
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in content.items()})
+        sizes: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in content.items()}
+        return cls(**sizes)
 
 
 def _check(size: dataclasses.Field, value: Any) -> None:

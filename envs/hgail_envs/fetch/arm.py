@@ -15,9 +15,9 @@ from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, EngineState, check_impl, jax_has_started, make_engine
 from hgail_envs.fetch import layouts
 from hgail_envs.fetch.kinematics import Chain
-from hgail_envs.fetch.model import FINGERS, SceneModel
-from hgail_envs.fetch.start import BASE_X, DOWNWARD, REFERENCE_SUBSTEPS, START_HEIGHT, settle
+from hgail_envs.fetch.model import BASE_X, DOWNWARD, FINGERS, REFERENCE_SUBSTEPS, START_HEIGHT, SceneModel, settle
 from hgail_envs.scenes import load_scene
+from hgail_envs.validation import check_count
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 CONTROL_PERIOD = 0.04
@@ -95,12 +95,8 @@ class FetchEnv(GoalEnv):
     """Metres to which the hand must be able to open in this task, however wide the object is."""
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
-        if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= REFERENCE_SUBSTEPS):
-            raise ValueError(
-                f"substeps is {substeps!r}; it must be an integer from {FAST_SUBSTEPS} to {REFERENCE_SUBSTEPS}"
-            )
-        if not (isinstance(worlds, int) and worlds >= 1):
-            raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
+        check_count("substeps", substeps, FAST_SUBSTEPS, REFERENCE_SUBSTEPS)
+        check_count("worlds", worlds)
         check_impl(impl)
         self.model = load_scene(self.scene)
         self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)

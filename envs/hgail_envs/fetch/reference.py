@@ -49,13 +49,10 @@ def make_reference(name: str, **options: Any) -> Any:
 class ReferenceFetch:
     """The reference environment of a task: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
 
-    Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
-    FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
-    environment's observation (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and
-    velocity `5:8`), whose velocities are already multiplied by `CONTROL_PERIOD`. Whether the hand holds the cube
-    follows from the contacts and the gap between the fingers.
-
-    Actions are the same four numbers.
+    Starts, goals, successes and actions are the environment's own, except that the goal of grasp is the cube: the place
+    where FetchPickAndPlace wants it is ignored. The features are taken from the environment's observation
+    (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and velocity `5:8`), whose
+    velocities are already multiplied by `CONTROL_PERIOD`.
 
     Args:
       task: one of `TASKS`.
@@ -138,7 +135,7 @@ class ReferenceFetch:
 def reference_episode(
     reference: ReferenceFetch, policy: Callable[[np.ndarray], np.ndarray], past: Past, seed: int, index: int
 ) -> EpisodeMetrics:
-    """Runs a policy for one episode of the reference, with the task's lift test.
+    """Runs a policy for one episode of the reference, with the task's lift test; returns plain numbers.
 
     Args:
       reference: of the task.
@@ -146,9 +143,6 @@ def reference_episode(
       past: of the policy's randomisation, with nothing in it yet.
       seed: of all episodes; with the index it decides the start.
       index: of the episode.
-
-    Returns:
-      How the episode ended, in plain numbers.
 
     """
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
