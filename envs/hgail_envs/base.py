@@ -168,18 +168,15 @@ class GoalEnv(HasLayouts, Env):
         return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether relabelled goals are already solved, so that hindsight may weigh them less: booleans `[...]`.
+        """Returns whether relabelled goals, `[..., goal_size]`, are already solved by the states that act: `[...]`.
 
-        `features`, `[..., feature_size]`, are of the states that act, `goal` is `[..., goal_size]`. By default none is
-        solved; see `Hyperparameters.solved_weight`.
+        Those states have `features`, `[..., feature_size]`. Hindsight may weigh such goals less, see
+        `Hyperparameters.solved_weight`; by default none is solved.
         """
         return jnp.zeros(goal.shape[:-1], bool)
 
     def move_target(self, state: State, position: jax.Array) -> State:
-        """Returns a state with the target at `position`, `[3]`, metres, e.g. dragged while the policy acts.
-
-        A task in which the target is a body of the scene moves that body too.
-        """
+        """Returns a state with the target, and its body if it has one, at `position`, `[3]`, metres, e.g. dragged."""
         plan = self.aim(state.info["plan"], position)
         return self._advance(state, state.pipeline_state, plan, state.info["step"])
 

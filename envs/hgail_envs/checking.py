@@ -1,7 +1,6 @@
 """Checks a user's task against the interface, method by method, before anything is compiled for it."""
 
 import inspect
-import math
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv, State
+from hgail_envs.validation import check_count, check_positive
 
 _BATCH = (2, 3)
 """Leading axes for methods that must take any."""
@@ -68,11 +68,10 @@ def _check_attributes(env: GoalEnv) -> None:
         value, owner = getattr(env, name, None), f"{type(env).__name__}.{name}"
         if value is None:
             raise ValueError(f"{owner} is missing; set it in the class")
-        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if name in _COUNTS and not (number and isinstance(value, int | np.integer) and value >= _COUNTS[name]):
-            raise ValueError(f"{owner} is {value!r}; it must be an integer from {_COUNTS[name]}")
-        if name in _NUMBERS and not (number and math.isfinite(value) and value > 0):
-            raise ValueError(f"{owner} is {value!r}; it must be a positive number")
+        if name in _COUNTS:
+            check_count(owner, value, _COUNTS[name])
+        else:
+            check_positive(owner, value)
 
 
 def _check_methods(env: GoalEnv) -> None:

@@ -64,10 +64,7 @@ def flag(name: str) -> Quantity:
 
 
 class Layout:
-    """Quantities of a vector, in their order.
-
-    Args:
-      *quantities: with different names.
+    """Quantities of a vector, in their order, with different names.
 
     Raises:
       ValueError: two quantities have the same name.
@@ -163,9 +160,7 @@ class Layout:
     def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
         """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
 
-        Args:
-          values: of all quantities.
-          xp: `jax.numpy` or `numpy`.
+        `xp` is `jax.numpy` or `numpy`.
 
         Raises:
           ValueError: a quantity has no value or a value of another size, or there is no such quantity.
@@ -186,12 +181,8 @@ class Layout:
 def past(features: Layout, action: Layout, history: int, known_delay: int) -> Layout:
     """Returns the layout of the past that a randomised task shows before its features; see `RandomizedEnv`.
 
-    Args:
-      features: of the task.
-      action: of the task.
-      history: past actions and observations, the newest first.
-      known_delay: actions that have not taken effect, before the history, the newest first.
-
+    First come `known_delay` actions that have not taken effect, then `history` past actions and observations, both the
+    newest first.
     """
     pending = [
         quantity._replace(when=f"sent {_steps(back)} ago and on its way")
@@ -231,14 +222,14 @@ class HasLayouts:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Derives sizes from layouts, and layouts from sizes."""
         super().__init_subclass__(**kwargs)
-        for kind, size_name, layout_name in _OF_CLASS:
-            size, layout = (vars(cls).get(name) for name in (size_name, layout_name))
+        for kind, layout_name in _LAYOUTS.items():
+            size, layout = vars(cls).get(f"{kind}_size"), vars(cls).get(layout_name)
             if layout is not None:
                 if size not in (None, layout.size):
                     raise ValueError(
-                        f"{cls.__name__}.{size_name} is {size}; its {layout_name} has {layout.size} numbers"
+                        f"{cls.__name__}.{kind}_size is {size}; its {layout_name} has {layout.size} numbers"
                     )
-                setattr(cls, size_name, layout.size)
+                setattr(cls, f"{kind}_size", layout.size)
             elif isinstance(size, int):
                 setattr(cls, layout_name, Layout.numbered(kind, size))
 
@@ -248,8 +239,4 @@ class HasLayouts:
         return cls.features_layout
 
 
-_OF_CLASS = (
-    ("feature", "feature_size", "features_layout"),
-    ("goal", "goal_size", "goal_layout"),
-    ("action", "action_size", "action_layout"),
-)
+_LAYOUTS = {"feature": "features_layout", "goal": "goal_layout", "action": "action_layout"}

@@ -29,8 +29,8 @@ def describe(
 
     Args:
       task: a name in `hgail_envs.TASKS`, or `"module:Class"`.
-      history: past actions and observations before the present observation, see `Randomization.history`.
-      known_delay: actions on their way, before the history, see `Randomization.known_delay`.
+      history: see `Randomization`.
+      known_delay: see `Randomization`.
       sizes: of features without history, goal and action. With them the class is not imported, since it may be of an
         untrusted file's choice, and the numbers are numbered.
       **options: of the task.

@@ -93,12 +93,9 @@ class Randomization:
 
     @property
     def ramped(self) -> tuple[str, ...]:
-        """Names of the fields that grow over the ramp.
-
-        A known delay does not: the longest would be drawn only in the last part of the ramp, and is then learnt far
-        later (docs/lab/robust.md).
-        """
+        """Names of the fields that grow over the ramp."""
         growing = [size.name for size in dataclasses.fields(self) if size.metadata["ramps"]]
+        # If a known delay grew, the longest would be drawn only late, and is learnt far later (docs/lab/robust.md).
         return tuple(name for name in growing if not (name == "delay" and self.known_delay))
 
     @property

@@ -33,12 +33,8 @@ class RandomizedEnv(GoalEnv):
 
     An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers.
 
-    Args:
-      task: the task; it implements `add_sensor_noise`, `vary_model` and `vary_start` if a size needs them.
-      randomization: the sizes.
-
     Raises:
-      ValueError: the task does not implement a method that a size needs.
+      ValueError: the task does not implement `add_sensor_noise`, `vary_model` or `vary_start`, which a size needs.
 
     """
 
@@ -81,7 +77,9 @@ class RandomizedEnv(GoalEnv):
         uniforms = jax.random.uniform(drawn_rng, (3 + len(MODEL_FACTORS),))  # one draw compiles the fastest
         true = task.reset_physics(task_rng)
         if sizes.varies_model:
-            true = task.vary_model(true, self._factors(uniforms[3:]))
+            pairs = zip(MODEL_FACTORS, uniforms[3:], strict=True)
+            factors = {name: _between(self._sizes[name], uniform) for name, uniform in pairs}
+            true = task.vary_model(true, ModelFactors(**factors))
         if sizes.varies_start:  # after the model, as far as whose hand opens
             true = task.vary_start(start_rng, true, sizes.posture, self._sizes["hand_opening"])
         physics = RandomizedPhysics(
@@ -101,11 +99,6 @@ class RandomizedEnv(GoalEnv):
         """Returns a start whose history is the start itself, time and again."""
         first = jnp.concatenate([jnp.zeros(self.action_size), self._observed_features(physics)])
         return physics.replace(history=jnp.broadcast_to(first, physics.history.shape))
-
-    def _factors(self, uniforms: jax.Array) -> ModelFactors:
-        """Scales uniform numbers in [0, 1), one for each factor, to the factors' ranges."""
-        pairs = zip(MODEL_FACTORS, uniforms, strict=True)
-        return ModelFactors(**{name: _between(self._sizes[name], uniform) for name, uniform in pairs})
 
     def _drawn(self, uniforms: jax.Array, normals: jax.Array) -> Drawn:
         """Scales uniform numbers in [0, 1), `[3]`, to ranges, and standard normal ones, `[3, 3]`, to offsets."""

@@ -48,9 +48,8 @@ def register_gymnasium() -> None:
 def make(task: str, **options: Any) -> GoalEnv:
     """Makes a task.
 
-    Args:
-      task: a name in `TASKS`, or `"module:Class"` for a user's task.
-      **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
+    `task` is a name in `TASKS`, or `"module:Class"` for a user's task; the options are passed to the class, e.g. `impl`
+    and `substeps` of the Fetch tasks.
 
     Raises:
       ValueError: no such task, or the task has no such option or refuses its value.

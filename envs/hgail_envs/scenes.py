@@ -22,12 +22,9 @@ def assets_directory() -> Path:
 
 
 def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
-    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`.
+    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`; `visual` keeps geoms that are only for pictures.
 
-    Args:
-      name: path of the scene below the assets folder, without its ending.
-      visual: keep geoms that are only for pictures. The dynamics are the same without them, and the model is smaller.
-
+    The dynamics are the same without them, and the model is smaller.
     """
     spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))
     if not visual:

@@ -21,14 +21,9 @@ _MOST_KEY = 2**32 - 1  # the largest seed of a JAX key
 
 
 def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, **options: Any) -> "GoalVectorEnv":
-    """Makes a vector environment from a task's name, as `gymnasium.make_vec` does; see `GoalVectorEnv`.
+    """Makes a vector environment from a task's name, for `gymnasium.make_vec`; see `GoalVectorEnv`.
 
-    Args:
-      num_envs: environments.
-      task: a name in `hgail_envs.TASKS`.
-      max_episode_steps: steps in an episode; None is the task's number.
-      **options: `render_mode`, `autoreset_mode`, and options of the task, see `hgail_envs.make`.
-
+    The options are `render_mode`, `autoreset_mode` and those of the task, see `hgail_envs.make`.
     """
     own = {name: options.pop(name) for name in ("render_mode", "autoreset_mode") if name in options}
     return GoalVectorEnv(make_task(task, num_envs, **options), num_envs, max_episode_steps=max_episode_steps, **own)
@@ -49,11 +44,10 @@ class GoalVectorEnv(VectorEnv):
     feature_size]`), `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 at
     the goal. `info["is_success"]` holds booleans `[num_envs]`.
 
-    No episode terminates; all are truncated after the same number of steps. By default environments are reset by the
-    step that follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns
-    the first observation of the next episode with reward 0. With `AutoresetMode.SAME_STEP` the step that truncates
-    returns it, and the last observations of the episodes are in `info["final_obs"]`, those of `info` in
-    `info["final_info"]`.
+    No episode terminates; all are truncated after the same number of steps. By default, Gymnasium's `NEXT_STEP`, the
+    step that follows ignores its actions, and returns the first observation of the next episode with reward 0. With
+    `SAME_STEP` the step that truncates returns it, and the episodes' last observations and infos are in
+    `info["final_obs"]` and `info["final_info"]`.
 
     Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
     episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without

@@ -55,12 +55,7 @@ def jax_has_started() -> bool:
 
 
 def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:
-    """Makes the engine that `impl` selects, see `resolve_impl`; the other arguments are those of `Engine`.
-
-    Raises:
-      ValueError: see `resolve_impl`.
-
-    """
+    """Makes the engine that `impl` selects, see `resolve_impl`; the other arguments are those of `Engine`."""
     return ENGINES[resolve_impl(impl)](model, period, substeps, worlds)
 
 

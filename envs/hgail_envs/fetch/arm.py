@@ -156,10 +156,7 @@ class FetchEnv(GoalEnv):
         return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
 
     def random_place(self, rng: jax.Array, width: float, *others: jax.Array) -> jax.Array:
-        """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near.
-
-        Nor is it too near to `others`, each `[2]`, the places of other objects.
-        """
+        """Draws an object's start, `[2]`: up to `width` around the gripper's, away from it and from `others`, `[2]`."""
         # Rejection sampling in fixed time: the first of many candidates that is far enough.
         offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
         places = self.initial_gripper_position[None, :2] + offsets
@@ -260,13 +257,10 @@ class FetchEnv(GoalEnv):
         )
 
     def control(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> Control:
-        """Returns the engine's control for an action.
+        """Returns the engine's control for an action in `physics`.
 
-        Args:
-          physics: state before the action.
-          displacement: `[3]` in [-1, 1], direction in which the mocap body pulls the gripper.
-          grip: `[]` in [-1, 1], metres by which the fingers' servos lead the fingers; None in a scene without servos.
-
+        The mocap body pulls the gripper by `displacement`, `[3]` in [-1, 1]. The fingers' servos lead the fingers by
+        `grip` metres, `[]` in [-1, 1]; None in a scene without servos.
         """
         return Control(
             mocap_pos=(physics.body_position + LEAD * displacement)[None],

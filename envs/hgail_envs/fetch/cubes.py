@@ -14,21 +14,15 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.fetch.arm import CONTROL_PERIOD
+from hgail_envs.fetch.pick_and_place import AT_CUBE
 
 LEAST_WIDEST_GAP = 0.085
 """Widest distance between the fingers of the narrowest hand, metres: a little more than an open hand must have."""
-MOVED = 0.01
-"""Distance of a cube from its start, beyond which its position may be the achieved goal, metres."""
-AT_GOAL = 0.03
-"""Distance between cube and goal, within which the goal is already solved, metres."""
-RELAYS, ELSEWHERE = 0.5, 0.125
-"""Fractions of the training episodes."""
 
 _MOST_ASIDE, _MOST_HIGH = 0.025, 0.01  # metres of a cube from its place, in the plane and in height
 _LEAST_AWAY = 0.05  # metres between the gripper and a cube that it has let go of
 _LEAST_GAP = 0.08  # metres between the fingers of an open hand
 _AT_REST = 0.05  # metres per second, of a cube that lies where it was left
-_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
 _OVER = 0.02  # metres in the plane from its place, within which a relay lowers a cube
 _ABOVE = 0.05  # metres above its place, to which a relay first brings a cube
 
@@ -36,11 +30,8 @@ _ABOVE = 0.05  # metres above its place, to which a relay first brings a cube
 def is_left(apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
     """Returns whether a cube rests where the hand has let go of it: booleans `[...]`.
 
-    Args:
-      apart: `[..., 3]`: the cube's position less the gripper's, metres.
-      velocity: `[..., 3]`: the cube's, metres per action.
-      gap: `[...]`: between the fingers, metres.
-
+    `apart`, `[..., 3]`, is the cube's position less the gripper's, metres; its `velocity`, `[..., 3]`, is in metres per
+    action and the `gap` between the fingers, `[...]`, in metres.
     """
     away = (jnp.linalg.norm(apart, axis=-1) >= _LEAST_AWAY) & (gap >= _LEAST_GAP)
     return away & (jnp.linalg.norm(velocity, axis=-1) <= _AT_REST * CONTROL_PERIOD)
@@ -58,4 +49,4 @@ def relay(gripper: jax.Array, cube: jax.Array, place: jax.Array) -> tuple[jax.Ar
     first above the place, then the place.
     """
     over = jnp.linalg.norm((cube - place)[:2]) <= _OVER
-    return jnp.linalg.norm(gripper - cube) > _AT_CUBE, jnp.where(over, place, place.at[2].add(_ABOVE))
+    return jnp.linalg.norm(gripper - cube) > AT_CUBE, jnp.where(over, place, place.at[2].add(_ABOVE))

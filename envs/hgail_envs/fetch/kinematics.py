@@ -33,11 +33,7 @@ class Pose(NamedTuple):
 
 
 class Chain:
-    """The bodies from the world to the one that carries a site, joined by hinges and slides alone.
-
-    Args:
-      model: the model.
-      site: the site's name.
+    """The bodies from the world to the one that carries the site of a name, joined by hinges and slides alone.
 
     Raises:
       ValueError: the chain has a joint of another kind.

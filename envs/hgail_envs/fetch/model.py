@@ -47,12 +47,7 @@ def settle(
 
 
 class SceneModel:
-    """A scene's fields, and the indices of its objects in them.
-
-    Args:
-      model: the scene; the bodies of its free joints are the objects.
-
-    """
+    """A scene's fields, and the indices of its objects, the bodies of its free joints, in them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -79,12 +74,8 @@ class SceneModel:
     def with_room(self, factors: ModelFactors, least: float) -> ModelFactors:
         """Returns factors under which a narrow hand opens to `ROOM` more than the objects' width, and to `least`.
 
-        It opens no wider for that than the scene's own, which may be too narrow for the largest objects.
-
-        Args:
-          factors: as they were drawn.
-          least: metres.
-
+        It opens no wider for that than the scene's own, which may be too narrow for the largest objects;
+        all are metres.
         """
         needed = jnp.maximum(self._object_width * factors.object_size + ROOM, least) / self._widest
         return factors.replace(hand_width=jnp.maximum(factors.hand_width, jnp.minimum(needed, 1.0)))

@@ -19,10 +19,12 @@ OBSERVATIONS = ("compact", "official")
 OF_OBJECT = "target is the object's, not the gripper's"
 """Name of the flag in a goal."""
 GOAL = Layout(TARGET, flag(OF_OBJECT))
+MOVED = 0.01
+"""Metres from its start, beyond which an object's position may be the achieved goal."""
+AT_GOAL = 0.03
+"""Metres between object and goal, within which the goal is already solved."""
 
 _GRIPPER, _OBJECT = 0.0, 1.0  # fourth number of a goal: its position is the gripper's or the object's
-_MOVED = 0.01  # metres from its start, beyond which the object's position is the achieved goal
-_AT_GOAL = 0.03  # metres between object and goal, within which the goal is already solved
 _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
 _BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
@@ -147,7 +149,7 @@ class ObjectEnv(FetchEnv):
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         thing = self.object_position(physics)
-        moved = jnp.linalg.norm(thing - physics.object_start) > _MOVED
+        moved = jnp.linalg.norm(thing - physics.object_start) > MOVED
         return jnp.where(moved, object_goal(thing), gripper_goal(physics.gripper_position))
 
     def sample_goal(self, rng: jax.Array, physics: ObjectPhysics) -> jax.Array:
@@ -173,7 +175,7 @@ class ObjectEnv(FetchEnv):
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
         distance = jnp.linalg.norm(self._object_in(features) - goal[..., GOAL["target position"]], axis=-1)
-        return _is_object(goal) & (distance <= _AT_GOAL)
+        return _is_object(goal) & (distance <= AT_GOAL)
 
     def _object_in(self, features: jax.Array) -> jax.Array:
         """Returns the object's position, `[..., 3]`, of features `[..., feature_size]`."""

@@ -13,21 +13,23 @@ from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import HAND
 from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
+RELAYS, ELSEWHERE = 0.5, 0.125
+"""Fractions of the training episodes whose goals are the stages on the way, and a random place."""
+AT_CUBE = 0.04
+"""Metres between gripper and cube, within which a relay's goal becomes the cube's."""
 HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
 
-_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
 _PADS = 2  # whose touch of the cube the scene's first sensors tell
-_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
 
 
 class PickAndPlacePlan(struct.PyTreeNode):
-    """The goals of an episode of `PickAndPlace`."""
+    """The goals of an episode of `PickAndPlace` or `hgail_envs.fetch.stack.Stack`."""
 
     goal: jax.Array
     """`[goal_size]`."""
     relay: jax.Array
-    """`[]` boolean: whether the first goal is the gripper at the cube."""
+    """`[]` boolean: whether the goals are the stages on the way to it, first the gripper at the cube."""
 
 
 class PickAndPlace(ObjectEnv):
@@ -79,11 +81,11 @@ class PickAndPlace(ObjectEnv):
         kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
         kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
         elsewhere, goal = gripper_goal(self.random_position(position_rng)), self.sample_goal(goal_rng, physics)
-        sent_elsewhere = (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
-        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < _RELAYS)
+        sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
+        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < RELAYS)
 
     def current_goal(self, plan: Any, physics: ObjectPhysics, step: jax.Array | int) -> jax.Array:
         # By the state alone: a relay whose cube slips out of the hand sends the gripper back to it.
         cube = self.object_position(physics)
-        away = jnp.linalg.norm(physics.gripper_position - cube) > _AT_CUBE
+        away = jnp.linalg.norm(physics.gripper_position - cube) > AT_CUBE
         return jnp.where(plan.relay & away, gripper_goal(cube), plan.goal)

@@ -20,16 +20,11 @@ TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
 """Tasks of `ReferenceFetch`."""
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
-_CUBE = "object0"
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # the displacements of an episode with a longer stride
 
 
 def make_reference(name: str, **options: Any) -> Any:
-    """Makes an environment of Gymnasium-Robotics, on whatever MuJoCo is installed.
-
-    Args:
-      name: e.g. `"FetchReach-v4"`.
-      options: of `gymnasium.make`.
+    """Makes an environment of Gymnasium-Robotics, e.g. `"FetchReach-v4"`, on whatever MuJoCo is installed.
 
     Raises:
       ImportError: the extra `compare` is not installed.
@@ -127,7 +122,7 @@ class ReferenceFetch:
 
     def _touching(self) -> bool:
         """Returns whether both fingers touch the cube."""
-        cube = self.model.geom(_CUBE).id
+        cube = self.model.geom("object0").id
         pairs = self.data.contact.geom
         return self._fingers <= set(pairs[(pairs == cube).any(axis=1)].ravel())
 
@@ -137,13 +132,8 @@ def reference_episode(
 ) -> EpisodeMetrics:
     """Runs a policy for one episode of the reference, with the task's lift test; returns plain numbers.
 
-    Args:
-      reference: of the task.
-      policy: maps an observation, float32 `[observation_size]`, to an action, `[4]`.
-      past: of the policy's randomisation, with nothing in it yet.
-      seed: of all episodes; with the index it decides the start.
-      index: of the episode.
-
+    `policy` maps an observation, float32 `[observation_size]`, to an action, `[4]`; `past` is that of its
+    randomisation, still empty. The seed, of all episodes, and the episode's index decide the start.
     """
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
     at_start = reference.target()

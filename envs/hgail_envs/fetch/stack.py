@@ -5,16 +5,15 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, of_object
-from hgail_envs.fetch.objects import ObjectPhysics
-from hgail_envs.fetch.pick_and_place import PickAndPlace
+from hgail_envs.fetch.objects import AT_GOAL, MOVED, ObjectPhysics
+from hgail_envs.fetch.pick_and_place import ELSEWHERE, RELAYS, PickAndPlace, PickAndPlacePlan
 from hgail_envs.layout import Layout, flag
 from hgail_envs.variation import ModelFactors
 
@@ -35,15 +34,6 @@ class StackPhysics(ObjectPhysics, kw_only=True):
 
     b_start: jax.Array
     """`[3]`: metres."""
-
-
-class StackPlan(struct.PyTreeNode):
-    """The goals of an episode of `Stack`."""
-
-    goal: jax.Array
-    """`[goal_size]`."""
-    relay: jax.Array
-    """`[]` boolean: whether the goals are the stages on the way to it."""
 
 
 class Stack(PickAndPlace):
@@ -149,7 +139,7 @@ class Stack(PickAndPlace):
         elsewhere = choices[jax.random.randint(whose_rng, (), 0, len(choices))]
         sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
         goal = jnp.where(sent_elsewhere, elsewhere, self.sample_goal(goal_rng, physics))
-        return StackPlan(goal=goal, relay=kind < RELAYS)
+        return PickAndPlacePlan(goal=goal, relay=kind < RELAYS)
 
     def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
         return jnp.where(plan.relay, self._stage(physics), plan.goal)

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 from hgail_envs.base import Controller, EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import AT_GOAL, ELSEWHERE, LEAST_WIDEST_GAP, MOVED, RELAYS, is_in_place, is_left, relay
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import gripper_values
+from hgail_envs.fetch.objects import AT_GOAL, MOVED
+from hgail_envs.fetch.pick_and_place import ELSEWHERE, RELAYS
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
 from hgail_envs.variation import ModelFactors
 
@@ -97,10 +99,7 @@ class Tower(FetchEnv):
         return physics.qvel[self._scene_model.object_qvel][physics.order] * CONTROL_PERIOD
 
     def places(self, physics: TowerPhysics) -> jax.Array:
-        """Returns the places of the top cube on the middle and of the middle on the base, where they now are, `[2, 3]`.
-
-        Metres, world frame.
-        """
+        """Returns the places of the top on the middle and of the middle on the base as it is, `[2, 3]`, metres."""
         return self.cube_positions(physics)[1:].at[:, 2].add(CUBE_WIDTH * self.object_factor(physics))
 
     def are_in_place(self, physics: TowerPhysics) -> jax.Array:
@@ -227,10 +226,6 @@ class Tower(FetchEnv):
         return self._advance(state, moved, state.info["plan"], state.info["step"])
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
-        """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
-
-        Those of a cube that is left are one higher. The base counts as on the table wherever it is.
-        """
         return tower_goals.goal_kind(goal)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:

@@ -66,7 +66,10 @@ def _is_to_be_left(goal: jax.Array) -> jax.Array:
 
 
 def goal_kind(goal: jax.Array) -> jax.Array:
-    """Returns the kinds of goals, integers `[...]`; see `Tower.goal_kind`."""
+    """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
+
+    Those of a cube that is left are one higher. The base counts as on the table wherever it is.
+    """
     is_base, is_top = (goal[..., _WHOSE][..., role] > 0.5 for role in (BASE, TOP))
     raised = (goal[..., 2] > _RAISED) & ~is_base
     of_cube = jnp.where(raised, jnp.where(is_top, _KIND_OF_TOP, _KIND_OF_MIDDLE), _KIND_ON_TABLE)

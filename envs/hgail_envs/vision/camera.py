@@ -42,17 +42,10 @@ class Camera:
             raise ValueError("the camera's rotation must be a rotation matrix")
 
     def to_world(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Returns the positions of pixels in the world, Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
+        """Returns the positions of pixels in the world, `[..., 3]`, metres, by Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
 
-        Args:
-          pixels: `[..., 2]`, (u, v).
-          depth: `[...]`, z along the optical axis, metres.
-
-        Returns:
-          `[..., 3]`, metres.
-
+        `pixels` are (u, v), `[..., 2]`; `depth`, `[...]`, is z, metres.
         """
-        # M⁻¹ [u, v, 1]ᵀ has depth 1, so that it scales with the depth along the axis, not along the ray.
         homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
         in_camera = np.asarray(depth)[..., None] * (homogeneous @ np.linalg.inv(self.matrix).T)
         return in_camera @ self.rotation.T + self.position
@@ -69,10 +62,8 @@ class Camera:
     def moved(self, rotation: np.ndarray, translation: np.ndarray) -> "Camera":
         """Returns the camera turned and shifted, as by an error of the extrinsic calibration.
 
-        Args:
-          rotation: `[3]`, a rotation vector about the camera's own axes, radians.
-          translation: `[3]`, along the world's axes, metres.
-
+        `rotation`, `[3]`, is a rotation vector about the camera's own axes, radians; `translation`, `[3]`, is along the
+        world's axes, metres.
         """
         turned = self.rotation @ Rotation.from_rotvec(rotation).as_matrix()
         return dataclasses.replace(self, rotation=turned, position=self.position + translation)
