@@ -154,6 +154,10 @@ class Layout:
         """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
         return functools.partial(self._read, function)
 
+    def readers(self, functions: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> dict[str, Callable[[Any], Any]]:
+        """Returns the `reader` of each function by the function's name, e.g. the controllers of a task."""
+        return {name: self.reader(function) for name, function in functions.items()}
+
     def _read(self, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
         return function(self.split(vector))
 

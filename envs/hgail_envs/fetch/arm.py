@@ -175,6 +175,14 @@ class FetchEnv(GoalEnv):
         first = int(self.model.joint(joint).dofadr[0])
         return slice(first, first + 3)
 
+    def put_down(self, physics: PhysicsT, joint: str, position: jax.Array) -> PhysicsT:
+        """Returns the physics with the body of a free joint at `position`, `[3]`, upright and at rest."""
+        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
+        return physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of(joint).start,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of(joint).start,)),
+        )
+
     def gap(self, physics: FetchPhysics) -> jax.Array:
         """Returns the distance between the fingers, `[]`, metres."""
         return physics.qpos[self._finger_qpos].sum()

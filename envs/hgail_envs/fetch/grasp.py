@@ -1,12 +1,11 @@
 """Grasping a cube from the table."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET, gripper_values
@@ -29,6 +28,7 @@ HOLD = "to hold the cube at the target"
 GOAL = Layout(TARGET, flag(HOLD))
 """Layout of a goal."""
 
+_CONTROLLERS = {"from-above": controllers.grasp, "straight": controllers.straight, "closed": controllers.closed}
 _APART = "cube position less gripper position"  # of a tracked cube
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
 _CUBE_HEIGHT = 0.425  # metres, on the table
@@ -37,11 +37,6 @@ _CUBE_HEIGHT = 0.425  # metres, on the table
 def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
     """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres."""
     return touching & (abs(gap - width) <= _GAP_TOLERANCE)
-
-
-def _controllers(observation: Layout) -> dict[str, Controller]:
-    named = {"from-above": controllers.grasp, "straight": controllers.straight, "closed": controllers.closed}
-    return {name: observation.reader(act) for name, act in named.items()}
 
 
 class Grasp(FetchEnv):
@@ -81,14 +76,14 @@ class Grasp(FetchEnv):
     scene = "fetch/grasp"
     target_body = "cube"
     reference = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = _controllers(features_layout + goal_layout)
+    controllers = (features_layout + goal_layout).readers(_CONTROLLERS)
 
     def __init__(self, *args: Any, cube: str = CUBES[0], **kwargs: Any) -> None:
         self.features_layout = self.features_with(cube=cube)
         self.feature_size = self.features_layout.size
         self.cube = cube
         if cube == "tracked":
-            self.controllers = _controllers(self.features_layout + GOAL)  # type: ignore[misc]
+            self.controllers = (self.features_layout + GOAL).readers(_CONTROLLERS)  # type: ignore[misc]
         super().__init__(*args, **kwargs)
 
     @classmethod
@@ -144,13 +139,8 @@ class Grasp(FetchEnv):
 
     def move_target(self, state: State, position: jax.Array) -> State:
         """Puts the cube down at `position`, at rest and upright, and makes it the goal; see `GoalEnv`."""
-        physics = state.pipeline_state
-        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
-        moved = physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of("cube").start,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of("cube").start,)),
-            sensordata=jnp.zeros_like(physics.sensordata),  # the pads no longer touch it
-        )
+        moved = self.put_down(state.pipeline_state, "cube", position)
+        moved = moved.replace(sensordata=jnp.zeros_like(moved.sensordata))  # the pads no longer touch it
         # The evaluation's plan follows from the cube alone, so that any key will do.
         plan = self.plan_goals(jax.random.key(0), moved, training_goals=False)
         return self._advance(state, moved, plan, state.info["step"])

@@ -1,13 +1,11 @@
 """FetchPickAndPlace: bring a cube to a place on the table or in the air."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import HAND
@@ -56,9 +54,7 @@ class PickAndPlace(ObjectEnv):
 
     scene = "fetch/grasp"
     reference: str | None = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.pick_and_place)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.pick_and_place})
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether the hand holds the cube, see `is_held`: a boolean `[]`."""

@@ -1,13 +1,11 @@
 """FetchPush: push a cube to a place on the table."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.layouts import ACTION_OF_ARM
 from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
@@ -54,9 +52,7 @@ class Push(ObjectEnv):
 
     scene = "fetch/push"
     reference = "FetchPush-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-behind": (features_layout + goal_layout).reader(controllers.push)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-behind": controllers.push})
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PushPlan:
         kind_rng, goal_rng, offset_rng = jax.random.split(rng, 3)

@@ -1,12 +1,10 @@
 """FetchSlide: hit a puck so that it slides to a place out of reach."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.objects import GOAL, ObjectPhysics, compact_layout, gripper_goal
 from hgail_envs.fetch.push import Push
@@ -63,9 +61,7 @@ class Slide(Push):
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.slide)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.slide})
 
     def __init__(self, *args: Any, achieved: str = ACHIEVED[0], **kwargs: Any) -> None:
         check_name("achieved", achieved, ACHIEVED)

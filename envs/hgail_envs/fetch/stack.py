@@ -1,12 +1,11 @@
 """Stacking: put a cube on another one and let go of it."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
 from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, relay
@@ -68,9 +67,7 @@ class Stack(PickAndPlace):
     scene = "fetch/stack"
     least_widest_gap = LEAST_WIDEST_GAP
     reference = None
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.stack)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.stack})
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
@@ -99,13 +96,8 @@ class Stack(PickAndPlace):
 
     def _put_b(self, physics: Any, position: jax.Array) -> Any:
         """Returns the physics with cube B at `position`, `[3]`, upright and at rest, as at the start of an episode."""
-        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
-        return physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of("cube_b").start,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of("cube_b").start,)),
-            sensordata=physics.sensordata.at[_CUBES_TOUCH].set(0.0),
-            b_start=position,
-        )
+        put = self.put_down(physics, "cube_b", position)
+        return put.replace(sensordata=put.sensordata.at[_CUBES_TOUCH].set(0.0), b_start=position)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)

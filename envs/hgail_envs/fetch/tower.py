@@ -1,12 +1,11 @@
 """A tower of three cubes, put on one another in an order that differs from episode to episode."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, EpisodeMetrics, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, relay
@@ -81,9 +80,7 @@ class Tower(FetchEnv):
 
     scene = "fetch/tower"
     least_widest_gap = LEAST_WIDEST_GAP
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (tower_goals.SEEN + tower_goals.GOAL).reader(controllers.tower)
-    }
+    controllers = (tower_goals.SEEN + tower_goals.GOAL).readers({"from-above": controllers.tower})
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
         order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
