@@ -140,10 +140,9 @@ class GoalEnv(HasLayouts, Env):
         return jnp.concatenate([features, goal], axis=-1)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`.
+        """Returns whether goals satisfy others, `[..., goal_size]`: `[...]`, for trainers that keep no features.
 
-        For trainers that keep no features. By default flags of `goal_layout` are equal and the other numbers within
-        `success_threshold`.
+        By default flags of `goal_layout` are equal and the other numbers within `success_threshold`.
         """
         return self.goal_layout.is_near(achieved, desired, self.success_threshold)
 

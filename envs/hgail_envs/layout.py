@@ -150,13 +150,9 @@ class Layout:
         """Returns the values of all quantities of a vector, `[..., size]`, by their names; the inverse of `join`."""
         return {name: vector[..., place] for name, place in self._places.items()}
 
-    def reader(self, function: Callable[[Mapping[str, Any]], Any]) -> Callable[[Any], Any]:
-        """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
-        return functools.partial(self._read, function)
-
     def readers(self, functions: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> dict[str, Callable[[Any], Any]]:
-        """Returns the `reader` of each function by the function's name, e.g. the controllers of a task."""
-        return {name: self.reader(function) for name, function in functions.items()}
+        """Returns functions of vectors, `[..., size]`, that call the given ones with the vectors' values by name."""
+        return {name: functools.partial(self._read, function) for name, function in functions.items()}
 
     def _read(self, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
         return function(self.split(vector))

@@ -42,11 +42,7 @@ def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
 
 
 class SceneView:
-    """Pictures of a task's scene in given poses.
-
-    Args:
-      env: the task.
-      render_mode: None for a view that is never asked for pictures, or `"rgb_array"`.
+    """Pictures of a task's scene in given poses, with the `render_mode` `"rgb_array"`, or None for none.
 
     Raises:
       ValueError: another mode, or a task without a scene.

@@ -16,10 +16,8 @@ class GoalSingleEnv(gymnasium.Env):
     It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
     episodes are those of the first environment of a `GoalVectorEnv` with that seed.
 
-    Args:
-      task: a name in `hgail_envs.TASKS`, or a task.
-      render_mode: None, or `"rgb_array"`: `render` returns a picture.
-      **options: of the task, see `hgail_envs.make`.
+    The task is one, or its name, made with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`,
+    `render` returns a picture.
 
     Raises:
       ValueError: no such task, an unknown mode, or pictures of a task without a scene.

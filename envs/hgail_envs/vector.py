@@ -183,9 +183,11 @@ class GoalVectorEnv(VectorEnv):
         self._steps += 1
         over = np.full(self.num_envs, self._steps == self._length)
         reward = np.asarray(self._state.reward, np.float64)
-        observation, info = self._observation(), self._info()
+        observation, info = self._seen(self._state)
         if self._steps == self._length and self._autoreset == AutoresetMode.SAME_STEP:
-            final = _marked({"final_obs": _each(observation, self.num_envs), "final_info": info}, self.num_envs)
+            final_obs = np.empty(self.num_envs, object)  # Gymnasium has them as an object for each environment
+            final_obs[:] = [{name: value[i] for name, value in observation.items()} for i in range(self.num_envs)]
+            final = _marked({"final_obs": final_obs, "final_info": info}, self.num_envs)
             observation, info = self._start(self._keys)
             info = info | final
         return observation, reward, no, over, info
@@ -216,25 +218,15 @@ class GoalVectorEnv(VectorEnv):
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         self._keys, episode_keys = self._split(keys)
         self._steps, self._state = 0, self._reset(episode_keys)
-        return self._observation(), self._info()
+        return self._seen(self._state)
 
-    def _info(self) -> dict[str, Any]:
-        assert self._state is not None
-        return _marked({"is_success": np.asarray(self._state.reward) == 0.0}, self.num_envs)
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        assert self._state is not None
+    def _seen(self, state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Returns the observation and the info of a state."""
         parts = {"observation": "features", "achieved_goal": "achieved_goal", "desired_goal": "desired_goal"}
-        return {name: np.array(self._state.info[part], np.float32) for name, part in parts.items()}
+        observation = {name: np.array(state.info[part], np.float32) for name, part in parts.items()}
+        return observation, _marked({"is_success": np.asarray(state.reward) == 0.0}, self.num_envs)
 
 
 def _marked(info: dict[str, Any], num_envs: int) -> dict[str, Any]:
     """Returns an info of Gymnasium's form: beside each entry, which environments have it."""
     return info | {f"_{name}": np.ones(num_envs, bool) for name in info}
-
-
-def _each(observation: dict[str, np.ndarray], num_envs: int) -> np.ndarray:
-    """Returns the observation of each environment as an object of its own, as Gymnasium has final ones."""
-    objects = np.empty(num_envs, object)
-    objects[:] = [{name: value[index] for name, value in observation.items()} for index in range(num_envs)]
-    return objects

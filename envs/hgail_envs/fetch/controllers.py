@@ -1,7 +1,7 @@
 """Scripted controllers of the Fetch tasks: they demonstrate a task, and show that its scene can be solved.
 
 Each maps the values of an observation by name, those of its task's layouts, to an action, `[..., 4]`. A task makes a
-`hgail_envs.base.Controller` of it by `Layout.reader`.
+`hgail_envs.base.Controller` of it by `Layout.readers`.
 """
 
 from collections.abc import Mapping
