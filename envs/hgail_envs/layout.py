@@ -111,11 +111,6 @@ class Layout:
         """
         return self._places[name]
 
-    def span(self, first: str, last: str) -> slice:
-        """Returns where the numbers from one quantity to another are, both included."""
-        places = np.arange(self.size)
-        return slice(int(places[self[first]].min()), int(places[self[last]].max()) + 1)
-
     @property
     def numbers(self) -> tuple[Quantity, ...]:
         """Each number as a quantity, `size` of them."""

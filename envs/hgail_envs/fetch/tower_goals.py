@@ -34,9 +34,9 @@ GOAL = Layout(
 """Layout of a goal; the target of no cube is the gripper's."""
 
 _RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on another cube at 0.475
-_OF_CUBES = FEATURES.span("top cube position less gripper position", "base cube velocity")
 _OF_ONE = of_object("cube")
-_WHOSE = GOAL.span("target is the top cube's", "target is the base cube's")
+_OF_CUBES = slice(GRIPPER.size, GRIPPER.size + CUBES * _OF_ONE.size)
+_WHOSE = slice(TARGET.size, TARGET.size + CUBES)
 _KIND_ON_TABLE, _KIND_OF_MIDDLE, _KIND_OF_TOP = 1, 3, 5  # one higher if the cube is left
 
 
