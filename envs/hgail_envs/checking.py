@@ -122,10 +122,9 @@ def _check_state(env: GoalEnv, name: str, state: State) -> None:
     for part in ("features", "achieved_goal", "desired_goal"):
         if part not in state.info:
             raise ValueError(f"{owner} gives a State without info[{part!r}]; hindsight needs it")
-        if not np.isfinite(np.asarray(state.info[part])).all():
-            raise ValueError(
-                f"{owner} gives a State whose info[{part!r}] is not finite: {np.asarray(state.info[part])[0]}"
-            )
+        values = np.asarray(state.info[part])
+        if not np.isfinite(values).all():
+            raise ValueError(f"{owner} gives a State whose info[{part!r}] is not finite: {values[0]}")
     rebuilt = np.asarray(env.goal_observation(state.info["features"], state.info["desired_goal"]))
     if rebuilt.shape != state.obs.shape or not np.allclose(rebuilt, np.asarray(state.obs), rtol=1e-5, atol=1e-6):
         raise ValueError(

@@ -241,9 +241,8 @@ class RandomizedEnv(GoalEnv):
     def with_sizes(self, sizes: Mapping[str, Any]) -> "RandomizedEnv":
         """Returns the task with other sizes, by the fields of `Randomization`, which may be traced.
 
-        So one program evaluates many sizes. Its structure stays that of `randomization`: no delay may be longer than
-        there, `posture`, `history` and `known_delay` stay, and a model, start or sensors that are nominal there stay
-        nominal.
+        Its structure stays that of `randomization`: no delay may be longer than there, `posture`, `history` and
+        `known_delay` stay, and a model, start or sensors that are nominal there stay nominal.
         """
         env = copy.copy(self)
         env._sizes = self._sizes | dict(sizes)

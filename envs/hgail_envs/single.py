@@ -14,10 +14,8 @@ class GoalSingleEnv(gymnasium.Env):
     """One episode of a task at a time, with the spaces, rewards and `info` of a `GoalVectorEnv`.
 
     It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
-    episodes are those of the first environment of a `GoalVectorEnv` with that seed.
-
-    The task is one, or its name, made with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`,
-    `render` returns a picture.
+    episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its name, made
+    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture.
 
     Raises:
       ValueError: no such task, an unknown mode, or pictures of a task without a scene.

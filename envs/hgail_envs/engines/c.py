@@ -150,10 +150,7 @@ class _Copies:
         self._written = np.empty((0, sum(getattr(model, name).size for name in names)), np.float32)
 
     def with_fields(self, values: np.ndarray) -> list[mujoco.MjModel]:
-        """Returns a model for each row of `values`, the fields one after another; writes only rows that changed.
-
-        An episode's fields are constant, so that most calls write nothing.
-        """
+        """Returns a model for each row of `values`, the fields one after another; writes only rows that changed."""
         missing = len(values) - len(self._models)
         if missing > 0:  # NaN differs from every value, so that the new rows are written below
             self._models += [copy.copy(self._model) for _ in range(missing)]

@@ -79,7 +79,7 @@ class Chain:
                 anchor = _add(position, _rotate(quaternion, offset))
                 turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
-                position = _subtract(anchor, _rotate(quaternion, offset))
+                position = tuple(map(_difference, anchor, _rotate(quaternion, offset)))
         site = _add(position, _rotate(quaternion, _numbers(model.site_pos[self._site])))
         return jnp.stack(site), jnp.stack(position), jnp.stack(quaternion)
 
@@ -119,10 +119,6 @@ def _scale(factor: _Number, vector: _Numbers) -> _Numbers:
 
 def _add(one: _Numbers, other: _Numbers) -> _Numbers:
     return tuple(map(_sum, one, other))
-
-
-def _subtract(one: _Numbers, other: _Numbers) -> _Numbers:
-    return tuple(map(_difference, one, other))
 
 
 def _cross(one: _Numbers, other: _Numbers) -> _Numbers:

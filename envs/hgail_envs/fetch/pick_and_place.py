@@ -39,8 +39,7 @@ class PickAndPlace(ObjectEnv):
 
     Half the training episodes are relays: while the gripper is more than 4 cm from the cube the goal is the gripper at
     the cube's place, and then the cube at the target. In an eighth the goal is the gripper at a random place. The rest
-    have the evaluation's goals. A random policy hardly ever moves the cube: without these training goals PPO's success
-    is .770 instead of .987 after half of the steps (`docs/lab/ppo.md`).
+    have the evaluation's goals. A random policy hardly ever moves the cube (`docs/lab/ppo.md`).
 
     See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """

@@ -34,10 +34,8 @@ class Push(ObjectEnv):
     reference's, the table has no edge from which the cube could fall.
 
     In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
-    uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. PPO does not need them for
-    push: on the evaluation's goals alone its success is .890 against .679 after 40 rounds, and no different after all
-    120 (`docs/lab/ppo.md`). TD3, which takes far fewer steps, does: .062 for .999. So does `Slide`, which
-    inherits them.
+    uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. TD3 needs them
+    (`docs/lab/off-policy.md`), PPO only in `Slide`, which inherits them (`docs/lab/ppo.md`).
 
     See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """

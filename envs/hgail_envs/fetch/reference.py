@@ -51,9 +51,8 @@ class ReferenceFetch:
 
     Args:
       task: one of `TASKS`.
-      observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
-        numbers.
-      cube: of grasp, `"at-start"` or `"tracked"`, see `hgail_envs.fetch.grasp.Grasp`.
+      observation: see `hgail_envs.fetch.objects.ObjectEnv`.
+      cube: see `hgail_envs.fetch.grasp.Grasp`.
 
     Raises:
       ValueError: the task has no reference, or no such option.

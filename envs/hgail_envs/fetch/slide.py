@@ -22,14 +22,12 @@ _AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)
 class Slide(Push):
     """FetchSlide: hit a puck so that it slides over a long table to a place out of the hand's reach.
 
-    The observation and the training goals are those of `Push`, with the puck in the cube's place. Without waypoints the
-    success is .112 instead of .341 after 33 rounds (`docs/lab/ppo.md`): hindsight alone shows only hits that began on
-    the right side, while a hand that visits waypoints is also shown to go round the puck.
+    The observation and the training goals are those of `Push`, with the puck in the cube's place. Hindsight alone shows
+    only hits that began on the right side, while a hand that visits waypoints is also shown to go round the puck.
 
     With `achieved="at-rest"` the achieved goal is the gripper's position while the puck moves, faster than 5 cm/s: a
     policy that lets the puck pass a place has not learnt to stop it there. With `achieved="passed"` each place that the
-    puck passes is an achieved goal, as for the other objects: more goals for hindsight, with which TD3 hits .83 of the
-    targets after 2.6 M steps where it has .37 (`docs/lab/off-policy.md`), and which it takes by default.
+    puck passes is an achieved goal: more goals for hindsight, TD3's default (`docs/lab/off-policy.md`).
 
     Most pucks stay near and go straight, while most targets are far or aside. So the table is cut into five bands along
     x and three along y, and each field is a kind of goals (`goal_kind`), from which hindsight draws as often as targets

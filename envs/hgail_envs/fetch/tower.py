@@ -53,14 +53,12 @@ class Tower(FetchEnv):
     the gripper's. Once the middle cube was left on the base, that is the middle cube while the gripper is within 15 cm
     of it, then the gripper until the top cube moves.
 
-    A scripted hand takes 75 to 89 steps, the first placement 37 to 44 of them. Episodes have two hundred: with a noise
-    of .1 on its actions, as of a policy that explores, the same hand reaches half of the goals in a hundred steps, nine
-    tenths in a hundred and fifty, and nearly all in two hundred.
+    A scripted hand takes 75 to 89 steps. Episodes have two hundred: with a noise of .1 on its actions, as of a policy
+    that explores, the same hand reaches half of the goals in a hundred steps and nearly all in two hundred.
 
     An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
     0.10 m away from it and from the other cubes. Half the training episodes start with the middle cube on the base, so
-    that the second placement is learnt beside the first. That is a distribution of starts and shows no action: it is no
-    demonstration. Evaluation episodes never start so.
+    that the second placement is learnt beside the first; no evaluation episode does.
 
     Success includes a test that the tower stands. After the last step the middle cube is in its place on the base and
     the top cube on the middle, and both pairs touch; the top cube is left, and the base within 5 cm of its start. After
