@@ -13,7 +13,7 @@ MOST = 1_000_000
 MOST_SEED = 2**31 - 1
 """The largest seed, also the largest of JAX's default integers."""
 
-_SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+_SMALLEST, _LARGEST = float(np.finfo(np.float32).smallest_subnormal), float(np.finfo(np.float32).max)
 
 
 def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
