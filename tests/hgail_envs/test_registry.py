@@ -45,8 +45,8 @@ def test_a_task_of_one_s_own_is_found_by_its_path():
 
 
 class Forwarding(Push):
-    def __init__(self, *args, shift=0.0, **kwargs):
-        super().__init__(*args, **kwargs)
+    def __init__(self, shift=0.0, **kwargs):
+        super().__init__(**kwargs)
         self.shift = shift
 
 
