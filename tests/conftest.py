@@ -15,7 +15,7 @@ import pytest  # noqa: E402
 
 import hgail_envs  # noqa: E402
 from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
-from hgail_envs.vision.rgbd import open_renderer  # noqa: E402
+from hgail_envs.vision.rendering import open_renderer  # noqa: E402
 from hgail_envs.workarounds import configure_xla  # noqa: E402
 
 configure_xla()  # as the command does, before JAX starts

@@ -9,14 +9,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from brax.envs.base import Env, State
+from flax import struct
 
-from hgail_envs.layout import HasLayouts, is_flag
-from hgail_envs.metrics import EpisodeMetrics
+from hgail_envs.layout import FLAG, HasLayouts
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 Controller = Callable[[jax.Array], jax.Array]
 """A scripted policy without a memory: observations `[..., observation_size]` to actions `[..., action_size]` in
 [-1, 1]."""
+
+
+class EpisodeMetrics(struct.PyTreeNode):
+    """Outcome of an episode: numbers `[]`, one per episode under `jax.vmap`, or means over episodes."""
+
+    success: jax.Array | float = 0.0
+    """1 if the episode is a success by the task's strictest test, after the last step and the lift test, else 0."""
+    achieved: jax.Array | float = 0.0
+    """1 if the last step satisfies the goal, else 0; differs from `success` in a task with a lift test."""
+    success_l1: jax.Array | float = 0.0
+    """1 if the L1 distance is within the task's threshold, as in the paper, else 0."""
+    distance_l1: jax.Array | float = 0.0
+    """L1 distance between the last step's position and the target, in the goal's unit."""
+    distance_l2: jax.Array | float = 0.0
+    """Euclidean distance between them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,9 +62,8 @@ class GoalEnv(HasLayouts, Env):
     Episodes never end early: `done` stays 0, and the caller truncates an episode at the time limit.
 
     The goals of an episode follow a plan, drawn by `plan_goals` at the reset; from it `current_goal` returns the goal
-    of a step. By default the plan is one goal of `sample_goal`, for all steps. A task that learns better on other goals
-    than those of its evaluation has training goals, the plans of episodes reset with `training_goals`: a random place,
-    a stage on the way, a new place every few steps.
+    of a step. A task that learns better on other goals than those of its evaluation has training goals, the plans of
+    episodes reset with `training_goals`: a random place, a stage on the way, a new place every few steps.
 
     `State.info` holds `features` (`[feature_size]`), `achieved_goal` and `desired_goal` (`[goal_size]`), the `plan`
     (any pytree) and the `step` (`[]` integer, from 0). `State.obs` is the observation, `goal_observation(features,
@@ -127,10 +141,9 @@ class GoalEnv(HasLayouts, Env):
         return jnp.concatenate([features, goal], axis=-1)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        """Returns whether goals `achieved` satisfy goals `desired`: booleans `[...]` from two `[..., goal_size]`.
+        """Returns whether goals satisfy others, `[..., goal_size]`: `[...]`, for trainers that keep no features.
 
-        By the goals alone, as trainers that keep no features compute their rewards. By default flags of `goal_layout`
-        are equal and the other numbers within `success_threshold`.
+        By default flags of `goal_layout` are equal and the other numbers within `success_threshold`.
         """
         return self.goal_layout.is_near(achieved, desired, self.success_threshold)
 
@@ -145,8 +158,8 @@ class GoalEnv(HasLayouts, Env):
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether states are at goals, `[..., goal_size]`: booleans `[...]`, the test of reward and success.
 
-        A state is given by its `features`, `[..., feature_size]`, and its `achieved` goal, `[..., goal_size]`, which is
-        all that a replay buffer keeps of it. By default it is `success` of the achieved goal.
+        A replay buffer keeps of a state its `features`, `[..., feature_size]`, and its `achieved` goal, `[...,
+        goal_size]`. By default the test is `success` of the achieved goal.
         """
         return self.success(achieved, goal)
 
@@ -156,7 +169,7 @@ class GoalEnv(HasLayouts, Env):
         A state that achieves a goal is at every goal of the box around it, by `goal_test`. A discriminator may take its
         positives' goals from there, see `Hyperparameters.goal_jitter`. By default a cube, with flags as they are.
         """
-        numbers = np.array([not is_flag(number.unit) for number in self.goal_layout.numbers], np.float32)
+        numbers = np.array([number.unit != FLAG for number in self.goal_layout.numbers], np.float32)
         half = self.success_threshold / np.sqrt(max(numbers.sum(), 1.0))
         return jnp.broadcast_to(half.astype(np.float32) * numbers, goal.shape)
 
@@ -165,18 +178,15 @@ class GoalEnv(HasLayouts, Env):
         return self.goal_test(self.features(physics), self.achieved_goal(physics), desired)
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether relabelled goals are already solved, so that hindsight may weigh them less: booleans `[...]`.
+        """Returns whether relabelled goals, `[..., goal_size]`, are already solved by the states that act: `[...]`.
 
-        `features`, `[..., feature_size]`, are of the states that act, `goal` is `[..., goal_size]`. By default none is
-        solved; see `Hyperparameters.solved_weight`.
+        Those states have `features`, `[..., feature_size]`. Hindsight may weigh such goals less, see
+        `Hyperparameters.solved_weight`; by default none is solved.
         """
         return jnp.zeros(goal.shape[:-1], bool)
 
     def move_target(self, state: State, position: jax.Array) -> State:
-        """Returns a state with the target at `position`, `[3]`, metres, e.g. dragged while the policy acts.
-
-        A task in which the target is a body of the scene moves that body too.
-        """
+        """Returns a state with the target, and its body if it has one, at `position`, `[3]`, metres, e.g. dragged."""
         plan = self.aim(state.info["plan"], position)
         return self._advance(state, state.pipeline_state, plan, state.info["step"])
 
@@ -203,14 +213,9 @@ class GoalEnv(HasLayouts, Env):
         achieved: jax.Array | bool = False,
         success: jax.Array | bool | None = None,
     ) -> EpisodeMetrics:
-        """Returns the metrics of an episode.
+        """Returns the metrics of an episode from the fields `achieved` and `success`, which is `achieved` if None.
 
-        Args:
-          position: at the end of the episode: `[3]`, or a goal, `[goal_size]`, whose metres count if it has units.
-          target: as `position`.
-          achieved: whether the last step satisfies the goal, a boolean `[]`.
-          success: whether the episode is a success by the task's strictest test; None if that is `achieved`.
-
+        The last step's `position` and its `target` are `[3]`, or goals, `[goal_size]`, whose metres count if any.
         """
         position, target = (self.goal_layout.metres(jnp.asarray(each)) for each in (position, target))
         l1 = jnp.sum(jnp.abs(position - target))  # the paper's success is by this distance

@@ -1,7 +1,6 @@
 """Checks a user's task against the interface, method by method, before anything is compiled for it."""
 
 import inspect
-import math
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv, State
+from hgail_envs.validation import check_count, check_positive
 
 _BATCH = (2, 3)
 """Leading axes for methods that must take any."""
@@ -68,11 +68,10 @@ def _check_attributes(env: GoalEnv) -> None:
         value, owner = getattr(env, name, None), f"{type(env).__name__}.{name}"
         if value is None:
             raise ValueError(f"{owner} is missing; set it in the class")
-        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if name in _COUNTS and not (number and isinstance(value, int | np.integer) and value >= _COUNTS[name]):
-            raise ValueError(f"{owner} is {value!r}; it must be an integer from {_COUNTS[name]}")
-        if name in _NUMBERS and not (number and math.isfinite(value) and value > 0):
-            raise ValueError(f"{owner} is {value!r}; it must be a positive number")
+        if name in _COUNTS:
+            check_count(owner, value, _COUNTS[name])
+        else:
+            check_positive(owner, value)
 
 
 def _check_methods(env: GoalEnv) -> None:
@@ -82,25 +81,21 @@ def _check_methods(env: GoalEnv) -> None:
     physics = _trace(env, "reset_physics", rng)
     plan = _trace(env, "plan_goals", rng, physics, flag)
     _check_same(env, "step_physics", physics, _trace(env, "step_physics", physics, action))
-    needed: dict[str, tuple[tuple[Any, ...], str, tuple[int, ...], str]] = {
-        "features": ((physics,), "float32", (env.feature_size,), "[feature_size]"),
-        "achieved_goal": ((physics,), "float32", (env.goal_size,), "[goal_size]"),
-        "sample_goal": ((rng, physics), "float32", (env.goal_size,), "[goal_size]"),
-        "current_goal": ((plan, physics, step), "float32", (env.goal_size,), "[goal_size]"),
-        "lift_test_action": ((action,), "float32", (env.action_size,), "[action_size]"),
-        "overflow": ((physics,), "bool", (), "one number"),
-    }
-    for name, (arguments, dtype, shape, meaning) in needed.items():
-        _check_array(env, name, _trace(env, name, *arguments), dtype, shape, meaning)
+    _check_array(env, "features", (physics,), _floats(env.feature_size), "[feature_size]")
+    _check_array(env, "achieved_goal", (physics,), _floats(env.goal_size), "[goal_size]")
+    _check_array(env, "sample_goal", (rng, physics), _floats(env.goal_size), "[goal_size]")
+    _check_array(env, "current_goal", (plan, physics, step), _floats(env.goal_size), "[goal_size]")
+    _check_array(env, "lift_test_action", (action,), action, "[action_size]")
+    _check_array(env, "overflow", (physics,), flag, "one number")
     for batch in ((), _BATCH):  # hindsight calls these for whole trajectories
         features, goal = _floats(*batch, env.feature_size), _floats(*batch, env.goal_size)
-        observation = _trace(env, "goal_observation", features, goal)
-        size = (*batch, env.observation_size)
-        _check_array(env, "goal_observation", observation, "float32", size, "[..., observation_size]")
-        _check_array(env, "success", _trace(env, "success", goal, goal), "bool", batch, "[...]")
-        _check_array(env, "goal_test", _trace(env, "goal_test", features, goal, goal), "bool", batch, "[...]")
-        _check_array(env, "goal_kind", _trace(env, "goal_kind", goal), "int32", batch, "[...]")
-        _check_array(env, "already_solved", _trace(env, "already_solved", features, goal), "bool", batch, "[...]")
+        observations = _floats(*batch, env.observation_size)
+        flags, kinds = (jax.ShapeDtypeStruct(batch, dtype) for dtype in (bool, jnp.int32))
+        _check_array(env, "goal_observation", (features, goal), observations, "[..., observation_size]")
+        _check_array(env, "success", (goal, goal), flags, "[...]")
+        _check_array(env, "goal_test", (features, goal, goal), flags, "[...]")
+        _check_array(env, "goal_kind", (goal,), kinds, "[...]")
+        _check_array(env, "already_solved", (features, goal), flags, "[...]")
 
 
 def _check_episode(env: GoalEnv) -> None:
@@ -108,14 +103,15 @@ def _check_episode(env: GoalEnv) -> None:
     resets = jax.vmap(env.reset, in_axes=(0, None))
     count = _EPISODES if env.max_worlds is None else min(_EPISODES, env.max_worlds)
     rngs = jax.random.split(jax.random.key(0), count)
-    _trace_call(env, "reset", resets, jax.eval_shape(lambda: rngs), jax.ShapeDtypeStruct((), bool))
     state = _run(env, "reset", lambda: jax.jit(resets)(rngs, True))
     _check_state(env, "reset", state)
     action = jnp.zeros((count, env.action_size))
     following = _run(env, "step", lambda: jax.jit(jax.vmap(env.step))(state, action))
     _check_state(env, "step", following)
     _check_same(env, "step", jax.eval_shape(lambda: state), jax.eval_shape(lambda: following), like="reset")
-    outcome = _trace_call(env, "outcome", jax.vmap(env.outcome), *2 * (jax.eval_shape(lambda: following),))
+    outcome = _run(
+        env, "outcome", lambda: jax.eval_shape(jax.vmap(lambda *ends: env.outcome(*ends)), *2 * (following,))
+    )
     needed = jax.tree.map(lambda _: _floats(count), EpisodeMetrics())
     _check_same(env, "outcome", needed, outcome, like="GoalEnv.outcome")
 
@@ -126,10 +122,9 @@ def _check_state(env: GoalEnv, name: str, state: State) -> None:
     for part in ("features", "achieved_goal", "desired_goal"):
         if part not in state.info:
             raise ValueError(f"{owner} gives a State without info[{part!r}]; hindsight needs it")
-        if not np.isfinite(np.asarray(state.info[part])).all():
-            raise ValueError(
-                f"{owner} gives a State whose info[{part!r}] is not finite: {np.asarray(state.info[part])[0]}"
-            )
+        values = np.asarray(state.info[part])
+        if not np.isfinite(values).all():
+            raise ValueError(f"{owner} gives a State whose info[{part!r}] is not finite: {values[0]}")
     rebuilt = np.asarray(env.goal_observation(state.info["features"], state.info["desired_goal"]))
     if rebuilt.shape != state.obs.shape or not np.allclose(rebuilt, np.asarray(state.obs), rtol=1e-5, atol=1e-6):
         raise ValueError(
@@ -144,12 +139,8 @@ def _floats(*shape: int) -> jax.ShapeDtypeStruct:
 
 def _trace(env: GoalEnv, name: str, *arguments: _Shapes) -> _Shapes:
     """Returns the shapes that a method gives for arguments of these shapes."""
-    return _trace_call(env, name, getattr(env, name), *arguments)
-
-
-def _trace_call(env: GoalEnv, name: str, function: Callable, *arguments: _Shapes) -> _Shapes:
     # A new lambda each time: JAX's cache of earlier traces would hide a mistake.
-    return _run(env, name, lambda: jax.eval_shape(lambda *given: function(*given), *arguments))
+    return _run(env, name, lambda: jax.eval_shape(lambda *given: getattr(env, name)(*given), *arguments))
 
 
 def _run(env: GoalEnv, name: str, call: Callable[[], Any]) -> Any:
@@ -173,10 +164,9 @@ def _line(env: GoalEnv, error: Exception) -> str:
 _FOREIGN = ("abc", "brax", "builtins", "hgail_envs")  # packages of a task's bases that its author does not edit
 
 
-def _check_array(
-    env: GoalEnv, name: str, given: _Shapes, dtype: str, shape: tuple[int, ...], meaning: str = ""
-) -> None:
-    needed = jax.ShapeDtypeStruct(shape, jnp.dtype(dtype))
+def _check_array(env: GoalEnv, name: str, arguments: tuple[_Shapes, ...], needed: _Shapes, meaning: str) -> None:
+    """Refuses a method that gives another shape or dtype than `needed`, whose `meaning` is for the message."""
+    given = _trace(env, name, *arguments)
     if not isinstance(given, jax.ShapeDtypeStruct) or (given.shape, given.dtype) != (needed.shape, needed.dtype):
         raise ValueError(
             f"{type(env).__name__}.{name} gives {_describe(given)}; it must give {_describe(needed)}, that is {meaning}"

@@ -64,10 +64,7 @@ def flag(name: str) -> Quantity:
 
 
 class Layout:
-    """Quantities of a vector, in their order.
-
-    Args:
-      *quantities: with different names.
+    """Quantities of a vector, in their order, with different names.
 
     Raises:
       ValueError: two quantities have the same name.
@@ -114,19 +111,12 @@ class Layout:
         """
         return self._places[name]
 
-    def span(self, first: str, last: str) -> slice:
-        """Returns where the numbers from one quantity to another are, both included."""
-        start, stop = self[first], self[last]
-        return slice(
-            start.start if isinstance(start, slice) else start, stop.stop if isinstance(stop, slice) else stop + 1
-        )
-
     @property
     def numbers(self) -> tuple[Quantity, ...]:
         """Each number as a quantity, `size` of them."""
         return tuple(number for quantity in self for number in quantity.numbers)
 
-    def where(self, condition: Callable[[str], bool]) -> slice | np.ndarray:
+    def _where(self, condition: Callable[[str], bool]) -> slice | np.ndarray:
         """Returns where the numbers are whose unit meets a condition."""
         places = np.flatnonzero([condition(number.unit) for number in self.numbers])
         if places.size and places.size == places[-1] - places[0] + 1:
@@ -138,16 +128,16 @@ class Layout:
 
         That is if their flags are equal, and their other numbers within a Euclidean distance.
         """
-        flags = self.where(is_flag)
+        flags = self._where(lambda unit: unit == FLAG)
         if not isinstance(flags, slice) and not len(flags):
             return jnp.linalg.norm(one - other, axis=-1) <= distance
-        others = self.where(lambda unit: not is_flag(unit))
+        others = self._where(lambda unit: unit != FLAG)
         near = jnp.linalg.norm(one[..., others] - other[..., others], axis=-1) <= distance
         return near & jnp.all(one[..., flags] == other[..., flags], axis=-1)
 
     def metres(self, vector: jax.Array) -> jax.Array:
         """Returns the metres of a vector, or all of one that is not `[size]`, or of a layout without metres."""
-        metres = self.where(is_metres)
+        metres = self._where(lambda unit: unit == METRES)
         there = isinstance(metres, slice) or len(metres)
         return vector[metres] if there and vector.shape == (self.size,) else vector
 
@@ -155,24 +145,26 @@ class Layout:
         """Returns the values of all quantities of a vector, `[..., size]`, by their names; the inverse of `join`."""
         return {name: vector[..., place] for name, place in self._places.items()}
 
-    def reader(self, function: Callable[[Mapping[str, Any]], Any]) -> Callable[[Any], Any]:
-        """Returns a function of vectors, `[..., size]`, that calls `function` with their values by name."""
-        return functools.partial(_read, self, function)
+    def readers(self, functions: Mapping[str, Callable[[Mapping[str, Any]], Any]]) -> dict[str, Callable[[Any], Any]]:
+        """Returns functions of vectors, `[..., size]`, that call the given ones with the vectors' values by name."""
+        return {name: functools.partial(self._read, function) for name, function in functions.items()}
+
+    def _read(self, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
+        return function(self.split(vector))
 
     def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
         """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
 
-        Args:
-          values: of all quantities.
-          xp: `jax.numpy` or `numpy`.
+        `xp` is `jax.numpy` or `numpy`.
 
         Raises:
           ValueError: a quantity has no value or a value of another size, or there is no such quantity.
 
         """
         if values.keys() != self._places.keys():
-            wrong = sorted(values.keys() ^ self._places.keys())
-            raise ValueError(f"values do not fit the layout: {wrong[0]!r} is {_side(wrong[0] in values)}")
+            wrong = min(values.keys() ^ self._places.keys())
+            fault = "given but not in the layout" if wrong in values else "in the layout but not given"
+            raise ValueError(f"values do not fit the layout: {wrong!r} is {fault}")
         arrays = (xp.asarray(values[quantity.title]) for quantity in self)
         parts = [xp.reshape(array.astype(np.float32) if array.dtype == bool else array, -1) for array in arrays]
         for quantity, part in zip(self, parts, strict=True):
@@ -181,33 +173,11 @@ class Layout:
         return xp.concatenate(parts)
 
 
-def is_flag(unit: str) -> bool:
-    """Returns whether it is the unit of a flag, for `Layout.where`."""
-    return unit == FLAG
-
-
-def is_metres(unit: str) -> bool:
-    """Returns whether it is the unit of positions, for `Layout.where`."""
-    return unit == METRES
-
-
-def _read(layout: Layout, function: Callable[[Mapping[str, Any]], Any], vector: Any) -> Any:
-    return function(layout.split(vector))
-
-
-def _side(is_given: bool) -> str:
-    return "given but not in the layout" if is_given else "in the layout but not given"
-
-
 def past(features: Layout, action: Layout, history: int, known_delay: int) -> Layout:
     """Returns the layout of the past that a randomised task shows before its features; see `RandomizedEnv`.
 
-    Args:
-      features: of the task.
-      action: of the task.
-      history: past actions and observations, the newest first.
-      known_delay: actions that have not taken effect, before the history, the newest first.
-
+    First come `known_delay` actions that have not taken effect, then `history` past actions and observations, both the
+    newest first.
     """
     pending = [
         quantity._replace(when=f"sent {_steps(back)} ago and on its way")
@@ -247,14 +217,14 @@ class HasLayouts:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Derives sizes from layouts, and layouts from sizes."""
         super().__init_subclass__(**kwargs)
-        for kind, size_name, layout_name in _OF_CLASS:
-            size, layout = (vars(cls).get(name) for name in (size_name, layout_name))
+        for kind, layout_name in _LAYOUTS.items():
+            size, layout = vars(cls).get(f"{kind}_size"), vars(cls).get(layout_name)
             if layout is not None:
                 if size not in (None, layout.size):
                     raise ValueError(
-                        f"{cls.__name__}.{size_name} is {size}; its {layout_name} has {layout.size} numbers"
+                        f"{cls.__name__}.{kind}_size is {size}; its {layout_name} has {layout.size} numbers"
                     )
-                setattr(cls, size_name, layout.size)
+                setattr(cls, f"{kind}_size", layout.size)
             elif isinstance(size, int):
                 setattr(cls, layout_name, Layout.numbered(kind, size))
 
@@ -264,8 +234,4 @@ class HasLayouts:
         return cls.features_layout
 
 
-_OF_CLASS = (
-    ("feature", "feature_size", "features_layout"),
-    ("goal", "goal_size", "goal_layout"),
-    ("action", "action_size", "action_layout"),
-)
+_LAYOUTS = {"feature": "features_layout", "goal": "goal_layout", "action": "action_layout"}

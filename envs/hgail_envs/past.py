@@ -10,10 +10,8 @@ from hgail_envs.randomization import Randomization
 class Past:
     """The past of one episode, as `RandomizedEnv` shows it: actions on their way, then past actions and observations.
 
-    Args:
-      randomization: of the policy's training, with its `known_delay` and `history`.
-      delay: of the robot, from an observation to the action that answers it, steps.
-      action_size: numbers in an action, by default those of the Fetch's.
+    The randomization is that of the policy's training, with its `known_delay` and `history`; `delay` is the robot's,
+    from an observation to the action that answers it, steps; `action_size` is by default that of the Fetch.
 
     Raises:
       ValueError: the delay is longer than the policy knows, if it knows any.

@@ -1,12 +1,11 @@
 """A complete task in a few lines: a point in space that must reach another."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, GoalEnv
+from hgail_envs.base import GoalEnv
 from hgail_envs.layout import Layout, Quantity, position
 from hgail_envs.variation import SensorErrors
 
@@ -28,7 +27,7 @@ class Point(GoalEnv):
     goal_layout = Layout(position("target position"))
     action_layout = Layout(Quantity("displacement", 3, "1 is 0.03 m", "world"))
     success_threshold = 0.05
-    controllers: ClassVar[Mapping[str, Controller]] = {"proportional": (features_layout + goal_layout).reader(straight)}
+    controllers = (features_layout + goal_layout).readers({"proportional": straight})
 
     def reset_physics(self, rng: jax.Array) -> jax.Array:
         return jnp.zeros(3)

@@ -25,15 +25,11 @@ class Description(NamedTuple):
 def describe(
     task: str, history: int = 0, known_delay: int = 0, sizes: Sequence[int] = (), **options: Any
 ) -> Description:
-    """Describes the numbers of a task, as its class declares them.
+    """Describes the numbers of a task with its options, as its class declares them.
 
-    Args:
-      task: a name in `hgail_envs.TASKS`, or `"module:Class"`.
-      history: past actions and observations before the present observation, see `Randomization.history`.
-      known_delay: actions on their way, before the history, see `Randomization.known_delay`.
-      sizes: of features without history, goal and action. With them the class is not imported, since it may be of an
-        untrusted file's choice, and the numbers are numbered.
-      **options: of the task.
+    `task` is a name in `hgail_envs.TASKS`, or `"module:Class"`; see `Randomization` for `history` and `known_delay`.
+    With `sizes`, of features without history, goal and action, the class is not imported, since it may be of an
+    untrusted file's choice, and the numbers are numbered.
 
     Raises:
       ValueError: no such task or option, or an option has an unknown value.

@@ -60,21 +60,19 @@ class Randomization:
     friction: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the friction of all contacts."""
     object_mass: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the object's mass."""
+    """Factor on the object's mass and its moments of inertia."""
     object_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the object's width, depth and height."""
+    """Factor on the object's width, depth and height; its mass stays the same."""
     finger_force: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the force of the fingers' servos."""
+    """Factor on the force of the fingers' servos, whose speed stays the same."""
     finger_speed: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the speed of the fingers."""
+    """Factor on the speed of the fingers, whose force stays the same."""
     hand_width: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
     """Factor on the widest gap between the fingers; a narrow hand is still wider than the object, see the task."""
     pad_size: Range = field(default=(1.0, 1.0), metadata=_FACTOR)
-    """Factor on the width and the height of the fingers' pads."""
-    posture: float = field(
-        default=0.0, metadata=_limits(0, 0.15, ramps=False)
-    )  # the goals of reach are as far from the start
-    """Largest displacement of the gripper's start along each axis, metres."""
+    """Factor on the width and the height of the fingers' pads; their thickness and their lower ends stay the same."""
+    posture: float = field(default=0.0, metadata=_limits(0, 0.15, ramps=False))
+    """Largest displacement of the gripper's start along each axis, metres, up to that of the goals of reach."""
     hand_opening: float = field(default=0.0, metadata=_limits(0, 1, ramps=False))
     """Largest opening of the hand at the start, as a fraction of its widest."""
     history: int = field(default=0, metadata=_limits(0, MOST_DELAY, ramps=False))
@@ -95,12 +93,9 @@ class Randomization:
 
     @property
     def ramped(self) -> tuple[str, ...]:
-        """Names of the fields that grow over the ramp.
-
-        A known delay does not: the longest would be drawn only in the last part of the ramp, and is then learnt far
-        later (docs/lab/robust.md).
-        """
+        """Names of the fields that grow over the ramp."""
         growing = [size.name for size in dataclasses.fields(self) if size.metadata["ramps"]]
+        # If a known delay grew, the longest would be drawn only late, and is learnt far later (docs/lab/robust.md).
         return tuple(name for name in growing if not (name == "delay" and self.known_delay))
 
     @property
@@ -139,11 +134,8 @@ class Randomization:
         unknown = set(content) - {size.name for size in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"a randomisation has no field {min(unknown)!r}")
-        sizes: dict[str, Any] = {
-            # JSON has lists in place of tuples, which would be no ranges.
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in content.items()
-        }
+        # JSON has lists in place of tuples, which would be no ranges.
+        sizes: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in content.items()}
         return cls(**sizes)
 
 

@@ -8,9 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, GoalEnv, State
+from hgail_envs.base import Controller, EpisodeMetrics, GoalEnv, State
 from hgail_envs.layout import past
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 
@@ -34,12 +33,8 @@ class RandomizedEnv(GoalEnv):
 
     An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers.
 
-    Args:
-      task: the task; it implements `add_sensor_noise`, `vary_model` and `vary_start` if a size needs them.
-      randomization: the sizes.
-
     Raises:
-      ValueError: the task does not implement a method that a size needs.
+      ValueError: the task does not implement `add_sensor_noise`, `vary_model` or `vary_start`, which a size needs.
 
     """
 
@@ -53,10 +48,8 @@ class RandomizedEnv(GoalEnv):
         }
         for method, is_needed in needed.items():
             if is_needed and getattr(type(task), method) is getattr(GoalEnv, method):
-                raise ValueError(
-                    f"{type(task).__name__} cannot be randomised so: it has no {method}; write it, or take a"
-                    " randomisation that needs none"
-                )
+                lacking = f"{type(task).__name__} cannot be randomised so: it has no {method}"
+                raise ValueError(f"{lacking}; write it, or take a randomisation that needs none")
         self.task, self.randomization = task, randomization
         self._sizes = dict(vars(randomization))
         for name in _SAME:
@@ -84,7 +77,9 @@ class RandomizedEnv(GoalEnv):
         uniforms = jax.random.uniform(drawn_rng, (3 + len(MODEL_FACTORS),))  # one draw compiles the fastest
         true = task.reset_physics(task_rng)
         if sizes.varies_model:
-            true = task.vary_model(true, self._factors(uniforms[3:]))
+            pairs = zip(MODEL_FACTORS, uniforms[3:], strict=True)
+            factors = {name: _between(self._sizes[name], uniform) for name, uniform in pairs}
+            true = task.vary_model(true, ModelFactors(**factors))
         if sizes.varies_start:  # after the model, as far as whose hand opens
             true = task.vary_start(start_rng, true, sizes.posture, self._sizes["hand_opening"])
         physics = RandomizedPhysics(
@@ -104,11 +99,6 @@ class RandomizedEnv(GoalEnv):
         """Returns a start whose history is the start itself, time and again."""
         first = jnp.concatenate([jnp.zeros(self.action_size), self._observed_features(physics)])
         return physics.replace(history=jnp.broadcast_to(first, physics.history.shape))
-
-    def _factors(self, uniforms: jax.Array) -> ModelFactors:
-        """Scales uniform numbers in [0, 1), one for each factor, to the factors' ranges."""
-        pairs = zip(MODEL_FACTORS, uniforms, strict=True)
-        return ModelFactors(**{name: _between(self._sizes[name], uniform) for name, uniform in pairs})
 
     def _drawn(self, uniforms: jax.Array, normals: jax.Array) -> Drawn:
         """Scales uniform numbers in [0, 1), `[3]`, to ranges, and standard normal ones, `[3, 3]`, to offsets."""
@@ -230,9 +220,6 @@ class RandomizedEnv(GoalEnv):
         physics = state.pipeline_state.replace(true=moved.pipeline_state)
         return self._advance(state, physics, moved.info["plan"], state.info["step"])
 
-    def aim(self, plan: Any, position: jax.Array) -> Any:
-        return self.task.aim(plan, position)
-
     def lift_test_action(self, action: jax.Array) -> jax.Array:
         return self.task.lift_test_action(action)
 
@@ -257,9 +244,8 @@ class RandomizedEnv(GoalEnv):
     def with_sizes(self, sizes: Mapping[str, Any]) -> "RandomizedEnv":
         """Returns the task with other sizes, by the fields of `Randomization`, which may be traced.
 
-        So one program evaluates many sizes. Its structure stays that of `randomization`: no delay may be longer than
-        there, `posture`, `history` and `known_delay` stay, and a model, start or sensors that are nominal there stay
-        nominal.
+        Its structure stays that of `randomization`: no delay may be longer than there, `posture`, `history` and
+        `known_delay` stay, and a model, start or sensors that are nominal there stay nominal.
         """
         env = copy.copy(self)
         env._sizes = self._sizes | dict(sizes)

@@ -49,9 +49,8 @@ def register_gymnasium() -> None:
 def make(task: str, **options: Any) -> GoalEnv:
     """Makes a task.
 
-    Args:
-      task: a name in `TASKS`, or `"module:Class"` for a user's task.
-      **options: passed to the class, e.g. `impl` and `substeps` of the Fetch tasks.
+    `task` is a name in `TASKS`, or `"module:Class"` for a user's task; the options are passed to the class, e.g. `impl`
+    and `substeps` of the Fetch tasks.
 
     Raises:
       ValueError: no such task, or the task has no such option or refuses its value.
@@ -76,8 +75,18 @@ def check_options(task: str, options: Iterable[str]) -> None:
 
 
 def accepted_options(task: str) -> tuple[str, ...]:
-    """Returns the names of the options that a task's class takes, e.g. `impl`, `substeps` and `worlds`; see `make`."""
-    return tuple(inspect.signature(find_class(task)).parameters)
+    """Returns the names of the options that a task's class takes, e.g. `impl`, `substeps` and `worlds`; see `make`.
+
+    A constructor with `**kwargs` takes those of the next base class, too.
+    """
+    names: list[str] = []
+    for base in find_class(task).__mro__:
+        parameters = inspect.signature(vars(base)["__init__"]).parameters if "__init__" in vars(base) else {}
+        named = [name for name, one in parameters.items() if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+        names = named[1:] + [name for name in names if name not in named]  # the first is self
+        if parameters and not any(one.kind == one.VAR_KEYWORD for one in parameters.values()):
+            break
+    return tuple(names)
 
 
 def find_class(task: str) -> type[GoalEnv]:

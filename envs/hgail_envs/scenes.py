@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
-from hgail_envs.vision.rgbd import open_renderer
+from hgail_envs.vision.rendering import open_renderer
 
 _CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
 _SIZE = (480, 640)  # height, width
@@ -22,12 +22,9 @@ def assets_directory() -> Path:
 
 
 def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
-    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`.
+    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`; `visual` keeps geoms that are only for pictures.
 
-    Args:
-      name: path of the scene below the assets folder, without its ending.
-      visual: keep geoms that are only for pictures. The dynamics are the same without them, and the model is smaller.
-
+    The dynamics are the same without them, and the model is smaller.
     """
     spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))
     if not visual:
@@ -45,11 +42,7 @@ def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
 
 
 class SceneView:
-    """Pictures of a task's scene in given poses.
-
-    Args:
-      env: the task.
-      render_mode: None for a view that is never asked for pictures, or `"rgb_array"`.
+    """Pictures of a task's scene in given poses, with the `render_mode` `"rgb_array"`, or None for none.
 
     Raises:
       ValueError: another mode, or a task without a scene.
@@ -80,17 +73,13 @@ class SceneView:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles and copies a view without its renderer, which is opened again when it is asked for a picture."""
-        return _closed_view, (self._env,)
+        return SceneView, (self._env, None)
 
     def close(self) -> None:
         """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = None
-
-
-def _closed_view(env: GoalEnv) -> SceneView:
-    return SceneView(env, None)
 
 
 def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -6,21 +6,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hgail_envs import registry
 from hgail_envs.base import GoalEnv
-from hgail_envs.vector import GoalVectorEnv
+from hgail_envs.vector import GoalVectorEnv, make_task
 
 
 class GoalSingleEnv(gymnasium.Env):
     """One episode of a task at a time, with the spaces, rewards and `info` of a `GoalVectorEnv`.
 
     It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
-    episodes are those of the first environment of a `GoalVectorEnv` with that seed.
-
-    Args:
-      task: a name in `hgail_envs.TASKS`, or a task.
-      render_mode: None, or `"rgb_array"`: `render` returns a picture.
-      **options: of the task, see `hgail_envs.make`.
+    episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its name, made
+    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture.
 
     Raises:
       ValueError: no such task, an unknown mode, or pictures of a task without a scene.
@@ -31,9 +26,7 @@ class GoalSingleEnv(gymnasium.Env):
 
     def __init__(self, task: str | GoalEnv, render_mode: str | None = None, **options: Any) -> None:
         if isinstance(task, str):
-            if "worlds" in registry.accepted_options(task):
-                options.setdefault("worlds", 1)
-            task = registry.make(task, **options)
+            task = make_task(task, 1, **options)
         self.vector = GoalVectorEnv(task, 1, max_episode_steps=sys.maxsize, render_mode=render_mode)
         self.metadata = {name: self.vector.metadata[name] for name in ("render_modes", "render_fps")}
         self.render_mode = render_mode
@@ -45,13 +38,13 @@ class GoalSingleEnv(gymnasium.Env):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Starts an episode; without a seed, the one that follows the last."""
         super().reset(seed=seed)
-        observation, info = self.vector.reset(seed=seed, options=options)
-        return _only(observation), _info(info)
+        return _only(*self.vector.reset(seed=seed, options=options))
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Takes an action `[action_size]`, clipped to [-1, 1]."""
-        observation, reward, _, _, info = self.vector.step(np.asarray(action)[None])
-        return _only(observation), float(reward[0]), False, False, _info(info)
+        batch, reward, _, _, batch_info = self.vector.step(np.asarray(action)[None])
+        observation, info = _only(batch, batch_info)
+        return observation, float(reward[0]), False, False, info
 
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray | float:
         """Returns the rewards of goals, `[..., goal_size]` each, for a trainer that relabels."""
@@ -68,9 +61,6 @@ class GoalSingleEnv(gymnasium.Env):
         self.vector.close()
 
 
-def _only(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: value[0] for name, value in values.items()}
-
-
-def _info(info: dict[str, Any]) -> dict[str, Any]:
-    return {"is_success": bool(info["is_success"][0])}
+def _only(observation: dict[str, np.ndarray], info: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Returns the observation and the info of the only environment."""
+    return {name: value[0] for name, value in observation.items()}, {"is_success": bool(info["is_success"][0])}

@@ -13,7 +13,7 @@ MOST = 1_000_000
 MOST_SEED = 2**31 - 1
 """The largest seed, also the largest of JAX's default integers."""
 
-_SMALLEST, _LARGEST = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+_SMALLEST, _LARGEST = float(np.finfo(np.float32).smallest_subnormal), float(np.finfo(np.float32).max)
 
 
 def check_count(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
@@ -38,20 +38,17 @@ def check_fraction(name: str, value: Any) -> None:
     Traceback (most recent call last):
     ValueError: p_ht is nan; it must be from 0 to 1
     """
-    if not _all(value, lambda array: (array >= 0.0) & (array <= 1.0)):
-        raise ValueError(f"{name} is {value!r}; it must be from 0 to 1")
+    _check_range(name, value, 0.0, 1.0, "from 0 to 1")
 
 
 def check_positive(name: str, value: Any) -> None:
     """Refuses numbers, or arrays of them, that are not positive and finite in single precision; lets tracers pass."""
-    if not _all(value, lambda array: (array >= _SMALLEST) & (array <= _LARGEST)):
-        raise ValueError(f"{name} is {value!r}; it must be positive and finite")
+    _check_range(name, value, _SMALLEST, _LARGEST, "positive and finite")
 
 
 def check_not_negative(name: str, value: Any) -> None:
     """Refuses numbers, or arrays of them, that are negative or not finite; lets tracers pass."""
-    if not _all(value, lambda array: (array >= 0.0) & (array <= _LARGEST)):
-        raise ValueError(f"{name} is {value!r}; it must be at least 0 and finite")
+    _check_range(name, value, 0.0, _LARGEST, "at least 0 and finite")
 
 
 def check_choice(name: str, value: Any, choices: dict[str, int]) -> None:
@@ -110,6 +107,11 @@ def parse_option(owner: str, option: str) -> tuple[str, bool | int | float | str
     if not isinstance(value, bool | int | float | str):
         raise ValueError(f"{owner} option {option!r} is not name=value with a number, true, false or a word")
     return name, value
+
+
+def _check_range(name: str, value: Any, least: float, most: float, allowed: str) -> None:
+    if not _all(value, lambda array: (array >= least) & (array <= most)):
+        raise ValueError(f"{name} is {value!r}; it must be {allowed}")
 
 
 def _all(value: Any, test: Callable[[np.ndarray], Any]) -> bool:

@@ -11,26 +11,19 @@ _ROBOT, _OBJECT, _GOAL = range(len(SOURCES))
 
 
 class ModelFactors(struct.PyTreeNode):
-    """Factors on quantities of a task's model, all `[]`; 1 is nominal.
+    """Factors on quantities of a task's model, all `[]`; 1 is nominal. See the fields of `Randomization`.
 
     A factor on a part that the scene lacks has no effect. A further factor is a field here and in `Randomization`, and
     its effect in `GoalEnv.vary_model`.
     """
 
     friction: jax.Array | float = 1.0
-    """Factor on the friction of all contacts."""
     object_mass: jax.Array | float = 1.0
-    """Factor on the object's mass and its moments of inertia."""
     object_size: jax.Array | float = 1.0
-    """Factor on the object's width, depth and height; its mass stays the same."""
     finger_force: jax.Array | float = 1.0
-    """Factor on the force of the fingers' servos, whose speed stays the same."""
     finger_speed: jax.Array | float = 1.0
-    """Factor on the speed of the fingers, whose force stays the same."""
     hand_width: jax.Array | float = 1.0
-    """Factor on the widest gap between the fingers."""
     pad_size: jax.Array | float = 1.0
-    """Factor on the width and the height of the fingers' pads; their thickness and their lower ends stay the same."""
 
 
 class SensorErrors(struct.PyTreeNode):

@@ -1,5 +1,6 @@
 """Adapter from a task of this package to Gymnasium's vector environments."""
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,25 +14,27 @@ from gymnasium.vector.utils import batch_space
 from hgail_envs import registry
 from hgail_envs.base import GoalEnv, State
 from hgail_envs.scenes import SceneView
-from hgail_envs.validation import MOST_SEED
+from hgail_envs.validation import MOST_SEED, check_count
 
-_AUTORESET = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
+_AUTORESET = (AutoresetMode.NEXT_STEP.value, AutoresetMode.SAME_STEP.value)
+_MOST_KEY = 2**32 - 1  # the largest seed of a JAX key
 
 
 def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, **options: Any) -> "GoalVectorEnv":
-    """Makes a vector environment from a task's name, as `gymnasium.make_vec` does; see `GoalVectorEnv`.
+    """Makes a vector environment from a task's name, for `gymnasium.make_vec`; see `GoalVectorEnv`.
 
-    Args:
-      num_envs: environments.
-      task: a name in `hgail_envs.TASKS`.
-      max_episode_steps: steps in an episode; None is the task's number.
-      **options: `render_mode`, `autoreset_mode`, and options of the task, see `hgail_envs.make`.
-
+    The options are `render_mode`, `autoreset_mode` and those of the task, see `hgail_envs.make`.
     """
     own = {name: options.pop(name) for name in ("render_mode", "autoreset_mode") if name in options}
-    if "worlds" in registry.accepted_options(task) and _is_integer(num_envs) and num_envs >= 1:
-        options.setdefault("worlds", num_envs)
-    return GoalVectorEnv(registry.make(task, **options), num_envs, max_episode_steps=max_episode_steps, **own)
+    return GoalVectorEnv(make_task(task, num_envs, **options), num_envs, max_episode_steps=max_episode_steps, **own)
+
+
+def make_task(task: str, num_envs: int, **options: Any) -> GoalEnv:
+    """Makes a task for as many environments, unless its options have another number of `worlds`."""
+    check_count("num_envs", num_envs)
+    if "worlds" in registry.accepted_options(task):
+        options.setdefault("worlds", int(num_envs))
+    return registry.make(task, **options)
 
 
 class GoalVectorEnv(VectorEnv):
@@ -41,11 +44,10 @@ class GoalVectorEnv(VectorEnv):
     feature_size]`), `achieved_goal` and `desired_goal` (`[num_envs, goal_size]`), all float32. Rewards are -1, or 0 at
     the goal. `info["is_success"]` holds booleans `[num_envs]`.
 
-    No episode terminates; all are truncated after the same number of steps. By default environments are reset by the
-    step that follows (`AutoresetMode.NEXT_STEP`, the default of Gymnasium): that step ignores its actions, and returns
-    the first observation of the next episode with reward 0. With `AutoresetMode.SAME_STEP` the step that truncates
-    returns it, and the last observations of the episodes are in `info["final_obs"]`, those of `info` in
-    `info["final_info"]`.
+    No episode terminates; all are truncated after the same number of steps. By default, Gymnasium's `NEXT_STEP`, the
+    step that follows ignores its actions, and returns the first observation of the next episode with reward 0. With
+    `SAME_STEP` the step that truncates returns it, and the episodes' last observations and infos are in
+    `info["final_obs"]` and `info["final_info"]`.
 
     Environment `i` draws its episodes from `jax.random.key(seed + i)`, whatever the number of environments: before each
     episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
@@ -59,9 +61,9 @@ class GoalVectorEnv(VectorEnv):
       render_mode: None, or `"rgb_array"`: `render` returns a picture of each environment.
 
     Raises:
-      TypeError: `env` is no `GoalEnv`, or a number no integer.
-      ValueError: a number is less than 1, more environments than the task's physics can step at once, an unknown
-        mode, or pictures of a task without a scene.
+      TypeError: `env` is no `GoalEnv`.
+      ValueError: a number is no integer or less than 1, more environments than the task's physics can step at once, an
+        unknown mode, or pictures of a task without a scene.
 
     """
 
@@ -79,19 +81,22 @@ class GoalVectorEnv(VectorEnv):
         if not isinstance(env, GoalEnv):
             raise TypeError(f"env is {env!r}; it must be a GoalEnv")
         length = env.episode_length if max_episode_steps is None else max_episode_steps
-        for name, number in {"num_envs": num_envs, "max_episode_steps": length}.items():
-            if not _is_integer(number):
-                raise TypeError(f"{name} is {number!r}; it must be an integer")
-            if number < 1:
-                raise ValueError(f"{name} is {number}; it must be at least 1")
+        check_count("num_envs", num_envs)
+        check_count("max_episode_steps", length, most=sys.maxsize)
         # There is room for one, and to ask for the room starts JAX; this may be a process that is about to fork.
         if num_envs > 1 and env.max_worlds is not None and num_envs > env.max_worlds:
             raise ValueError(f"num_envs is {num_envs}; the task was made for {env.max_worlds}: make it with worlds")
         self.env, self.num_envs = env, num_envs
-        self._autoreset, self._length = _autoreset_mode(autoreset_mode), length
-        self._view = SceneView(env, render_mode)
-        self.render_mode = render_mode
-        self.metadata = _metadata(env) | {"autoreset_mode": self._autoreset}
+        self._length, self._view, self.render_mode = length, SceneView(env, render_mode), render_mode
+        mode = getattr(autoreset_mode, "value", autoreset_mode)
+        if mode not in _AUTORESET:
+            raise ValueError(f"autoreset_mode is {autoreset_mode!r}; choose from {', '.join(_AUTORESET)}")
+        self._autoreset = AutoresetMode(mode)
+        self.metadata = {
+            "render_modes": [] if env.scene is None else ["rgb_array"],
+            "render_fps": round(1 / env.control_period),
+            "autoreset_mode": self._autoreset,
+        }
 
         def box(size: int) -> gymnasium.spaces.Box:
             return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -131,28 +136,27 @@ class GoalVectorEnv(VectorEnv):
           options: must be empty; all environments are reset together, so that there is no `reset_mask`.
 
         Raises:
-          TypeError: a seed is no integer.
-          ValueError: not as many seeds as environments, or a seed out of range; or there are options.
+          ValueError: not as many seeds as environments, or a seed that is no integer or out of range; or there are
+            options.
 
         """
         if options:
             raise ValueError(f"options are {', '.join(map(repr, options))}; there are none")
         if seed is None and self._keys is not None:
             return self._start(self._keys)
-        if seed is None or _is_integer(seed):
-            chosen: Any = seed  # an integer of any kind
-            if seed is not None and int(chosen) >= 0:  # a negative one is refused below
-                super().reset(seed=int(chosen))
-            first = int(self.np_random.integers(MOST_SEED + 1)) if seed is None else int(chosen)
-            seed = [first + index for index in range(self.num_envs)]
-        seed = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
-        if not all(map(_is_integer, seed)):
-            raise TypeError(f"seed is {seed}; it must be an integer, or one for each environment")
-        if len(seed) != self.num_envs:
-            raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments")
-        if not all(0 <= one < 2**32 for one in seed):
-            raise ValueError(f"seeds are {seed}; they must be from 0 to {2**32 - 1}")
-        return self._start(jax.vmap(jax.random.key)(np.asarray(seed, np.uint32)))
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+            seeds = list(seed)
+        else:
+            if seed is not None:
+                check_count("seed", seed, least=0, most=_MOST_KEY)
+                super().reset(seed=int(seed))
+            first = int(self.np_random.integers(MOST_SEED + 1)) if seed is None else int(seed)
+            seeds = [first + index for index in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments")
+        for one in seeds:
+            check_count("seed", one, least=0, most=_MOST_KEY)
+        return self._start(jax.vmap(jax.random.key)(np.asarray(seeds, np.uint32)))
 
     def step(
         self, actions: np.ndarray
@@ -179,9 +183,11 @@ class GoalVectorEnv(VectorEnv):
         self._steps += 1
         over = np.full(self.num_envs, self._steps == self._length)
         reward = np.asarray(self._state.reward, np.float64)
-        observation, info = self._observation(), self._info()
+        observation, info = self._seen(self._state)
         if self._steps == self._length and self._autoreset == AutoresetMode.SAME_STEP:
-            final = _marked({"final_obs": _each(observation, self.num_envs), "final_info": info}, self.num_envs)
+            final_obs = np.empty(self.num_envs, object)  # Gymnasium has them as an object for each environment
+            final_obs[:] = [{name: value[i] for name, value in observation.items()} for i in range(self.num_envs)]
+            final = _marked({"final_obs": final_obs, "final_info": info}, self.num_envs)
             observation, info = self._start(self._keys)
             info = info | final
         return observation, reward, no, over, info
@@ -212,42 +218,15 @@ class GoalVectorEnv(VectorEnv):
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         self._keys, episode_keys = self._split(keys)
         self._steps, self._state = 0, self._reset(episode_keys)
-        return self._observation(), self._info()
+        return self._seen(self._state)
 
-    def _info(self) -> dict[str, Any]:
-        assert self._state is not None
-        return _marked({"is_success": np.asarray(self._state.reward) == 0.0}, self.num_envs)
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        assert self._state is not None
+    def _seen(self, state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Returns the observation and the info of a state."""
         parts = {"observation": "features", "achieved_goal": "achieved_goal", "desired_goal": "desired_goal"}
-        return {name: np.array(self._state.info[part], np.float32) for name, part in parts.items()}
+        observation = {name: np.array(state.info[part], np.float32) for name, part in parts.items()}
+        return observation, _marked({"is_success": np.asarray(state.reward) == 0.0}, self.num_envs)
 
 
 def _marked(info: dict[str, Any], num_envs: int) -> dict[str, Any]:
     """Returns an info of Gymnasium's form: beside each entry, which environments have it."""
     return info | {f"_{name}": np.ones(num_envs, bool) for name in info}
-
-
-def _each(observation: dict[str, np.ndarray], num_envs: int) -> np.ndarray:
-    """Returns the observation of each environment as an object of its own, as Gymnasium has final ones."""
-    objects = np.empty(num_envs, object)
-    objects[:] = [{name: value[index] for name, value in observation.items()} for index in range(num_envs)]
-    return objects
-
-
-def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    known = {one.value: one for one in _AUTORESET}
-    chosen = mode if isinstance(mode, AutoresetMode) else known.get(mode)
-    if chosen not in _AUTORESET:
-        raise ValueError(f"autoreset_mode is {mode!r}; choose from {', '.join(known)}")
-    return chosen
-
-
-def _metadata(env: GoalEnv) -> dict[str, Any]:
-    modes = [] if env.scene is None else ["rgb_array"]
-    return {"render_modes": modes, "render_fps": round(1 / env.control_period)}
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

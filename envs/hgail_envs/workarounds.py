@@ -24,46 +24,14 @@ def configure_xla() -> None:
     It sets `XLA_FLAGS` and `NPROC` for this process, where they do not say otherwise already. The command does it; in
     a program of your own only the engine `"jax"` on a CPU needs it.
     """
-    version = jaxlib.version.__version__
-    flags = xla_flags(os.environ.get("XLA_FLAGS", ""), version)
-    if flags:
-        os.environ["XLA_FLAGS"] = flags
-    threads = thread_pool_size(os.cpu_count() or 1, version)
-    if threads is not None:
-        os.environ.setdefault("NPROC", str(threads))
-
-
-def xla_flags(flags: str, jaxlib_version: str) -> str:
-    """Returns the XLA flags to run with, given those already set and jaxlib's version, e.g. `"0.10.2"`.
-
-    >>> xla_flags("", "0.10.2")
-    '--xla_cpu_use_fusion_emitters=false'
-    >>> xla_flags("--xla_cpu_use_fusion_emitters=true", "0.10.2")
-    '--xla_cpu_use_fusion_emitters=true'
-    >>> xla_flags("", "0.12.0")
-    ''
-    """
-    if "xla_cpu_use_fusion_emitters" in flags or _release(jaxlib_version) not in _FAULTY:
-        return flags
-    return f"{flags} {_NO_FUSION_EMITTERS}".strip()
-
-
-def thread_pool_size(cores: int, jaxlib_version: str) -> int | None:
-    """Returns the number of threads that XLA's CPU client needs, or None if its own choice is right.
-
-    >>> thread_pool_size(2, "0.10.2")
-    8
-    >>> thread_pool_size(2, "0.12.0") is None
-    True
-    """
-    if _release(jaxlib_version) in _FAULTY and cores < _ENOUGH_THREADS:
-        return _ENOUGH_THREADS
-    return None
-
-
-def _release(version: str) -> tuple[int, int]:
-    major, minor = version.split(".")[:2]
-    return int(major), int(minor)
+    major, minor = map(int, jaxlib.version.__version__.split(".")[:2])
+    if (major, minor) not in _FAULTY:
+        return
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_cpu_use_fusion_emitters" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {_NO_FUSION_EMITTERS}".strip()
+    if (os.cpu_count() or 1) < _ENOUGH_THREADS:
+        os.environ.setdefault("NPROC", str(_ENOUGH_THREADS))
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from experiments.figures import style_axes, write_figure
 from experiments.transfer.conditions import MeanAction
 from experiments.transfer.episode import episode_rngs, run_episode
 from experiments.transfer.robots.base import Robot
-from hgail_envs.vision.rgbd import open_renderer
+from hgail_envs.vision.rendering import open_renderer
 from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels

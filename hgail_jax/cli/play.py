@@ -11,7 +11,7 @@ import jax
 import hgail_envs
 from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST_SEED, check_count, check_name
-from hgail_envs.vision.rgbd import RenderingError
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, shipped
 from hgail_jax.play.film import check_film

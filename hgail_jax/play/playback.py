@@ -13,7 +13,7 @@ import numpy as np
 
 from hgail_envs import GoalEnv, State
 from hgail_envs.scenes import free_camera, open_scene, pose
-from hgail_envs.vision.rgbd import RenderingError, open_renderer
+from hgail_envs.vision.rendering import RenderingError, open_renderer
 from hgail_jax.play.film import open_film
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal.status import StatusLine

@@ -248,10 +248,12 @@ def test_scripted_controllers_have_names(tasks):
     assert set(tasks["grasp"].controllers) == {"from-above", "straight", "closed"}
 
 
-def test_all_tasks_of_the_arm_take_the_same_arguments_before_their_own(tasks):
-    shared = list(inspect.signature(FetchEnv).parameters.values())
-    for env in tasks.values():
-        assert list(inspect.signature(type(env)).parameters.values())[: len(shared)] == shared
+def test_all_tasks_of_the_arm_take_the_same_options_before_their_own():
+    shared = tuple(inspect.signature(FetchEnv).parameters)
+    for task in ("reach", "grasp", "push", "pick-and-place", "slide", "stack", "tower"):
+        assert hgail_envs.accepted_options(task)[: len(shared)] == shared
+    slide = hgail_envs.find_class("slide")("auto", 5, achieved="passed")
+    assert (slide.substeps, slide.achieved) == (5, "passed")
 
 
 def test_the_arm_s_number_of_substeps_is_the_caller_s(tasks):

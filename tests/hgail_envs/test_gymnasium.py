@@ -17,7 +17,7 @@ from hgail_envs.registry import GYMNASIUM_IDS
 from hgail_envs.scenes import load_scene
 from hgail_envs.single import GoalSingleEnv
 from hgail_envs.vector import GoalVectorEnv
-from hgail_envs.vision.rgbd import RenderingError, open_renderer
+from hgail_envs.vision.rendering import RenderingError, open_renderer
 
 POINT, REACH = GYMNASIUM_IDS["point"], GYMNASIUM_IDS["reach"]
 LENGTH = 50  # steps of the point's episodes

@@ -166,7 +166,7 @@ def test_misuse_is_refused():
 
 
 def test_what_is_no_vector_environment_is_refused():
-    with pytest.raises(TypeError, match="num_envs is '3'; it must be an integer"):
+    with pytest.raises(ValueError, match="num_envs is '3'; it must be an integer"):
         GoalVectorEnv(TASK, "3")
     with pytest.raises(TypeError, match="env is 'point'; it must be a GoalEnv"):
         GoalVectorEnv("point", 3)
@@ -174,13 +174,13 @@ def test_what_is_no_vector_environment_is_refused():
 
 @pytest.mark.parametrize("seed", [1.5, "012", [0, 1, 2.5], [True, 1, 2]])
 def test_seeds_are_integers(seed):
-    with pytest.raises(TypeError, match="it must be an integer, or one for each environment"):
+    with pytest.raises(ValueError, match=r"seed is .*; it must be an integer"):
         GoalVectorEnv(TASK, NUM_ENVS).reset(seed=seed)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32, [0, 1, -1]])
 def test_seeds_have_a_range(seed):
-    with pytest.raises(ValueError, match="they must be from 0 to 4294967295"):
+    with pytest.raises(ValueError, match=r"seed is .*; it must be at (least 0|most 4294967295)"):
         GoalVectorEnv(TASK, NUM_ENVS).reset(seed=seed)
 
 

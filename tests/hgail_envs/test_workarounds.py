@@ -8,14 +8,26 @@ import pytest
 from hgail_envs import workarounds
 
 
-def test_xla_flags_only_where_the_fault_is():
-    for version in ("0.7.2", "0.10.2"):
-        assert workarounds.xla_flags("--a=1", version) == "--a=1 --xla_cpu_use_fusion_emitters=false"
-        assert workarounds.thread_pool_size(2, version) == 8
-    for version in ("0.6.2", "0.11.2", "0.12.0.1"):
-        assert workarounds.xla_flags("--a=1", version) == "--a=1"
-        assert workarounds.thread_pool_size(2, version) is None
-    assert workarounds.thread_pool_size(16, "0.10.2") is None
+@pytest.mark.parametrize(
+    ("version", "cores", "flags", "expected_flags", "threads"),
+    [
+        ("0.7.2", 2, "--a=1", "--a=1 --xla_cpu_use_fusion_emitters=false", "8"),
+        ("0.10.2", 16, "", "--xla_cpu_use_fusion_emitters=false", None),
+        ("0.10.2", 2, "--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true", "8"),
+        ("0.6.2", 2, "--a=1", "--a=1", None),
+        ("0.11.2", 2, "--a=1", "--a=1", None),
+        ("0.12.0.1", 2, "--a=1", "--a=1", None),
+    ],
+)
+def test_xla_is_configured_only_where_the_fault_is(monkeypatch, version, cores, flags, expected_flags, threads):
+    monkeypatch.setattr(workarounds.jaxlib.version, "__version__", version)
+    monkeypatch.setattr(workarounds.os, "cpu_count", lambda: cores)
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.setenv("NPROC", "")  # so that it is there again after the test
+    monkeypatch.delenv("NPROC")
+    workarounds.configure_xla()
+    assert workarounds.os.environ["XLA_FLAGS"] == expected_flags
+    assert workarounds.os.environ.get("NPROC") == threads
 
 
 def test_batched_cholesky_does_not_hang():

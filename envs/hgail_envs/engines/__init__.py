@@ -29,7 +29,8 @@ def resolve_impl(impl: str) -> str:
 
     """
     check_impl(impl)
-    platform = _platform()
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
+    platform = jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
     has_warp = importlib.util.find_spec("warp") is not None and platform == "gpu"
     if impl == "warp" and not has_warp:
         raise ValueError("impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'")
@@ -53,19 +54,8 @@ def jax_has_started() -> bool:
     return xla_bridge.backends_are_initialized()  # JAX has no public function that asks without opening them
 
 
-def _platform() -> str:
-    """Returns the platform that programs run on by default: `"cpu"`, `"gpu"` or another."""
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
-    return jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
-
-
 def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:
-    """Makes the engine that `impl` selects, see `resolve_impl`; the other arguments are those of `Engine`.
-
-    Raises:
-      ValueError: see `resolve_impl`.
-
-    """
+    """Makes the engine that `impl` selects, see `resolve_impl`; the other arguments are those of `Engine`."""
     return ENGINES[resolve_impl(impl)](model, period, substeps, worlds)
 
 

@@ -94,6 +94,6 @@ class Engine(abc.ABC):
                     " use impl 'c', and a field of mujoco.MjModel"
                 )
 
-    @abc.abstractmethod
     def with_substeps(self, substeps: int) -> Self:
         """Returns an engine for the same scene and period with another number of physics steps."""
+        return type(self)(self.model, self.period, substeps, self.max_worlds or 0)

@@ -17,7 +17,6 @@ import threading
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -67,20 +66,9 @@ class CEngine(Engine):
         )
         return state.replace(qpos=qpos, qvel=qvel, sensordata=sensordata)
 
-    def with_substeps(self, substeps: int) -> Self:
-        """See `Engine`."""
-        return type(self)(self.model, self.period, substeps, worlds=0)
-
 
 class HostRollout:
-    """Steps a batch of environments with C MuJoCo, NumPy arrays in and out.
-
-    Args:
-      model: the scene, with its time step.
-      substeps: physics steps in a call.
-      threads: number of threads in the pool.
-
-    """
+    """Steps a batch of environments by `substeps` of the model's time step, NumPy arrays in and out."""
 
     def __init__(self, model: mujoco.MjModel, substeps: int, threads: int) -> None:
         self._model, self._substeps, self._threads = model, substeps, threads
@@ -96,13 +84,8 @@ class HostRollout:
     ) -> tuple[np.ndarray, ...]:
         """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
 
-        Args:
-          qpos: `[..., nq]`.
-          qvel: `[..., nv]`.
-          control: `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies.
-          *fields: `[..., size]`: values of some of the model's fields, in single precision.
-          names: names of these fields.
-
+        `control` is `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies. `fields`,
+        each `[..., size]` in single precision, are values of the model's fields of these `names`.
         """
         model, batch = self._model, qpos.shape[:-1]
         count, velocities = math.prod(batch), 1 + model.nq  # time comes first
@@ -115,7 +98,11 @@ class HostRollout:
             if names:
                 copies = self._copies.setdefault(tuple(names), _Copies(model, names))
                 models = copies.with_fields(np.concatenate([values.reshape(count, -1) for values in fields], axis=1))
-            self._open().rollout(
+            if self._pool is None:
+                # MuJoCo's warnings would go to the terminal and a log file; invalid episodes are counted instead.
+                mujoco.set_mju_user_warning(lambda message: None)
+                self._pool = rollout.Rollout(nthread=self._threads)
+            self._pool.rollout(
                 models,
                 self._datas,
                 room.start,
@@ -133,12 +120,6 @@ class HostRollout:
             end[broken, 1:velocities] = np.nan
         parts = end[:, 1:velocities], end[:, velocities : velocities + model.nv], sensordata
         return tuple(part.reshape(*batch, -1) for part in parts)
-
-    def _open(self) -> rollout.Rollout:
-        if self._pool is None:
-            mujoco.set_mju_user_warning(_ignore)
-            self._pool = rollout.Rollout(nthread=self._threads)
-        return self._pool
 
     def close(self) -> None:
         """Ends the pool's threads; the next call starts new ones."""
@@ -161,13 +142,7 @@ class _Room:
 
 
 class _Copies:
-    """Copies of a model that differ in some fields, made once and kept from call to call.
-
-    Args:
-      model: the model to copy.
-      names: names of the fields.
-
-    """
+    """Copies of a model that differ in the fields of some names, made once and kept from call to call."""
 
     def __init__(self, model: mujoco.MjModel, names: Sequence[str]) -> None:
         self._model, self._names = model, names
@@ -175,10 +150,7 @@ class _Copies:
         self._written = np.empty((0, sum(getattr(model, name).size for name in names)), np.float32)
 
     def with_fields(self, values: np.ndarray) -> list[mujoco.MjModel]:
-        """Returns a model for each row of `values`, the fields one after another; writes only rows that changed.
-
-        An episode's fields are constant, so that most calls write nothing.
-        """
+        """Returns a model for each row of `values`, the fields one after another; writes only rows that changed."""
         missing = len(values) - len(self._models)
         if missing > 0:  # NaN differs from every value, so that the new rows are written below
             self._models += [copy.copy(self._model) for _ in range(missing)]
@@ -221,11 +193,9 @@ def usable_cores() -> int:
 
 
 def _container_limit(folder: Path) -> int | None:
-    """Returns a container's limit in processors, rounded up, by Linux's cgroups; None without a limit.
+    """Returns a container's limit in processors, rounded up; None without a limit.
 
-    Args:
-      folder: mount point of the cgroups, of version 2 or 1.
-
+    `folder` is the mount point of Linux's cgroups, of version 2 or 1.
     """
     for files in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
         try:
@@ -235,7 +205,3 @@ def _container_limit(folder: Path) -> int | None:
         if quota > 0:
             return math.ceil(quota / period)
     return None
-
-
-def _ignore(message: str) -> None:
-    """Drops MuJoCo's warnings, which would go to the terminal and a log file; invalid episodes are counted instead."""

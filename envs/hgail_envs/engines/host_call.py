@@ -5,9 +5,8 @@ structures below are those of jaxlib's `xla/ffi/api/c_api.h`; XLA refuses functi
 
 `jax.pure_callback` and `jax.experimental.buffer_callback` need no such structures. But their programs refer to a
 function of this process, so that JAX never keeps them in its compilation cache. With this call the training of reach
-(one round, eight seeds) compiles in 11 s once it is cached, and in 83 s with nothing cached. Per step `buffer_callback`
-takes 1.00 times as long with 64 environments and 0.98 with 512, `pure_callback` 1.08 and 1.02 (reach, medians of 25
-scans timed in turn). All on two busy CPU cores, with JAX 0.10.2. `buffer_callback` takes over where XLA refuses.
+(one round, eight seeds) compiles in 11 s once it is cached, and in 83 s with nothing cached (two busy CPU cores, JAX
+0.10.2). A step takes as long with `buffer_callback`, which takes over where XLA refuses.
 """
 
 import ctypes
@@ -127,9 +126,6 @@ def host_call(
       function: takes arrays `[..., n]` and returns arrays `[..., m]`, with all the batch's axes in front.
       results: shapes of its results for a single element of the batch, in single precision.
       *arguments: its arguments, in single precision.
-
-    Returns:
-      The results.
 
     Raises:
       ValueError: an argument is not in single precision.

@@ -15,9 +15,9 @@ from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, EngineState, check_impl, jax_has_started, make_engine
 from hgail_envs.fetch import layouts
 from hgail_envs.fetch.kinematics import Chain
-from hgail_envs.fetch.model import FINGERS, SceneModel
-from hgail_envs.fetch.start import BASE_X, DOWNWARD, REFERENCE_SUBSTEPS, START_HEIGHT, settle
+from hgail_envs.fetch.model import BASE_X, DOWNWARD, FINGERS, REFERENCE_SUBSTEPS, START_HEIGHT, SceneModel, settle
 from hgail_envs.scenes import load_scene
+from hgail_envs.validation import check_count
 from hgail_envs.variation import ModelFactors, SensorErrors
 
 CONTROL_PERIOD = 0.04
@@ -95,12 +95,8 @@ class FetchEnv(GoalEnv):
     """Metres to which the hand must be able to open in this task, however wide the object is."""
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
-        if not (isinstance(substeps, int) and FAST_SUBSTEPS <= substeps <= REFERENCE_SUBSTEPS):
-            raise ValueError(
-                f"substeps is {substeps!r}; it must be an integer from {FAST_SUBSTEPS} to {REFERENCE_SUBSTEPS}"
-            )
-        if not (isinstance(worlds, int) and worlds >= 1):
-            raise ValueError(f"worlds is {worlds}; it must be an integer of at least 1")
+        check_count("substeps", substeps, FAST_SUBSTEPS, REFERENCE_SUBSTEPS)
+        check_count("worlds", worlds)
         check_impl(impl)
         self.model = load_scene(self.scene)
         self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
@@ -160,10 +156,7 @@ class FetchEnv(GoalEnv):
         return (self.initial_gripper_position + offset).at[2].max(_LOWEST)
 
     def random_place(self, rng: jax.Array, width: float, *others: jax.Array) -> jax.Array:
-        """Draws an object's start, `[2]`: uniform up to `width` around the gripper's start, and not too near.
-
-        Nor is it too near to `others`, each `[2]`, the places of other objects.
-        """
+        """Draws an object's start, `[2]`: up to `width` around the gripper's, away from it and from `others`, `[2]`."""
         # Rejection sampling in fixed time: the first of many candidates that is far enough.
         offsets = jax.random.uniform(rng, (_CANDIDATES, 2), minval=-width, maxval=width)
         places = self.initial_gripper_position[None, :2] + offsets
@@ -171,6 +164,24 @@ class FetchEnv(GoalEnv):
         for other in others:
             far &= jnp.linalg.norm(places - other[None], axis=-1) >= LEAST_DISTANCE
         return places[jnp.argmax(far)]
+
+    def qpos_of(self, joint: str) -> slice:
+        """Returns where the position of a body with a free joint is in `qpos`."""
+        first = int(self.model.joint(joint).qposadr[0])
+        return slice(first, first + 3)
+
+    def qvel_of(self, joint: str) -> slice:
+        """Returns where the velocity of a body with a free joint is in `qvel`."""
+        first = int(self.model.joint(joint).dofadr[0])
+        return slice(first, first + 3)
+
+    def put_down(self, physics: PhysicsT, joint: str, position: jax.Array) -> PhysicsT:
+        """Returns the physics with the body of a free joint at `position`, `[3]`, upright and at rest."""
+        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
+        return physics.replace(
+            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self.qpos_of(joint).start,)),
+            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self.qvel_of(joint).start,)),
+        )
 
     def gap(self, physics: FetchPhysics) -> jax.Array:
         """Returns the distance between the fingers, `[]`, metres."""
@@ -254,13 +265,10 @@ class FetchEnv(GoalEnv):
         )
 
     def control(self, physics: FetchPhysics, displacement: jax.Array, grip: jax.Array | None = None) -> Control:
-        """Returns the engine's control for an action.
+        """Returns the engine's control for an action in `physics`.
 
-        Args:
-          physics: state before the action.
-          displacement: `[3]` in [-1, 1], direction in which the mocap body pulls the gripper.
-          grip: `[]` in [-1, 1], metres by which the fingers' servos lead the fingers; None in a scene without servos.
-
+        The mocap body pulls the gripper by `displacement`, `[3]` in [-1, 1]. The fingers' servos lead the fingers by
+        `grip` metres, `[]` in [-1, 1]; None in a scene without servos.
         """
         return Control(
             mocap_pos=(physics.body_position + LEAD * displacement)[None],

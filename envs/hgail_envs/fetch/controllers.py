@@ -1,7 +1,7 @@
 """Scripted controllers of the Fetch tasks: they demonstrate a task, and show that its scene can be solved.
 
 Each maps the values of an observation by name, those of its task's layouts, to an action, `[..., 4]`. A task makes a
-`hgail_envs.base.Controller` of it by `Layout.reader`.
+`hgail_envs.base.Controller` of it by `Layout.readers`.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch th
 
 
 def reach(seen: Seen) -> jax.Array:
-    """Moves the gripper straight to its goal , with a gripper command of 0."""
+    """Moves the gripper straight to its goal, with a gripper command of 0."""
     action = jnp.clip(_GAIN * _ahead(seen), -1.0, 1.0)
     return _with_hand(action, jnp.zeros(action.shape[:-1]))
 
@@ -84,16 +84,9 @@ def tower(seen: Seen) -> jax.Array:
 
 
 def _put_on(seen: Seen, cube: str, below: str, holding: str, passing: float, clear: float) -> jax.Array:
-    """Puts a cube on another.
+    """Puts a cube on the one `below`, both by name; `holding` is the name of the flag that the hand holds the cube.
 
-    Args:
-      seen: the observation.
-      cube: name of the cube that is put.
-      below: name of the other.
-      holding: name of the flag that the hand holds the cube.
-      passing: height to which the hand rises on its way to the cube, metres.
-      clear: height above which it moves in the plane, metres.
-
+    On its way to the cube the hand rises to the height `passing`, and above `clear` it moves in the plane, metres.
     """
     height, gap = seen["gripper position"][..., 2:], seen["gap between the fingers"][..., None]
     apart, way = seen[f"{cube} position less gripper position"], seen[f"{below} position"] - seen[f"{cube} position"]

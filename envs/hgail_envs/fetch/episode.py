@@ -5,8 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
+from hgail_envs.base import EpisodeMetrics
 from hgail_envs.fetch.grasp import LEAST_RISE
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.registry import find_class
 
 
@@ -37,14 +37,8 @@ def run_episode(
 ) -> EpisodeMetrics:
     """Runs an episode from the robot's present state, and the lift test if the task has one.
 
-    Args:
-      robot: already reset.
-      act: returns the next action, `[4]`.
-      watch: called at the start and after each step.
-
-    Returns:
-      Metrics of the last step, as `GoalEnv.outcome` of the task defines them, as plain numbers.
-
+    `act` returns the next action, `[4]`; `watch` is called at the start and after each step. Returns the metrics of the
+    last step, as `GoalEnv.outcome` of the task defines them, as plain numbers.
     """
     task = find_class(robot.task)
     watch()

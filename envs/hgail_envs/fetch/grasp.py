@@ -1,17 +1,15 @@
 """Grasping a cube from the table."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, HAND, TARGET, gripper_values
 from hgail_envs.layout import Layout, flag, position
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
 
 CUBES = ("at-start", "tracked")
@@ -30,43 +28,30 @@ HOLD = "to hold the cube at the target"
 GOAL = Layout(TARGET, flag(HOLD))
 """Layout of a goal."""
 
+_CONTROLLERS = {"from-above": controllers.grasp, "straight": controllers.straight, "closed": controllers.closed}
 _APART = "cube position less gripper position"  # of a tracked cube
 _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the cube
 _CUBE_HEIGHT = 0.425  # metres, on the table
 
 
 def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
-    """Returns whether a hand holds the cube.
-
-    Args:
-      touching: boolean, or an array of them: both pads touch the cube.
-      gap: metres between the fingers, a number or an array as large.
-      width: metres, of the cube.
-
-    """
+    """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres."""
     return touching & (abs(gap - width) <= _GAP_TOLERANCE)
-
-
-def _controllers(observation: Layout) -> dict[str, Controller]:
-    named = {"from-above": controllers.grasp, "straight": controllers.straight, "closed": controllers.closed}
-    return {name: observation.reader(act) for name, act in named.items()}
 
 
 class Grasp(FetchEnv):
     """Grasping the cube of FetchPickAndPlace; a goal is a position and whether the cube is held there.
 
-    The hand holds the cube if both pads touch it, and the gap between them is its width within 8 mm. The paper's
-    observation has neither gap nor holding, and its goal is a position alone, independent of the hand. Here hindsight
-    relabels a step with the position and the holding of a later one, so that the expert samples of a goal with holding
-    1 are real grasps.
+    See `is_held` for when the hand holds the cube. The paper's observation has neither gap nor holding, and its goal is
+    a position alone. Here hindsight relabels a step with the position and the holding of a later one, so that the
+    expert samples of a goal with holding 1 are real grasps.
 
-    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of
-    the gripper in x and y and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are
-    (a random position, 0).
+    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
+    and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are (a random position, 0).
 
-    Success is strict, and includes a lift test. After the last step the hand holds the cube, and in twelve further
-    steps straight up, with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is
-    without that test. Distances are between gripper and cube after the last step.
+    Success includes a lift test: after the last step the hand holds the cube, and in twelve further steps straight up,
+    with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is without that test.
+    Distances are between gripper and cube after the last step.
 
     A policy sees where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
     does not know. With `cube="tracked"`, which TD3 takes by default, it sees at each step where the cube is, so that it
@@ -91,19 +76,15 @@ class Grasp(FetchEnv):
     scene = "fetch/grasp"
     target_body = "cube"
     reference = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = _controllers(features_layout + goal_layout)
+    controllers = (features_layout + goal_layout).readers(_CONTROLLERS)
 
-    def __init__(
-        self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, cube: str = CUBES[0]
-    ) -> None:
+    def __init__(self, *args: Any, cube: str = CUBES[0], **kwargs: Any) -> None:
         self.features_layout = self.features_with(cube=cube)
         self.feature_size = self.features_layout.size
         self.cube = cube
         if cube == "tracked":
-            self.controllers = _controllers(self.features_layout + GOAL)  # type: ignore[misc]
-        super().__init__(impl, substeps, worlds)
-        self._cube_qpos = int(self.model.joint("cube").qposadr[0])
-        self._cube_qvel = int(self.model.joint("cube").dofadr[0])
+            self.controllers = (self.features_layout + GOAL).readers(_CONTROLLERS)  # type: ignore[misc]
+        super().__init__(*args, **kwargs)
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:
@@ -112,18 +93,18 @@ class Grasp(FetchEnv):
         return cls.features_layout + (Layout(position(_APART)) if cube == "tracked" else Layout())
 
     def holding(self, physics: FetchPhysics) -> jax.Array:
-        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        """Returns whether the hand holds the cube, a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
         return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
 
     def cube_position(self, physics: FetchPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""
-        return physics.qpos[self._cube_qpos : self._cube_qpos + 3]
+        return physics.qpos[self.qpos_of("cube")]
 
     def reset_physics(self, rng: jax.Array) -> FetchPhysics:
         cube = jnp.append(self.random_place(rng, CUBE_RANGE), _CUBE_HEIGHT)
         physics = super().reset_physics(rng)
-        return physics.replace(qpos=physics.qpos.at[self._cube_qpos : self._cube_qpos + 3].set(cube))
+        return physics.replace(qpos=physics.qpos.at[self.qpos_of("cube")].set(cube))
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3], action[3])
@@ -158,13 +139,8 @@ class Grasp(FetchEnv):
 
     def move_target(self, state: State, position: jax.Array) -> State:
         """Puts the cube down at `position`, at rest and upright, and makes it the goal; see `GoalEnv`."""
-        physics = state.pipeline_state
-        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
-        moved = physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._cube_qpos,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._cube_qvel,)),
-            sensordata=jnp.zeros_like(physics.sensordata),  # the pads no longer touch it
-        )
+        moved = self.put_down(state.pipeline_state, "cube", position)
+        moved = moved.replace(sensordata=jnp.zeros_like(moved.sensordata))  # the pads no longer touch it
         # The evaluation's plan follows from the cube alone, so that any key will do.
         plan = self.plan_goals(jax.random.key(0), moved, training_goals=False)
         return self._advance(state, moved, plan, state.info["step"])

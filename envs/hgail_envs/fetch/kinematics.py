@@ -33,11 +33,7 @@ class Pose(NamedTuple):
 
 
 class Chain:
-    """The bodies from the world to the one that carries a site, joined by hinges and slides alone.
-
-    Args:
-      model: the model.
-      site: the site's name.
+    """The bodies from the world to the one that carries the site of a name, joined by hinges and slides alone.
 
     Raises:
       ValueError: the chain has a joint of another kind.
@@ -83,7 +79,7 @@ class Chain:
                 anchor = _add(position, _rotate(quaternion, offset))
                 turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
-                position = _subtract(anchor, _rotate(quaternion, offset))
+                position = tuple(map(_difference, anchor, _rotate(quaternion, offset)))
         site = _add(position, _rotate(quaternion, _numbers(model.site_pos[self._site])))
         return jnp.stack(site), jnp.stack(position), jnp.stack(quaternion)
 
@@ -123,10 +119,6 @@ def _scale(factor: _Number, vector: _Numbers) -> _Numbers:
 
 def _add(one: _Numbers, other: _Numbers) -> _Numbers:
     return tuple(map(_sum, one, other))
-
-
-def _subtract(one: _Numbers, other: _Numbers) -> _Numbers:
-    return tuple(map(_difference, one, other))
 
 
 def _cross(one: _Numbers, other: _Numbers) -> _Numbers:

@@ -1,4 +1,4 @@
-"""Fields of a Fetch scene's model with scaled friction, object, fingers or pads."""
+"""A Fetch scene's model: the arm's start, and fields with scaled friction, object, fingers or pads."""
 
 import jax
 import jax.numpy as jnp
@@ -7,22 +7,47 @@ import numpy as np
 
 from hgail_envs.variation import ModelFactors
 
+REFERENCE_SUBSTEPS = 20
+"""Physics steps per action in the reference: 20 of 2 ms."""
+BASE_X = 0.405
+"""Position of the robot along x, metres, where a task has no other."""
+START_HEIGHT = 0.2
+"""Nominal height of the gripper's start above the table, metres, where a task has no other."""
+DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])
+"""Quaternion, not normalised, that points the gripper at the table."""
 FINGERS = ("right_finger", "left_finger")
 """Names of the fingers' joints and actuators, as their positions are ordered in an observation."""
 ROOM = 0.01
 """Least difference between the widest gap of a narrow hand and the objects' width, metres."""
 
+_BASE_Y = 0.48  # metres
+_GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
+_SETTLE_PERIODS = 10  # actions, as in the reference
 _PADS = ("right_pad", "left_pad")
 _HEIGHT, _WIDTH = 0, 2  # axes of a pad, along the first of which the gripper points downward; it closes along the other
 
 
-class SceneModel:
-    """A scene's fields, and the indices of its objects in them.
+def settle(
+    model: mujoco.MjModel, base_x: float = BASE_X, start_height: float = START_HEIGHT, offset: np.ndarray | float = 0.0
+) -> mujoco.MjData:
+    """Brings the arm to its start, as the reference does: pulls the gripper there with C MuJoCo and lets it settle.
 
-    Args:
-      model: the scene; the bodies of its free joints are the objects.
-
+    See `hgail_envs.fetch.arm.FetchEnv` for `base_x` and `start_height`; `offset`, `[3]`, is a displacement of the
+    gripper from its start, metres.
     """
+    data = mujoco.MjData(model)
+    data.joint("base_x").qpos, data.joint("base_y").qpos = base_x, _BASE_Y
+    mujoco.mj_forward(model, data)
+    data.mocap_pos[0] = data.site("grip").xpos + _GRIPPER_OFFSET + [0.0, 0.0, start_height]
+    data.mocap_pos[0] += offset
+    data.mocap_quat[0] = DOWNWARD
+    mujoco.mj_step(model, data, nstep=_SETTLE_PERIODS * REFERENCE_SUBSTEPS)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+class SceneModel:
+    """A scene's fields, and the indices of its objects, the bodies of its free joints, in them."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -49,12 +74,8 @@ class SceneModel:
     def with_room(self, factors: ModelFactors, least: float) -> ModelFactors:
         """Returns factors under which a narrow hand opens to `ROOM` more than the objects' width, and to `least`.
 
-        It opens no wider for that than the scene's own, which may be too narrow for the largest objects.
-
-        Args:
-          factors: as they were drawn.
-          least: metres.
-
+        It opens no wider for that than the scene's own, which may be too narrow for the largest objects;
+        all are metres.
         """
         needed = jnp.maximum(self._object_width * factors.object_size + ROOM, least) / self._widest
         return factors.replace(hand_width=jnp.maximum(factors.hand_width, jnp.minimum(needed, 1.0)))

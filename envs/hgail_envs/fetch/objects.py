@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from brax import math
 
-from hgail_envs.base import State
-from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS, FetchEnv, FetchPhysics
+from hgail_envs.base import EpisodeMetrics, State
+from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
 from hgail_envs.layout import Layout, flag
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
 
@@ -20,10 +19,12 @@ OBSERVATIONS = ("compact", "official")
 OF_OBJECT = "target is the object's, not the gripper's"
 """Name of the flag in a goal."""
 GOAL = Layout(TARGET, flag(OF_OBJECT))
+MOVED = 0.01
+"""Metres from its start, beyond which an object's position may be the achieved goal."""
+AT_GOAL = 0.03
+"""Metres between object and goal, within which the goal is already solved."""
 
 _GRIPPER, _OBJECT = 0.0, 1.0  # fourth number of a goal: its position is the gripper's or the object's
-_MOVED = 0.01  # metres from its start, beyond which the object's position is the achieved goal
-_AT_GOAL = 0.03  # metres between object and goal, within which the goal is already solved
 _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
 _BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
@@ -42,9 +43,9 @@ class ObjectEnv(FetchEnv):
     the object's position, with 1, once the object is more than 1 cm from its start; until then it is the gripper's
     position, with 0. So hindsight first teaches to move the hand, and then to move the object.
 
-    Evaluation episodes have the reference's goals, with 1. Their reward and success (`goal_test`) depend on the
-    object's position alone, moved or not: an object that starts at its target is a success, though its position is not
-    yet an achieved goal. Distances are between object and goal.
+    Evaluation episodes have the reference's goals, with 1. A goal is reached within 5 cm, by the object's position
+    alone: one that starts at its target is a success, though its position is not yet an achieved goal. An episode's
+    success is that of its last step. Distances are between object and goal.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
@@ -71,20 +72,14 @@ class ObjectEnv(FetchEnv):
     target_offset: float = 0.0
     """Metres along x from the gripper's start to the middle of the targets."""
 
-    def __init__(
-        self,
-        impl: str = "auto",
-        substeps: int = REFERENCE_SUBSTEPS,
-        worlds: int = 4096,
-        observation: str = OBSERVATIONS[0],
-    ) -> None:
+    def __init__(self, *args: Any, observation: str = OBSERVATIONS[0], **kwargs: Any) -> None:
         self.observation = observation
         self.features_layout = self.features_with(observation=observation)
         self.feature_size = self.features_layout.size
         if observation == "official":
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
-        super().__init__(impl, substeps, worlds)
-        self.object_height = float(np.float32(self._start_qpos[self._object_qpos][2]))
+        super().__init__(*args, **kwargs)
+        self.object_height = float(np.float32(self._start_qpos[self.qpos_of(self.object_name)][2]))
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:
@@ -93,27 +88,17 @@ class ObjectEnv(FetchEnv):
         return official(cls.object_title) if observation == "official" else cls.features_layout
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> ObjectPhysics:
-        start = jnp.asarray(qpos[self._object_qpos], jnp.float32)
+        start = jnp.asarray(qpos[self.qpos_of(self.object_name)], jnp.float32)
         return ObjectPhysics(**vars(super().place(qpos, qvel)), object_start=start)
-
-    @property
-    def _object_qpos(self) -> slice:
-        first = int(self.model.joint(self.object_name).qposadr[0])
-        return slice(first, first + 3)
-
-    @property
-    def _object_qvel(self) -> slice:
-        first = int(self.model.joint(self.object_name).dofadr[0])
-        return slice(first, first + 3)
 
     def object_position(self, physics: ObjectPhysics) -> jax.Array:
         """Returns the object's centre, `[3]`, metres, world frame."""
-        return physics.qpos[self._object_qpos]
+        return physics.qpos[self.qpos_of(self.object_name)]
 
     def reset_physics(self, rng: jax.Array) -> ObjectPhysics:
         start = jnp.append(self.random_place(rng, self.object_range), self.object_height)
         physics: Any = super().reset_physics(rng)  # the arm's, which draws nothing: the key is used once
-        return physics.replace(qpos=physics.qpos.at[self._object_qpos].set(start), object_start=start)
+        return physics.replace(qpos=physics.qpos.at[self.qpos_of(self.object_name)].set(start), object_start=start)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)
@@ -137,13 +122,13 @@ class ObjectEnv(FetchEnv):
         }
 
     def _object_velocity(self, physics: ObjectPhysics) -> jax.Array:
-        return physics.qvel[self._object_qvel] * CONTROL_PERIOD  # metres per action, as the gripper's
+        return physics.qvel[self.qvel_of(self.object_name)] * CONTROL_PERIOD  # metres per action, as the gripper's
 
     def official_features(self, physics: ObjectPhysics) -> dict[str, jax.Array]:
         """Returns the values of the quantities of `hgail_envs.fetch.layouts.official` by name."""
-        joint, name = self.model.joint(self.object_name), self.object_title
-        quaternion = physics.qpos[int(joint.qposadr[0]) + 3 :][:4]
-        spin = physics.qvel[int(joint.dofadr[0]) + 3 :][:3]  # in the object's frame
+        name = self.object_title
+        quaternion = physics.qpos[self.qpos_of(self.object_name).stop :][:4]
+        spin = physics.qvel[self.qvel_of(self.object_name).stop :][:3]  # in the object's frame
         with jax.default_matmul_precision("highest"):  # by default GPUs round to ten bits
             turning, angles = math.rotate(spin, quaternion) * CONTROL_PERIOD, _euler_angles(quaternion)
         velocities = physics.qvel[self._finger_qvel] * CONTROL_PERIOD
@@ -164,7 +149,7 @@ class ObjectEnv(FetchEnv):
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
         thing = self.object_position(physics)
-        moved = jnp.linalg.norm(thing - physics.object_start) > _MOVED
+        moved = jnp.linalg.norm(thing - physics.object_start) > MOVED
         return jnp.where(moved, object_goal(thing), gripper_goal(physics.gripper_position))
 
     def sample_goal(self, rng: jax.Array, physics: ObjectPhysics) -> jax.Array:
@@ -190,7 +175,7 @@ class ObjectEnv(FetchEnv):
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
         distance = jnp.linalg.norm(self._object_in(features) - goal[..., GOAL["target position"]], axis=-1)
-        return is_object(goal) & (distance <= _AT_GOAL)
+        return is_object(goal) & (distance <= AT_GOAL)
 
     def _object_in(self, features: jax.Array) -> jax.Array:
         """Returns the object's position, `[..., 3]`, of features `[..., feature_size]`."""

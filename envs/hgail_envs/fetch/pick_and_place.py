@@ -1,51 +1,47 @@
 """FetchPickAndPlace: bring a cube to a place on the table or in the air."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import HAND
 from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
 
+RELAYS, ELSEWHERE = 0.5, 0.125
+"""Fractions of the training episodes whose goals are the stages on the way, and a random place."""
+AT_CUBE = 0.04
+"""Metres between gripper and cube, within which a relay's goal becomes the cube's."""
 HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
 
-_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
 _PADS = 2  # whose touch of the cube the scene's first sensors tell
-_AT_CUBE = 0.04  # metres between gripper and cube, within which a relay's goal becomes the cube's
 
 
 class PickAndPlacePlan(struct.PyTreeNode):
-    """The goals of an episode of `PickAndPlace`."""
+    """The goals of an episode of `PickAndPlace` or `hgail_envs.fetch.stack.Stack`."""
 
     goal: jax.Array
     """`[goal_size]`."""
     relay: jax.Array
-    """`[]` boolean: whether the first goal is the gripper at the cube."""
+    """`[]` boolean: whether the goals are the stages on the way to it, first the gripper at the cube."""
 
 
 class PickAndPlace(ObjectEnv):
     """FetchPickAndPlace: grasp a cube and bring it to a place, in half the episodes up to 45 cm above the table.
 
-    The hand holds the cube if both pads touch it, and the gap between them is its width within 8 mm.
-
-    An episode starts as the reference's FetchPickAndPlace-v4 does: hand closed, the cube uniform within ±0.15 m of the
-    gripper in x and y and at least 0.10 m away, the target uniform in the same square, in half the episodes on the
-    table and in half uniform from there up. It is a success if after the last step the cube's centre is within 5 cm of
-    the target. See `ObjectEnv` for the meaning of a goal.
+    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
+    and at least 0.10 m away, the target uniform in the same square, in half the episodes on the table and in half
+    uniform from there up.
 
     Half the training episodes are relays: while the gripper is more than 4 cm from the cube the goal is the gripper at
     the cube's place, and then the cube at the target. In an eighth the goal is the gripper at a random place. The rest
-    have the evaluation's goals. A random policy hardly ever moves the cube: without these training goals PPO's success
-    is .770 instead of .987 after half of the steps (`docs/lab/ppo.md`).
+    have the evaluation's goals. A random policy hardly ever moves the cube (`docs/lab/ppo.md`).
 
-    See `ObjectEnv` for the arguments.
+    See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
     features_layout, goal_layout = compact_layout("cube") + HAND, GOAL
@@ -57,12 +53,10 @@ class PickAndPlace(ObjectEnv):
 
     scene = "fetch/grasp"
     reference: str | None = "FetchPickAndPlace-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.pick_and_place)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.pick_and_place})
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns whether both pads touch the cube and stand as far apart as it is wide, a boolean `[]`."""
+        """Returns whether the hand holds the cube, see `is_held`: a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
         return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width)
 
@@ -82,11 +76,11 @@ class PickAndPlace(ObjectEnv):
         kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
         kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
         elsewhere, goal = gripper_goal(self.random_position(position_rng)), self.sample_goal(goal_rng, physics)
-        sent_elsewhere = (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
-        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < _RELAYS)
+        sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
+        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < RELAYS)
 
     def current_goal(self, plan: Any, physics: ObjectPhysics, step: jax.Array | int) -> jax.Array:
         # By the state alone: a relay whose cube slips out of the hand sends the gripper back to it.
         cube = self.object_position(physics)
-        away = jnp.linalg.norm(physics.gripper_position - cube) > _AT_CUBE
+        away = jnp.linalg.norm(physics.gripper_position - cube) > AT_CUBE
         return jnp.where(plan.relay & away, gripper_goal(cube), plan.goal)

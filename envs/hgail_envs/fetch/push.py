@@ -1,13 +1,11 @@
 """FetchPush: push a cube to a place on the table."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.layouts import ACTION_OF_ARM
 from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
@@ -31,18 +29,15 @@ class PushPlan(struct.PyTreeNode):
 class Push(ObjectEnv):
     """FetchPush: push a cube to a place on the table, with closed fingers.
 
-    An episode starts as the reference's FetchPush-v4 does: fingers blocked closed, the gripper at the table, the cube
-    uniform within ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the
-    table. It is a success if after the last step the cube's centre is within 5 cm of the target. See `ObjectEnv` for
-    the meaning of a goal. Unlike the reference's, the table has no edge from which the cube could fall.
+    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the cube uniform within
+    ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the table. Unlike the
+    reference's, the table has no edge from which the cube could fall.
 
     In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
-    uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. PPO does not need them for
-    push: on the evaluation's goals alone its success is .890 against .679 after 40 rounds, and no different after all
-    120 (`docs/lab/ppo.md`). TD3, which takes far fewer steps, does: .062 for .999. So does `Slide`, which
-    inherits them.
+    uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. TD3 needs them
+    (`docs/lab/off-policy.md`), PPO only in `Slide`, which inherits them (`docs/lab/ppo.md`).
 
-    See `ObjectEnv` for the arguments.
+    See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
     features_layout, goal_layout = compact_layout("cube"), GOAL
@@ -55,9 +50,7 @@ class Push(ObjectEnv):
 
     scene = "fetch/push"
     reference = "FetchPush-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-behind": (features_layout + goal_layout).reader(controllers.push)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-behind": controllers.push})
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PushPlan:
         kind_rng, goal_rng, offset_rng = jax.random.split(rng, 3)

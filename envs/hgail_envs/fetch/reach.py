@@ -1,11 +1,7 @@
 """FetchReach: bring the gripper to a point in the air."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import jax
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
 from hgail_envs.fetch.layouts import ACTION_OF_ARM, GRIPPER, TARGET, gripper_values
@@ -28,9 +24,7 @@ class Reach(FetchEnv):
 
     scene = "fetch/reach"
     reference = "FetchReach-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "proportional": (features_layout + goal_layout).reader(controllers.reach)
-    }
+    controllers = (features_layout + goal_layout).readers({"proportional": controllers.reach})
 
     def step_physics(self, physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
         return self._move(physics, action[:3])  # the fingers are blocked

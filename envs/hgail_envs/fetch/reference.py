@@ -7,11 +7,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from hgail_envs.base import EpisodeMetrics
 from hgail_envs.fetch.episode import run_episode
 from hgail_envs.fetch.grasp import CUBES, is_held
 from hgail_envs.fetch.layouts import official
 from hgail_envs.fetch.objects import OBSERVATIONS
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.past import Past
 from hgail_envs.registry import accepted_options, find_class
 from hgail_envs.validation import MOST_SEED, check_name
@@ -20,16 +20,11 @@ TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
 """Tasks of `ReferenceFetch`."""
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
-_CUBE = "object0"
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # the displacements of an episode with a longer stride
 
 
 def make_reference(name: str, **options: Any) -> Any:
-    """Makes an environment of Gymnasium-Robotics, on whatever MuJoCo is installed.
-
-    Args:
-      name: e.g. `"FetchReach-v4"`.
-      options: of `gymnasium.make`.
+    """Makes an environment of Gymnasium-Robotics, e.g. `"FetchReach-v4"`, on whatever MuJoCo is installed.
 
     Raises:
       ImportError: the extra `compare` is not installed.
@@ -49,19 +44,15 @@ def make_reference(name: str, **options: Any) -> Any:
 class ReferenceFetch:
     """The reference environment of a task: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
 
-    Starts and goals are the environment's own, except that the goal of grasp is the cube: the place where
-    FetchPickAndPlace wants the cube is ignored. So is the success, but for grasp. The features are taken from the
-    environment's observation (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and
-    velocity `5:8`), whose velocities are already multiplied by `CONTROL_PERIOD`. Whether the hand holds the cube
-    follows from the contacts and the gap between the fingers.
-
-    Actions are the same four numbers.
+    Starts, goals, successes and actions are the environment's own, except that the goal of grasp is the cube: the place
+    where FetchPickAndPlace wants it is ignored. The features are taken from the environment's observation
+    (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and velocity `5:8`), whose
+    velocities are already multiplied by `CONTROL_PERIOD`.
 
     Args:
       task: one of `TASKS`.
-      observation: `"compact"`, the features above, or `"official"`, for policies that read the environment's own 25
-        numbers.
-      cube: of grasp, `"at-start"` or `"tracked"`, see `hgail_envs.fetch.grasp.Grasp`.
+      observation: see `hgail_envs.fetch.objects.ObjectEnv`.
+      cube: see `hgail_envs.fetch.grasp.Grasp`.
 
     Raises:
       ValueError: the task has no reference, or no such option.
@@ -130,7 +121,7 @@ class ReferenceFetch:
 
     def _touching(self) -> bool:
         """Returns whether both fingers touch the cube."""
-        cube = self.model.geom(_CUBE).id
+        cube = self.model.geom("object0").id
         pairs = self.data.contact.geom
         return self._fingers <= set(pairs[(pairs == cube).any(axis=1)].ravel())
 
@@ -138,18 +129,10 @@ class ReferenceFetch:
 def reference_episode(
     reference: ReferenceFetch, policy: Callable[[np.ndarray], np.ndarray], past: Past, seed: int, index: int
 ) -> EpisodeMetrics:
-    """Runs a policy for one episode of the reference, with the task's lift test.
+    """Runs a policy for one episode of the reference, with the task's lift test; returns plain numbers.
 
-    Args:
-      reference: of the task.
-      policy: maps an observation, float32 `[observation_size]`, to an action, `[4]`.
-      past: of the policy's randomisation, with nothing in it yet.
-      seed: of all episodes; with the index it decides the start.
-      index: of the episode.
-
-    Returns:
-      How the episode ended, in plain numbers.
-
+    `policy` maps an observation, float32 `[observation_size]`, to an action, `[4]`; `past` is that of its
+    randomisation, still empty. The seed, of all episodes, and the episode's index decide the start.
     """
     reference.reset(np.random.default_rng((seed, index)).spawn(2)[0])
     at_start = reference.target()

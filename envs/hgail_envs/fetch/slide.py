@@ -1,15 +1,12 @@
 """FetchSlide: hit a puck so that it slides to a place out of reach."""
 
-from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.arm import REFERENCE_SUBSTEPS
-from hgail_envs.fetch.objects import GOAL, OBSERVATIONS, ObjectPhysics, compact_layout, gripper_goal, is_object
+from hgail_envs.fetch.objects import GOAL, ObjectPhysics, compact_layout, gripper_goal, is_object
 from hgail_envs.fetch.push import Push
 from hgail_envs.validation import check_name
 
@@ -25,26 +22,22 @@ _AHEAD, _ASIDE = (0.1, 0.25, 0.4, 0.55), (-0.1, 0.1)
 class Slide(Push):
     """FetchSlide: hit a puck so that it slides over a long table to a place out of the hand's reach.
 
-    The observation and the training goals are those of `Push`, with the puck in the cube's place. The waypoints of its
-    training goals are needed here: without them the success is .112 instead of .341 after 33 rounds
-    (`docs/lab/ppo.md`). A puck moves away from the side on which it is hit, and hindsight alone shows only hits
-    that began on the right side; a hand that visits waypoints is also shown to go round the puck.
+    The observation and the training goals are those of `Push`, with the puck in the cube's place. Hindsight alone shows
+    only hits that began on the right side, while a hand that visits waypoints is also shown to go round the puck.
 
     With `achieved="at-rest"` the achieved goal is the gripper's position while the puck moves, faster than 5 cm/s: a
     policy that lets the puck pass a place has not learnt to stop it there. With `achieved="passed"` each place that the
-    puck passes is an achieved goal, as for the other objects: more goals for hindsight, with which TD3 hits .83 of the
-    targets after 2.6 M steps where it has .37 (`docs/lab/off-policy.md`), and which it takes by default.
+    puck passes is an achieved goal: more goals for hindsight, TD3's default (`docs/lab/off-policy.md`).
 
     Most pucks stay near and go straight, while most targets are far or aside. So the table is cut into five bands along
     x and three along y, and each field is a kind of goals (`goal_kind`), from which hindsight draws as often as targets
     lie in it.
 
-    An episode starts as the reference's FetchSlide-v4 does: fingers blocked closed, the gripper at the table, the puck
-    uniform within ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place
-    0.40 m before the gripper's start, on the table. It is a success if after the last step the puck's centre is within
-    5 cm of the target.
+    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the puck uniform within
+    ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place 0.40 m before the
+    gripper's start, on the table.
 
-    See `ObjectEnv` for the other arguments.
+    See `ObjectEnv` for success and the other arguments.
 
     Args:
       achieved: `"at-rest"` or `"passed"`, the places of the puck that are achieved goals.
@@ -66,24 +59,15 @@ class Slide(Push):
 
     scene = "fetch/slide"
     reference = "FetchSlide-v4"
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.slide)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.slide})
 
-    def __init__(
-        self,
-        impl: str = "auto",
-        substeps: int = REFERENCE_SUBSTEPS,
-        worlds: int = 4096,
-        observation: str = OBSERVATIONS[0],
-        achieved: str = ACHIEVED[0],
-    ) -> None:
+    def __init__(self, *args: Any, achieved: str = ACHIEVED[0], **kwargs: Any) -> None:
         check_name("achieved", achieved, ACHIEVED)
         self.achieved = achieved
-        super().__init__(impl, substeps, worlds, observation)
+        super().__init__(*args, **kwargs)
 
     def achieved_goal(self, physics: ObjectPhysics) -> jax.Array:
-        moves = (jnp.linalg.norm(physics.qvel[self._object_qvel]) > _AT_REST) & (self.achieved == "at-rest")
+        moves = (jnp.linalg.norm(physics.qvel[self.qvel_of("puck")]) > _AT_REST) & (self.achieved == "at-rest")
         return jnp.where(moves, gripper_goal(physics.gripper_position), super().achieved_goal(physics))
 
     def goal_tolerance(self, goal: jax.Array) -> jax.Array:
@@ -95,8 +79,7 @@ class Slide(Push):
         """Returns 0 for the gripper's goals, 1 to 15 for the puck's by field of the table, and 16 elsewhere."""
         of_any_object, start = super().goal_kind(goal), self.initial_gripper_position
         offsets = (goal[..., axis] - start[axis] for axis in (0, 1))
-        band, column = (
-            jnp.searchsorted(jnp.array(at), offset) for at, offset in zip((_AHEAD, _ASIDE), offsets, strict=True)
-        )
+        pairs = zip((_AHEAD, _ASIDE), offsets, strict=True)
+        band, column = (jnp.searchsorted(jnp.array(borders), offset) for borders, offset in pairs)
         field = 1 + band * (len(_ASIDE) + 1) + column
         return jnp.select([of_any_object == 0, of_any_object == 1], [0, field], self.goal_kinds - 1)

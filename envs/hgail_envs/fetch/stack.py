@@ -1,32 +1,19 @@
 """Stacking: put a cube on another one and let go of it."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from flax import struct
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.fetch.cubes import (
-    AT_GOAL,
-    ELSEWHERE,
-    LEAST_WIDEST_GAP,
-    MOVED,
-    RELAYS,
-    is_in_place,
-    is_left,
-    place_tolerance,
-    relay,
-)
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, place_tolerance, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH
 from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, of_object
-from hgail_envs.fetch.objects import ObjectPhysics
-from hgail_envs.fetch.pick_and_place import PickAndPlace
+from hgail_envs.fetch.objects import AT_GOAL, MOVED, ObjectPhysics
+from hgail_envs.fetch.pick_and_place import ELSEWHERE, RELAYS, PickAndPlace, PickAndPlacePlan
 from hgail_envs.layout import Layout, flag
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
 
 FEATURES = GRIPPER + of_object("cube A") + Layout(GAP, flag("hand holds cube A")) + of_object("cube B")
@@ -48,41 +35,22 @@ class StackPhysics(ObjectPhysics, kw_only=True):
     """`[3]`: metres."""
 
 
-class StackPlan(struct.PyTreeNode):
-    """The goals of an episode of `Stack`."""
-
-    goal: jax.Array
-    """`[goal_size]`."""
-    relay: jax.Array
-    """`[]` boolean: whether the goals are the stages on the way to it."""
-
-
 class Stack(PickAndPlace):
     """Stacking: put cube A on cube B, let go of it and withdraw the hand; B stays where it was.
 
-    The hand holds cube A if both pads touch it, and the gap between them is its width within 8 mm.
-
-    A goal is a position, whose it is, and whether cube A is left there: the gripper at least 5 cm from A's centre, the
-    fingers at least 8 cm apart, and A no faster than 5 cm/s, for a falling cube is left nowhere. The achieved goal of a
-    state is cube A's position, and whether A is left, once A is more than 1 cm from its start; else cube B's position
-    once B is; else the gripper's. A goal of a cube that is left is reached within 2.5 cm in the plane and 1 cm in
-    height, any other goal within 5 cm.
+    A goal is a position, whose it is, and whether cube A is left there; see `hgail_envs.fetch.cubes`, also for the
+    training episodes. The achieved goal of a state is cube A's position, and whether A is left, once A is more than
+    1 cm from its start; else cube B's position once B is; else the gripper's.
 
     An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
     0.10 m away from it and from the other cube. The evaluation's goal is cube A left on cube B, where B started.
     A scripted hand reaches it in 35 to 42 steps. Episodes have a hundred: with a noise of .1 on its actions, as of a
     policy that explores, the same hand reaches two thirds of the goals in fifty steps, and nearly all in a hundred.
 
-    Success is strict, and includes a test that the tower stands. After the last step cube A is left at the goal, its
-    centre is within 2.5 cm of cube B's in the plane and within 1 cm of the height at which it lies on B, and the cubes
-    touch. So B has moved by 5 cm at most. After twelve further steps, in which the hand keeps still and open, A still
-    is there and touches B. `achieved` of the metrics is without that test. Distances are between cube A and its place
-    after the last step.
-
-    Half the training episodes are relays, whose goal depends on the state alone: the gripper at cube A while it is more
-    than 4 cm from it, then A 5 cm above its place on B until it is within 2 cm of B in the plane, then A on B, and once
-    it is there, A left there. In an eighth the goal is the gripper, cube A or cube B at a random place, cubes on the
-    table. The rest have the evaluation's goals.
+    Success includes a test that the tower stands. After the last step cube A is left at the goal and in its place on
+    cube B, and the cubes touch. So B has moved by 5 cm at most. After twelve further steps, in which the hand keeps
+    still and open, A still is there and touches B. `achieved` of the metrics is without that test. Distances are
+    between cube A and its place after the last step.
 
     See `FetchEnv` for the arguments.
     """
@@ -99,30 +67,18 @@ class Stack(PickAndPlace):
     scene = "fetch/stack"
     least_widest_gap = LEAST_WIDEST_GAP
     reference = None
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (features_layout + goal_layout).reader(controllers.stack)
-    }
+    controllers = (features_layout + goal_layout).readers({"from-above": controllers.stack})
 
     def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
         super().__init__(impl, substeps, worlds)
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> StackPhysics:
-        start = jnp.asarray(qpos[self._b_qpos], jnp.float32)
+        start = jnp.asarray(qpos[self.qpos_of("cube_b")], jnp.float32)
         return StackPhysics(**vars(super().place(qpos, qvel)), b_start=start)
-
-    @property
-    def _b_qpos(self) -> slice:
-        first = int(self.model.joint("cube_b").qposadr[0])
-        return slice(first, first + 3)
-
-    @property
-    def _b_qvel(self) -> slice:
-        first = int(self.model.joint("cube_b").dofadr[0])
-        return slice(first, first + 3)
 
     def b_position(self, physics: StackPhysics) -> jax.Array:
         """Returns cube B's centre, `[3]`, metres, world frame; cube A's is `object_position`."""
-        return physics.qpos[self._b_qpos]
+        return physics.qpos[self.qpos_of("cube_b")]
 
     def place_on_b(self, physics: StackPhysics) -> jax.Array:
         """Returns the place of cube A's centre on cube B, where B now is, `[3]`, metres, world frame."""
@@ -140,13 +96,8 @@ class Stack(PickAndPlace):
 
     def _put_b(self, physics: Any, position: jax.Array) -> Any:
         """Returns the physics with cube B at `position`, `[3]`, upright and at rest, as at the start of an episode."""
-        pose = jnp.concatenate([position, jnp.array([1.0, 0.0, 0.0, 0.0])])
-        return physics.replace(
-            qpos=jax.lax.dynamic_update_slice(physics.qpos, pose, (self._b_qpos.start,)),
-            qvel=jax.lax.dynamic_update_slice(physics.qvel, jnp.zeros(6), (self._b_qvel.start,)),
-            sensordata=physics.sensordata.at[_CUBES_TOUCH].set(0.0),
-            b_start=position,
-        )
+        put = self.put_down(physics, "cube_b", position)
+        return put.replace(sensordata=put.sensordata.at[_CUBES_TOUCH].set(0.0), b_start=position)
 
     def vary_model(self, physics: Any, factors: ModelFactors) -> Any:
         varied: Any = super().vary_model(physics, factors)
@@ -157,7 +108,7 @@ class Stack(PickAndPlace):
         return super().compact_features(physics) | {
             "cube B position less gripper position": b - physics.gripper_position,
             "cube B position": b,
-            "cube B velocity": physics.qvel[self._b_qvel] * CONTROL_PERIOD,
+            "cube B velocity": physics.qvel[self.qvel_of("cube_b")] * CONTROL_PERIOD,
         }
 
     def achieved_goal(self, physics: Any) -> jax.Array:
@@ -165,7 +116,7 @@ class Stack(PickAndPlace):
         a_moved = jnp.linalg.norm(a - physics.object_start) > MOVED
         b_moved = jnp.linalg.norm(b - physics.b_start) > MOVED
         of_others = jnp.where(b_moved, _goal(b, _OF_B), _goal(gripper, _OF_GRIPPER))
-        left = is_left(a - gripper, physics.qvel[self._object_qvel] * CONTROL_PERIOD, self.gap(physics))
+        left = is_left(a - gripper, physics.qvel[self.qvel_of("cube_a")] * CONTROL_PERIOD, self.gap(physics))
         return jnp.where(a_moved, _goal(a, _OF_A, left), of_others)
 
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:
@@ -180,7 +131,7 @@ class Stack(PickAndPlace):
         elsewhere = choices[jax.random.randint(whose_rng, (), 0, len(choices))]
         sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
         goal = jnp.where(sent_elsewhere, elsewhere, self.sample_goal(goal_rng, physics))
-        return StackPlan(goal=goal, relay=kind < RELAYS)
+        return PickAndPlacePlan(goal=goal, relay=kind < RELAYS)
 
     def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
         return jnp.where(plan.relay, self._stage(physics), plan.goal)

@@ -1,38 +1,26 @@
 """A tower of three cubes, put on one another in an order that differs from episode to episode."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hgail_envs.base import Controller, State
+from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch import controllers, tower_goals
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import (
-    AT_GOAL,
-    ELSEWHERE,
-    LEAST_WIDEST_GAP,
-    MOVED,
-    RELAYS,
-    is_in_place,
-    is_left,
-    place_tolerance,
-    relay,
-)
+from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, place_tolerance, relay
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
 from hgail_envs.fetch.layouts import gripper_values
+from hgail_envs.fetch.objects import AT_GOAL, MOVED
+from hgail_envs.fetch.pick_and_place import ELSEWHERE, RELAYS
 from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
-from hgail_envs.metrics import EpisodeMetrics
 from hgail_envs.variation import ModelFactors
-
-MOST_SHIFT = 0.05
-"""Largest distance of the base cube from its start after a success, metres."""
 
 _RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
 _ON_TABLE = 0.425  # metres, of a cube's centre
 _AT_HAND = 0.15  # metres between gripper and cube, within which this holds for the cubes of other stages
 _PADS = 2 * CUBES  # number of the first sensors, of the pads' contacts with each cube
+_MOST_SHIFT = 0.05  # metres of the base cube from its start after a success
 _BEGUN = 0.5  # fraction of the training episodes that start with the middle cube on the base
 
 
@@ -53,40 +41,30 @@ class Tower(FetchEnv):
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
     goals speak of these roles alone, so a policy sees the order of the tower in the order of its numbers. In the
     observation the target's cube is first, then the one that it is to lie on, then the third, so that one placement
-    looks to the policy like the other. In the features, and under goals of the gripper, the top is first. The hand
-    holds a cube if both pads touch it, and the gap between them is its width within 8 mm.
+    looks to the policy like the other. In the features, and under goals of the gripper, the top is first.
 
-    A goal is a position, whose it is, and whether the cube is left there: the gripper at least 5 cm from its centre,
-    the fingers at least 8 cm apart, and the cube no faster than 5 cm/s. A goal of a cube that is left is reached within
-    2.5 cm in the plane and 1 cm in height, any other goal within 5 cm.
-
-    The goal names one placement after the other: the middle cube left on the base, and as soon as it was left there and
-    as long as it stays there, the top cube left on the middle. The place is where the cube below now is.
+    A goal is a position, whose it is, and whether the cube is left there; see `hgail_envs.fetch.cubes`, also for the
+    training episodes. The goal names one placement after the other: the middle cube left on the base, and as soon as it
+    was left there and as long as it stays there, the top cube left on the middle. The place is where the cube below now
+    is.
 
     The achieved goal of a state is the position of the present placement's cube, and whether it is left, once it is
     more than 1 cm from its start; else of another cube that has moved so far and is within 15 cm of the gripper; else
     the gripper's. Once the middle cube was left on the base, that is the middle cube while the gripper is within 15 cm
     of it, then the gripper until the top cube moves.
 
-    A scripted hand takes 75 to 89 steps, the first placement 37 to 44 of them. Episodes have two hundred: with a noise
-    of .1 on its actions, as of a policy that explores, the same hand reaches half of the goals in a hundred steps, nine
-    tenths in a hundred and fifty, and nearly all in two hundred.
+    A scripted hand takes 75 to 89 steps. Episodes have two hundred: with a noise of .1 on its actions, as of a policy
+    that explores, the same hand reaches half of the goals in a hundred steps and nearly all in two hundred.
 
     An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
     0.10 m away from it and from the other cubes. Half the training episodes start with the middle cube on the base, so
-    that the second placement is learnt beside the first. That is a distribution of starts and shows no action: it is no
-    demonstration. Evaluation episodes never start so.
+    that the second placement is learnt beside the first; no evaluation episode does.
 
-    Success is strict, and includes a test that the tower stands. After the last step the middle cube is in its place on
-    the base and the top cube on the middle, within 2.5 cm in the plane and 1 cm in height each, and both pairs touch;
-    the top cube is left, and the base within 5 cm of its start. After twelve further steps, in which the hand keeps
-    still and open, cubes and contacts still are so. `achieved` of the metrics is without that test. Distances are
-    between the top cube and its place in the tower, two cubes above the base, after the last step.
-
-    Half the training episodes are relays, whose goal depends on the state alone: the gripper at the placement's cube
-    while it is more than 4 cm from it, then the cube 5 cm above its place until it is within 2 cm of it in the plane,
-    then in its place, and once it is there, left there. In an eighth the goal is the gripper or one of the cubes at a
-    random place, cubes on the table. The rest have the evaluation's goals.
+    Success includes a test that the tower stands. After the last step the middle cube is in its place on the base and
+    the top cube on the middle, and both pairs touch; the top cube is left, and the base within 5 cm of its start. After
+    twelve further steps, in which the hand keeps still and open, cubes and contacts still are so. `achieved` of the
+    metrics is without that test. Distances are between the top cube and its place in the tower, two cubes above the
+    base, after the last step.
 
     See `FetchEnv` for the arguments.
     """
@@ -100,9 +78,7 @@ class Tower(FetchEnv):
 
     scene = "fetch/tower"
     least_widest_gap = LEAST_WIDEST_GAP
-    controllers: ClassVar[Mapping[str, Controller]] = {
-        "from-above": (tower_goals.SEEN + tower_goals.GOAL).reader(controllers.tower)
-    }
+    controllers = (tower_goals.SEEN + tower_goals.GOAL).readers({"from-above": controllers.tower})
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
         order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
@@ -118,10 +94,7 @@ class Tower(FetchEnv):
         return physics.qvel[self._scene_model.object_qvel][physics.order] * CONTROL_PERIOD
 
     def places(self, physics: TowerPhysics) -> jax.Array:
-        """Returns the places of the top cube on the middle and of the middle on the base, where they now are, `[2, 3]`.
-
-        Metres, world frame.
-        """
+        """Returns the places of the top on the middle and of the middle on the base as it is, `[2, 3]`, metres."""
         return self.cube_positions(physics)[1:].at[:, 2].add(CUBE_WIDTH * self.object_factor(physics))
 
     def are_in_place(self, physics: TowerPhysics) -> jax.Array:
@@ -248,10 +221,6 @@ class Tower(FetchEnv):
         return self._advance(state, moved, state.info["plan"], state.info["step"])
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
-        """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
-
-        Those of a cube that is left are one higher. The base counts as on the table wherever it is.
-        """
         return tower_goals.goal_kind(goal)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
@@ -287,7 +256,7 @@ class Tower(FetchEnv):
     def stands(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether the tower stands where the base started, wherever the hand is: a boolean `[]`."""
         shift = jnp.linalg.norm(self.cube_positions(physics)[BASE] - physics.starts[BASE])
-        return (self.are_in_place(physics) & self.touching(physics)).all() & (shift <= MOST_SHIFT)
+        return (self.are_in_place(physics) & self.touching(physics)).all() & (shift <= _MOST_SHIFT)
 
 
 def _role(physics: TowerPhysics) -> jax.Array:

@@ -34,9 +34,9 @@ GOAL = Layout(
 """Layout of a goal; the target of no cube is the gripper's."""
 
 _RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on another cube at 0.475
-_OF_CUBES = FEATURES.span("top cube position less gripper position", "base cube velocity")
 _OF_ONE = of_object("cube")
-_WHOSE = GOAL.span("target is the top cube's", "target is the base cube's")
+_OF_CUBES = slice(GRIPPER.size, GRIPPER.size + CUBES * _OF_ONE.size)
+_WHOSE = slice(TARGET.size, TARGET.size + CUBES)
 _KIND_ON_TABLE, _KIND_OF_MIDDLE, _KIND_OF_TOP = 1, 3, 5  # one higher if the cube is left
 
 
@@ -67,7 +67,10 @@ def is_to_be_left(goal: jax.Array) -> jax.Array:
 
 
 def goal_kind(goal: jax.Array) -> jax.Array:
-    """Returns the kinds of goals, integers `[...]`; see `Tower.goal_kind`."""
+    """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
+
+    Those of a cube that is left are one higher. The base counts as on the table wherever it is.
+    """
     is_base, is_top = (goal[..., _WHOSE][..., role] > 0.5 for role in (BASE, TOP))
     raised = (goal[..., 2] > _RAISED) & ~is_base
     of_cube = jnp.where(raised, jnp.where(is_top, _KIND_OF_TOP, _KIND_OF_MIDDLE), _KIND_ON_TABLE)

@@ -1,1 +1,1 @@
-"""Calibrated cameras: their geometry, and pictures of a scene by MuJoCo's renderer."""
+"""Calibrated cameras, and MuJoCo's renderer."""

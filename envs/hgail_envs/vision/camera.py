@@ -1,18 +1,15 @@
 """The geometry of a calibrated RGB-D camera: the paper's Eq. 8 and its inverse.
 
-The camera's axes are OpenCV's: x right, y down in the image, z forward along the optical axis. MuJoCo's cameras look
-along -z with y up; `from_mujoco` turns them. Pixels are continuous: u runs right and v down from the image's upper left
-corner, so the middle of the pixel in row i and column j is at (j + 0.5, i + 0.5). Depth is along the optical axis, as
-an RGB-D sensor gives it and Eq. 8 has it, not along the ray.
+The camera's axes are OpenCV's: x right, y down in the image, z forward along the optical axis. Pixels are
+continuous: u runs right and v down from the image's upper left corner, so the middle of the pixel in row i and column j
+is at (j + 0.5, i + 0.5). Depth is along the optical axis, as an RGB-D sensor gives it and Eq. 8 has it, not along the
+ray.
 """
 
 import dataclasses
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # OpenCV's axes in MuJoCo's camera axes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,17 +42,10 @@ class Camera:
             raise ValueError("the camera's rotation must be a rotation matrix")
 
     def to_world(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Returns the positions of pixels in the world, Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
+        """Returns the positions of pixels in the world, `[..., 3]`, metres, by Eq. 8: P = R (z M⁻¹ [u, v, 1]ᵀ) + T.
 
-        Args:
-          pixels: `[..., 2]`, (u, v).
-          depth: `[...]`, z along the optical axis, metres.
-
-        Returns:
-          `[..., 3]`, metres.
-
+        `pixels` are (u, v), `[..., 2]`; `depth`, `[...]`, is z, metres.
         """
-        # M⁻¹ [u, v, 1]ᵀ has depth 1, so that it scales with the depth along the axis, not along the ray.
         homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
         in_camera = np.asarray(depth)[..., None] * (homogeneous @ np.linalg.inv(self.matrix).T)
         return in_camera @ self.rotation.T + self.position
@@ -69,17 +59,11 @@ class Camera:
         depth = in_camera[..., 2]
         return (in_camera @ self.matrix.T)[..., :2] / depth[..., None], depth
 
-    def contains(self, pixels: np.ndarray) -> np.ndarray:
-        """Returns which pixels, `[..., 2]`, lie in the image: booleans `[...]`."""
-        return np.all((pixels >= 0) & (pixels < [self.width, self.height]), axis=-1)
-
     def moved(self, rotation: np.ndarray, translation: np.ndarray) -> "Camera":
         """Returns the camera turned and shifted, as by an error of the extrinsic calibration.
 
-        Args:
-          rotation: `[3]`, a rotation vector about the camera's own axes, radians.
-          translation: `[3]`, along the world's axes, metres.
-
+        `rotation`, `[3]`, is a rotation vector about the camera's own axes, radians; `translation`, `[3]`, is along the
+        world's axes, metres.
         """
         turned = self.rotation @ Rotation.from_rotvec(rotation).as_matrix()
         return dataclasses.replace(self, rotation=turned, position=self.position + translation)
@@ -106,21 +90,7 @@ def look_at(position: np.ndarray, target: np.ndarray, fovy: float, width: int, h
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward) or not forward.any():
         raise ValueError("the camera must not look straight up or down, nor at where it is; move it a little")
-    axes = np.stack(
-        [right, np.cross(forward, right), forward], axis=-1
-    )  # forward × right is down, a right-handed frame
+    down = np.cross(forward, right)  # of a right-handed frame
+    axes = np.stack([right, down, forward], axis=-1)
     rotation = axes / np.linalg.norm(axes, axis=0)
     return Camera(width, height, intrinsics(width, height, fovy), rotation, np.asarray(position, float))
-
-
-def from_mujoco(data: mujoco.MjData, camera: str, width: int, height: int) -> Camera:
-    """Returns the camera of a scene that has this name, as it stands in `data`.
-
-    Raises:
-      KeyError: the scene has no such camera.
-
-    """
-    view = data.camera(camera)
-    fovy = float(data.model.camera(camera).fovy[0])
-    rotation = view.xmat.reshape(3, 3) @ _TO_OPENCV
-    return Camera(width, height, intrinsics(width, height, fovy), rotation, view.xpos.copy())

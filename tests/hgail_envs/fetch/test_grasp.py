@@ -55,7 +55,7 @@ def at(states, time):
 
 
 def cube(states):
-    return np.asarray(states.pipeline_state.qpos[..., ENV._cube_qpos : ENV._cube_qpos + 3])
+    return np.asarray(states.pipeline_state.qpos[..., ENV.qpos_of("cube")])
 
 
 def holding(states):
@@ -77,7 +77,7 @@ def test_a_cube_at_rest_stays_at_rest(start):
     moved = np.abs(cube(states) - cube(start))
     assert moved[..., :2].max() <= 1e-5
     assert moved[..., 2].max() <= 5e-4
-    turn = states.pipeline_state.qpos[..., ENV._cube_qpos + 3 : ENV._cube_qpos + 7]
+    turn = states.pipeline_state.qpos[..., ENV.qpos_of("cube").stop : ENV.qpos_of("cube").stop + 4]
     np.testing.assert_allclose(np.abs(turn[..., 0]), 1.0, atol=1e-5)
     assert np.isfinite(np.asarray(states.obs)).all()
     assert not holding(states).any()
@@ -159,7 +159,7 @@ def test_moving_the_target_puts_the_cube_down():
 @jax.jit
 def pushed(state):
     """Returns the states after a push of the cube, 8 cm along x, and a step."""
-    moved = state.pipeline_state.qpos.at[:, ENV._cube_qpos].add(0.08)
+    moved = state.pipeline_state.qpos.at[:, ENV.qpos_of("cube").start].add(0.08)
     return jax.vmap(ENV.step)(
         state.replace(pipeline_state=state.pipeline_state.replace(qpos=moved)), jnp.zeros((BATCH, 4))
     )

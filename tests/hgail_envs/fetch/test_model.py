@@ -267,7 +267,7 @@ def test_a_start_is_within_the_hand_of_its_own_episode():
 def test_pads_of_any_size_end_at_the_same_height(size):
     """The gripper is pressed down on the table: it stops where it does with its own pads."""
     grasp, heights = compiled("grasp"), []
-    start = grasp.start.replace(qpos=grasp.start.qpos.at[grasp.env._cube_qpos].add(0.5))
+    start = grasp.start.replace(qpos=grasp.start.qpos.at[grasp.env.qpos_of("cube").start].add(0.5))
     for factor in (1.0, size):
         physics = grasp.varied(start, pad_size=factor)
         for _ in range(20):

@@ -41,21 +41,21 @@ def first(state):
 
 
 def moved(env, physics, shift):
-    return physics.replace(qpos=physics.qpos.at[env._object_qpos].add(jnp.asarray(shift)))
+    return physics.replace(qpos=physics.qpos.at[env.qpos_of(env.object_name)].add(jnp.asarray(shift)))
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_observations_are_as_documented(name, tasks, starts):
     env, state = tasks[name], starts[name][0]
     physics = state.pipeline_state
-    thing = physics.qpos[:, env._object_qpos]
+    thing = physics.qpos[:, env.qpos_of(env.object_name)]
     gripper = physics.gripper_position
     features = [gripper, physics.gripper_velocity, thing - gripper, thing, np.zeros((MANY, 3 + HAND[name]))]
     np.testing.assert_allclose(state.obs[:, :-4], np.concatenate(features, axis=-1), atol=1e-4)
     np.testing.assert_array_equal(state.obs[:, -4:], state.info["desired_goal"])
     assert env.observation_size == 15 + HAND[name] + 4
     one = first(state)
-    moving = one.replace(qvel=one.qvel.at[env._object_qvel].set(jnp.array([1.0, -2.0, 3.0])))
+    moving = one.replace(qvel=one.qvel.at[env.qvel_of(env.object_name)].set(jnp.array([1.0, -2.0, 3.0])))
     np.testing.assert_allclose(env.features(moving)[12:15], [0.04, -0.08, 0.12], rtol=1e-5)
 
 
@@ -72,7 +72,7 @@ def test_pick_and_place_sees_its_hand(tasks, starts):
 @pytest.mark.parametrize("name", TASKS)
 def test_what_is_achieved_is_the_gripper_s_until_the_object_has_moved(name, tasks, starts):
     env, physics = tasks[name], first(starts[name][0])
-    start = physics.qpos[env._object_qpos]
+    start = physics.qpos[env.qpos_of(env.object_name)]
     for shift, is_moved in (
         ([0, 0, 0], 0),
         ([0.009, 0, 0], 0),
@@ -88,7 +88,7 @@ def test_what_is_achieved_is_the_gripper_s_until_the_object_has_moved(name, task
 @pytest.mark.parametrize("name", TASKS)
 def test_the_object_is_measured_whether_it_has_moved_or_not(name, tasks, starts):
     env, state = tasks[name], jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), starts[name][0])
-    thing = state.pipeline_state.qpos[env._object_qpos]
+    thing = state.pipeline_state.qpos[env.qpos_of(env.object_name)]
     for shift in ([0.0, 0.0, 0.0], [0.03, 0.03, 0.0], [0.04, 0.04, 0.0], [0.0, 0.0, 0.2]):
         goal = jnp.append(thing + jnp.array(shift), 1.0)
         distance, l1 = np.linalg.norm(shift), np.abs(shift).sum()
@@ -109,7 +109,7 @@ def test_a_puck_that_moves_achieves_nothing(tasks, starts):
     env, physics = tasks["slide"], first(starts["slide"][0])
     physics = moved(env, physics, [0.3, 0.1, 0.0])
     for velocity, rests in (([0.03, 0.03, 0.0], True), ([0.04, -0.04, 0.0], False), ([0.0, 0.0, -0.06], False)):
-        sliding = physics.replace(qvel=physics.qvel.at[env._object_qvel].set(jnp.array(velocity)))
+        sliding = physics.replace(qvel=physics.qvel.at[env.qvel_of(env.object_name)].set(jnp.array(velocity)))
         expected = np.append(env.object_position(physics), 1.0) if rests else np.append(physics.gripper_position, 0.0)
         np.testing.assert_array_equal(env.achieved_goal(sliding), expected.astype(np.float32))
         assert env.reached(sliding, jnp.append(env.object_position(physics), 1.0))  # which is by position alone
@@ -118,7 +118,7 @@ def test_a_puck_that_moves_achieves_nothing(tasks, starts):
 def test_a_puck_may_achieve_the_places_that_it_passes(starts):
     env = hgail_envs.make("slide", impl="c", substeps=8, achieved="passed")
     start = first(starts["slide"][0])
-    fast = start.replace(qvel=start.qvel.at[env._object_qvel].set(jnp.array([1.0, 0.0, 0.0])))
+    fast = start.replace(qvel=start.qvel.at[env.qvel_of(env.object_name)].set(jnp.array([1.0, 0.0, 0.0])))
     passing = moved(env, fast, [0.3, 0.1, 0.0])
     np.testing.assert_array_equal(env.achieved_goal(passing), jnp.append(env.object_position(passing), 1.0))
     np.testing.assert_array_equal(env.achieved_goal(fast), jnp.append(fast.gripper_position, 0.0))  # not moved yet
@@ -135,10 +135,10 @@ def test_features_suffice_to_test_goals_as_the_physics_does(name, observation, t
         env = hgail_envs.make(name, impl="c", substeps=8, observation=observation)
     physics = jax.tree.map(lambda leaf: leaf[:count], starts[name][0].pipeline_state)
     qpos = physics.qpos.copy()
-    qpos[: count // 2, env._object_qpos] += 0.2  # half of the objects have moved
+    qpos[: count // 2, env.qpos_of(env.object_name)] += 0.2  # half of the objects have moved
     physics = physics.replace(qpos=qpos)
     whose, shift = rng.integers(2, size=(count, 1)), rng.normal(scale=0.03, size=(count, 3))
-    position = np.where(whose, qpos[:, env._object_qpos], physics.gripper_position)
+    position = np.where(whose, qpos[:, env.qpos_of(env.object_name)], physics.gripper_position)
     goals = np.concatenate([position + shift, whose], axis=1).astype(np.float32)
     features, achieved = jax.vmap(env.features)(physics), jax.vmap(env.achieved_goal)(physics)
     found = env.goal_test(features, achieved, goals)
@@ -179,7 +179,7 @@ def test_places_of_the_puck_are_of_fifteen_kinds(tasks):
 def test_a_goal_of_the_object_is_solved_where_it_already_is(observation, starts):
     env = hgail_envs.make("push", impl="c", observation=observation)
     features = jax.vmap(env.features)(starts["push"][0].pipeline_state)
-    thing = starts["push"][0].pipeline_state.qpos[:, env._object_qpos]
+    thing = starts["push"][0].pipeline_state.qpos[:, env.qpos_of(env.object_name)]
     shift = np.random.default_rng(0).normal(scale=0.02, size=(MANY, 3)).astype(np.float32)
     for whose in (0.0, 1.0):
         goal = np.concatenate([thing + shift, np.full((MANY, 1), whose, np.float32)], axis=1)
@@ -223,7 +223,7 @@ def test_in_half_the_episodes_to_learn_from_the_gripper_roams_near_the_object(na
     for step in range(0, 51):
         goal = np.asarray(follow(plan, far, step))[plan.roams]
         np.testing.assert_array_equal(goal[:, 3], 0.0)
-        offset = goal[:, :3] - np.asarray(far.qpos)[plan.roams][:, env._object_qpos]
+        offset = goal[:, :3] - np.asarray(far.qpos)[plan.roams][:, env.qpos_of(env.object_name)]
         if step % 12 == 0:
             offsets.append(offset)
         np.testing.assert_allclose(offset, offsets[-1], atol=1e-6)
@@ -236,7 +236,7 @@ def test_in_half_the_episodes_to_learn_from_the_gripper_roams_near_the_object(na
 def test_half_the_episodes_of_pick_and_place_to_learn_from_are_relays(tasks, starts):
     env, state = tasks["pick-and-place"], starts["pick-and-place"][1]
     plan, goal = state.info["plan"], state.info["desired_goal"]
-    cube = state.pipeline_state.qpos[:, env._object_qpos]
+    cube = state.pipeline_state.qpos[:, env.qpos_of(env.object_name)]
     assert abs(plan.relay.mean() - 0.5) < 0.04
     np.testing.assert_allclose(goal[plan.relay], np.pad(cube[plan.relay], ((0, 0), (0, 1))))
     np.testing.assert_array_equal(goal[~plan.relay], plan.goal[~plan.relay])
@@ -255,14 +255,14 @@ def test_a_relay_goes_on_where_the_gripper_is_at_the_cube(apart, at_cube, tasks,
     index = int(np.flatnonzero(state.info["plan"].relay)[0])
     physics, plan = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), (state.pipeline_state, state.info["plan"]))
     cube = physics.gripper_position + jnp.array([0.0, -apart, 0.0])
-    placed = physics.replace(qpos=physics.qpos.at[env._object_qpos].set(cube))
+    placed = physics.replace(qpos=physics.qpos.at[env.qpos_of(env.object_name)].set(cube))
     np.testing.assert_allclose(env.current_goal(plan, placed, 7), plan.goal if at_cube else [*cube, 0.0])
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_objects_start_around_the_gripper_and_not_too_near(name, tasks, starts):
     env, state = tasks[name], starts[name][0]
-    thing = state.pipeline_state.qpos[:, env._object_qpos]
+    thing = state.pipeline_state.qpos[:, env.qpos_of(env.object_name)]
     width = 0.1 if name == "slide" else 0.15
     offset = thing[:, :2] - env.initial_gripper_position[:2]
     assert np.abs(offset).max() <= width + 1e-6
@@ -278,7 +278,7 @@ def test_the_object_at_rest_stays(name, tasks, starts):
     )
     end = np.asarray(scan(state)[0].pipeline_state.qpos)
     start = state.pipeline_state.qpos
-    first = env._object_qpos.start
+    first = env.qpos_of(env.object_name).start
     assert np.abs(end[:, first : first + 3] - start[:, first : first + 3]).max() < 1e-3
     assert np.abs(end[:, first + 4 : first + 6]).max() < 1e-3  # upright
 
