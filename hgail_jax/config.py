@@ -20,11 +20,10 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-_OF_ONE_LEARNER = (
-    *("epsilon", "tau", "target_noise", "discriminator_horizon"),
-    *("goal_jitter", "shuffled_goals", "negative_p_ht", "negative_weight"),
-)
-"""Hyperparameters that only the learners read which name them, see `Learner.hyperparameters`."""
+OF_SAMPLES = ("discriminator_horizon", "goal_jitter", "shuffled_goals", "negative_p_ht", "negative_weight")
+"""Hyperparameters of the discriminator's samples with TD3."""
+OF_TD3 = ("epsilon", "tau", "target_noise", *OF_SAMPLES)
+"""Hyperparameters that TD3 alone reads; another learner's own stand beside it, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
 
@@ -184,7 +183,7 @@ class Hyperparameters(struct.PyTreeNode):
 
     def as_dict(self, learner: Learner) -> dict[str, Any]:
         """Returns the fields as JSON has them, less those that other learners alone read."""
-        others = set(_OF_ONE_LEARNER) - set(learner.hyperparameters)
+        others = set(OF_TD3) - set(learner.hyperparameters)
         return {name: np.asarray(value).tolist() for name, value in vars(self).items() if name not in others}
 
     def validate(self, action_size: int | None = None, config: Config | None = None) -> "Hyperparameters":

@@ -25,7 +25,7 @@ from hgail_jax.buffer import (
     draw_positives,
     init_buffer,
 )
-from hgail_jax.config import RELABELLED, Config, Hyperparameters
+from hgail_jax.config import OF_TD3, RELABELLED, Config, Hyperparameters
 from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator
@@ -79,7 +79,7 @@ class TD3(Learner):
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
         "discriminator_accuracy": "fraction of samples that the discriminator tells right",
     }
-    hyperparameters: ClassVar[tuple[str, ...]] = (*("epsilon", "tau", "target_noise", "discriminator_horizon"),)
+    hyperparameters: ClassVar[tuple[str, ...]] = OF_TD3
     without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
     squashes: ClassVar[bool] = True
 

@@ -10,6 +10,7 @@ from hgail_envs.base import TrainingDefaults
 from hgail_envs.validation import check_name
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.learners import LEARNERS, PPO
+from hgail_jax.settings.methods import METHODS
 from hgail_jax.settings.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, td3, wide
 
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
@@ -209,17 +210,24 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
 """Settings of each task that comes with the package, by learner and platform; the learner that stands first is the
 task's default."""
 
-RANDOMIZED: dict[str, dict[str, Preset]] = {
-    "grasp": _td3_randomized(24, cube="tracked"),
-    "push": _td3_randomized(30),
-    "pick-and-place": _td3_randomized(36),
+RANDOMIZED: dict[str, dict[str, dict[str, Preset]]] = {
+    "grasp": {"td3": _td3_randomized(24, cube="tracked")},
+    "push": {"td3": _td3_randomized(30)},
+    "pick-and-place": {"td3": _td3_randomized(36)},
 }
-"""Settings of TD3 for tasks whose episodes are randomised, by platform; the others keep those of `DEFAULTS`."""
+"""Settings of tasks whose episodes are randomised, by learner and platform; the others keep those of `DEFAULTS`."""
 
 
 def default_learner(task_class: type[GoalEnv]) -> str:
-    """Returns the name of a task's default learner: the first in its settings, or PPO's where it has none."""
+    """Returns the name of a task's default learner: the first in its settings, or PPO's where it has none.
+
+    Raises:
+      ValueError: the task's `training` names no learner.
+
+    """
     name = _name(task_class)
+    for learner in task_class.training:
+        check_name(f"learner in {task_class.__name__}.training", learner, LEARNERS)
     return next(iter(DEFAULTS[name] if name else task_class.training), PPO.name)
 
 
@@ -257,10 +265,9 @@ def task_preset(
     name = _name(task_class)
     if name is None:
         own = _changed(SHARED[learner][platform], task_class, learner, platform)
-    elif randomized and learner == "td3" and name in RANDOMIZED:
-        own = RANDOMIZED[name][platform]
     else:
-        own = DEFAULTS[name][learner][platform]
+        usual = DEFAULTS[name].get(learner, SHARED[learner])
+        own = (RANDOMIZED.get(name, {}).get(learner, usual) if randomized else usual)[platform]
     if preset == "parallel":
         return own
     return dataclasses.replace(PRESETS[preset], task_options=own.task_options, evaluate_every=own.evaluate_every)
@@ -269,10 +276,9 @@ def task_preset(
 def _changed(shared: Preset, task_class: type[GoalEnv], learner: str, platform: str) -> Preset:
     """Returns shared settings with the changes that a task brings for a learner and a platform, if it brings any."""
     where = f"{task_class.__name__}.training"
-    if not set(task_class.training) <= set(LEARNERS):
-        raise ValueError(f"{where} has the keys {', '.join(task_class.training)}; they must be {', '.join(LEARNERS)}")
     changes = task_class.training.get(learner, {}).get(platform, TrainingDefaults())
     try:
+        check_name("method", changes.method, METHODS)
         return Preset(
             shared.config.replace(**changes.config),
             shared.hyperparameters.replace(**changes.hyperparameters),
@@ -290,7 +296,7 @@ def _name(task_class: type[GoalEnv]) -> str | None:
     """Returns the task of the package that a class is, or extends without a `training` of its own; else None."""
     names = {place: name for name, place in TASKS.items()}
     for base in task_class.__mro__:
-        if (name := names.get(f"{base.__module__}:{base.__qualname__}")) is not None:
+        if (name := names.get(f"{base.__module__}:{base.__qualname__}")) in DEFAULTS:
             return name
         if "training" in vars(base):
             return None

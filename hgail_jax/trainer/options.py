@@ -15,7 +15,7 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.validation import check_count, check_name, parse_option
-from hgail_jax.config import REWARDS, STRATEGIES
+from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.learners import LEARNERS, PPO
@@ -85,7 +85,7 @@ class TrainOptions:
     exploration_noise: Annotated[tuple[float, ...] | None, unless_given("the task's", "FLOAT [FLOAT ...]")] = None
     """Standard deviation of the policy, one number or one for each of the action's."""
     settings: tuple[str, ...] = ()
-    """Other fields of Config, its learner or Hyperparameters, as name=value: a number, true, false or a list."""
+    """Fields of Config, its learner or Hyperparameters that have no option, as name=value, e.g. tau=0.01."""
     devices: Annotated[int | None, unless_given("one, or all of several processes", "INT")] = None
     """Devices to spread seeds, and then environments, over."""
     out: Annotated[Path | None, unless_given("runs/<task>-<method>-<number>", "FOLDER")] = None
@@ -162,7 +162,8 @@ def task_defaults(
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "exploration_noise": " ".join(map(str, np.ravel(hyperparameters.exploration_noise))),
     }
-    return {name: value for name, value in values.items() if name not in METHODS[chosen].without_effect}
+    refused = METHODS[chosen].without_effect + METHODS[chosen].decides
+    return {name: value for name, value in values.items() if name not in refused}
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
@@ -260,6 +261,7 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "standardize_reward": options.standardize_reward,
     }
     for name, value in map(_parse_setting, options.settings):
+        _check_effect(name, preset.config)
         (scalars if name in vars(preset.hyperparameters) else sizes)[name] = value
     hyperparameters = preset.hyperparameters.replace(**_given(scalars))
     return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
@@ -293,6 +295,14 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
         raise
     except Exception as error:  # a class that is abstract, or the user's own
         raise ValueError(f"cannot make task {options.task!r}: {error}") from error
+
+
+def _check_effect(name: str, config: Config) -> None:
+    """Raises a ValueError for a setting that nothing reads."""
+    if name in OF_TD3 and name not in config.learner.hyperparameters:
+        raise ValueError(f"--settings {name} changes nothing for the learner {config.learner.name}")
+    if not config.discriminator_minibatches and (name in OF_SAMPLES or name.startswith("discriminator_")):
+        raise ValueError(f"--settings {name} changes nothing for the method her, which has no discriminator")
 
 
 def _parse_setting(setting: str) -> tuple[str, Any]:
