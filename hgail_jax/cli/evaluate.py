@@ -22,7 +22,7 @@ from hgail_jax.io.files import from_here
 from hgail_jax.io.provenance import installed
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
 

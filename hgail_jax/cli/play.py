@@ -14,8 +14,7 @@ from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_envs.vision.rgbd import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, shipped
-from hgail_jax.play.film import check_film
-from hgail_jax.play.playback import film, show
+from hgail_jax.play.playback import check_film, film, show
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.trainer.options import unless_given
 

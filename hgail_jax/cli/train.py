@@ -29,7 +29,7 @@ from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.signals import in_a_thread, stop_on_signal
+from hgail_jax.terminal import in_a_thread, stop_on_signal
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run

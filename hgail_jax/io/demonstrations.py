@@ -19,8 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_envs import GoalEnv
-from hgail_jax.io.files import replace_file
-from hgail_jax.io.npz import load_npz
+from hgail_jax.io.files import load_npz, replace_file
 from hgail_jax.samples import Samples
 
 _FORMAT = "hgail_jax demonstrations 1"

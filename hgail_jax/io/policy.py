@@ -25,8 +25,7 @@ import numpy as np
 from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
 from hgail_jax.config import Config
-from hgail_jax.io.files import replace_file
-from hgail_jax.io.npz import load_npz
+from hgail_jax.io.files import load_npz, replace_file
 from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, MeanPolicy
 from hgail_jax.state import TrainState

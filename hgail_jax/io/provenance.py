@@ -12,7 +12,6 @@ import jax
 
 from hgail_envs.engines.c import usable_cores
 from hgail_jax._version import __version__
-from hgail_jax.devices.gpus import driver_version
 
 _PACKAGES = (
     "hgail-jax",
@@ -108,3 +107,13 @@ def _version(package: str) -> str | None:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return __version__ if package == "hgail-jax" else None
+
+
+def driver_version() -> str | None:
+    """Returns the version of the GPUs' driver; None without one."""
+    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return next((line.strip() for line in answer.splitlines()), None)

@@ -24,7 +24,7 @@ from hgail_jax.devices.sharding import (
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import SeedsStep, compile_train_step, init_sweep, seed_keys
 from hgail_jax.state import TrainState
-from hgail_jax.terminal.status import StatusLine, short
+from hgail_jax.terminal import StatusLine, short
 from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, phase_table
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 

@@ -22,7 +22,7 @@ from hgail_jax.io.provenance import provenance
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train

@@ -5,13 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments.paths import RESULTS
+from experiments import RESULTS
 from experiments.transfer import __main__ as transfer
-from experiments.transfer.conditions import NoisyEstimate
+from experiments.transfer.conditions import TASKS, NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.tasks import TASKS
 from hgail_envs.randomization import Randomization
 from hgail_jax import save_policy
 from hgail_jax.policy import MeanPolicy

@@ -13,7 +13,7 @@ from scipy import stats
 
 import hgail_envs
 from experiments.transfer.episode import run_episodes
-from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
 from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export

@@ -117,6 +117,6 @@ def test_a_missing_file_is_missing(tmp_path):
 
 
 def test_a_huge_file_is_refused_before_it_is_read(path, monkeypatch):
-    monkeypatch.setattr("hgail_jax.io.npz._LARGEST_FILE", 100)
+    monkeypatch.setattr("hgail_jax.io.files._LARGEST_FILE", 100)
     with pytest.raises(ValueError, match="it is larger than 100 bytes"):
         load_demonstrations(path, "point")
