@@ -57,14 +57,7 @@ class StatusLine:
         self._bar.close()
 
     def show(self, text: str, left: float | None = None, log: bool = True) -> None:
-        """Shows another activity.
-
-        Args:
-          text: the activity.
-          left: seconds that it is going to take, if known.
-          log: whether a log file gets a line.
-
-        """
+        """Shows another activity, with the seconds that are left if known; a log file gets a line if `log` is set."""
         self._text, self._left = text, "" if left is None else f", {tqdm.format_interval(left)} left"
         self._bar.set_description_str(self._line())
         if log:
@@ -79,26 +72,10 @@ class StatusLine:
 
 
 def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) -> tqdm:
-    """Returns tqdm's bar, as wide as the terminal; 79 columns if its width is not known.
-
-    Args:
-      *arguments: tqdm's.
-      file: None is stderr.
-      **options: tqdm's.
-
-    """
+    """Returns tqdm's bar, as wide as the terminal; 79 columns if its width is not known. `file` is stderr if None."""
     size = shutil.get_terminal_size((_WIDTH, _HEIGHT))
     stream = file or sys.stderr or io.StringIO()
     return tqdm(*arguments, file=stream, ncols=size.columns - 1, nrows=size.lines, **options)
-
-
-def short(number: float) -> str:
-    """Returns a count in few characters.
-
-    >>> short(412.3), short(23781.0), short(1_234_567.0)
-    ('412', '23.8k', '1.23M')
-    """
-    return tqdm.format_sizeof(number)
 
 
 ResultT = TypeVar("ResultT")

@@ -98,11 +98,17 @@ def _plain(value: Any) -> Any:
 
 ContentT = TypeVar("ContentT")
 
-_LARGEST_FILE = 2**30  # bytes, far above any policy or set of demonstrations
+
+def save_npz(path: Path | str, header: dict, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes arrays as an npz archive that is not compressed, with a header in JSON, of which `format` is an entry."""
+    with replace_file(path, "wb") as file:
+        np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
 
 
-def load_npz(path: Path | str, kind: str, read: Callable[[Mapping[str, np.ndarray]], ContentT]) -> ContentT:
-    """Opens an npz archive and returns its content, as `read` makes it of the arrays.
+def load_npz(
+    path: Path | str, kind: str, file_format: str, read: Callable[[dict, Mapping[str, np.ndarray]], ContentT]
+) -> ContentT:
+    """Opens an archive of `save_npz` and returns its content, as `read` makes it of the header and the arrays.
 
     Nothing in the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that
     fills the memory.
@@ -110,7 +116,8 @@ def load_npz(path: Path | str, kind: str, read: Callable[[Mapping[str, np.ndarra
     Args:
       path: the file.
       kind: of its content, for the error, e.g. `"a policy"`.
-      read: takes the arrays by name; any error that it raises says that the file does not hold this content.
+      file_format: entry `format` of the header.
+      read: takes the header, and the arrays by name; any error that it raises says that the file holds another content.
 
     Raises:
       FileNotFoundError: there is no such file.
@@ -123,16 +130,13 @@ def load_npz(path: Path | str, kind: str, read: Callable[[Mapping[str, np.ndarra
     if not path.is_file():  # opening a pipe would wait for a writer
         raise ValueError(f"{path} does not hold {kind}: it is no regular file")
     try:
-        if not zipfile.is_zipfile(path):
-            raise ValueError("it is no npz archive")
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
                 raise ValueError("it is compressed")
-            if sum(member.file_size for member in archive.infolist()) > _LARGEST_FILE:
-                raise ValueError(f"it is larger than {_LARGEST_FILE} bytes")
         with np.load(path, allow_pickle=False) as arrays:
-            return read(arrays)
-    except FileNotFoundError:
-        raise
+            header = json.loads(str(arrays["header"]))
+            if header["format"] != file_format:
+                raise ValueError(f"its format is {header['format']!r}, not {file_format!r}")
+            return read(header, arrays)
     except Exception as error:  # zipfile, numpy, json and `read` raise errors of many types
         raise ValueError(f"{path} does not hold {kind}: {error}") from error

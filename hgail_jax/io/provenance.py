@@ -6,6 +6,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -13,32 +14,16 @@ import jax
 from hgail_envs.engines.c import usable_cores
 from hgail_jax._version import __version__
 
-_PACKAGES = (
-    "hgail-jax",
-    "jax",
-    "jaxlib",
-    "mujoco",
-    "mujoco-mjx",
-    "brax",
-    "flax",
-    "optax",
-    "numpy",
-    "warp-lang",
-)
+_PACKAGES = ["hgail-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "numpy", "warp-lang"]
 _ROOT = Path(__file__).parents[2]  # of a checkout
 
 
-def own_command() -> str:
-    """Returns the command that started this process, as one would type it, without the paths of this machine."""
-    return command_of(sys.orig_argv)
+def own_command(words: Sequence[str] = sys.orig_argv) -> str:
+    """Returns the command that started this process, as one would type it, without the paths of this machine.
 
-
-def command_of(words: list[str]) -> str:
-    """Returns a process's words as one would type them.
-
-    >>> command_of(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
+    >>> own_command(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
     'python -m experiments.paper --all'
-    >>> command_of(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
+    >>> own_command(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
     'hgail train --seeds 2'
     """
     _, *rest = words

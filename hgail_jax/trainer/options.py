@@ -132,21 +132,14 @@ def choose(
     return Choice(chosen, METHODS[chosen].apply(found))
 
 
-def task_defaults(
-    task: str,
-    platform: str,
-    method: str | None = None,
-    preset: str = "parallel",
-    learner: str | None = None,
-    randomize: str = "none",
-) -> dict[str, Any]:
-    """Returns the task's, or the method's, values of the options that are None by default.
+def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
+    """Returns the task's, or the method's, values of the options that are None by default; `options` are `choose`'s.
 
     Raises:
       ValueError: see `choose`.
 
     """
-    chosen, whole = choose(task, platform, method, preset, learner, randomize)
+    chosen, whole = choose(platform=platform, **options)
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
         "method": chosen,
@@ -212,13 +205,9 @@ def plan(options: TrainOptions, platform: str) -> Run:
 
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
-    check_count("checkpoint_every", options.checkpoint_every)
-    if options.evaluate_every is not None:
-        check_count("evaluate_every", options.evaluate_every)
-    if options.rounds is not None:
-        check_count("rounds", options.rounds, least=0)
-    if options.evaluation_episodes is not None:
-        check_count("evaluation_episodes", options.evaluation_episodes)
+    for name in ("checkpoint_every", "evaluate_every", "evaluation_episodes", "rounds"):
+        if getattr(options, name) is not None:
+            check_count(name, getattr(options, name), least=int(name != "rounds"))
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     if options.resume == "":
@@ -276,9 +265,7 @@ def _find(task: str) -> type[hgail_envs.GoalEnv]:
 def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> hgail_envs.GoalEnv:
     """Makes the task; `defaults` have the physics that it is trained with unless other is given."""
     accepted = hgail_envs.accepted_options(options.task)
-    given = {"impl": options.impl, "worlds": worlds} | defaults
-    if options.substeps is not None:
-        given["substeps"] = options.substeps
+    given = {"impl": options.impl, "worlds": worlds} | defaults | _given({"substeps": options.substeps})
     asks_for_physics = options.substeps is not None or options.impl != "auto"
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")

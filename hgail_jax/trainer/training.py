@@ -100,10 +100,7 @@ def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) 
       The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
 
     Raises:
-      FloatingPointError: no seed's update was finite in a round, or no episode's simulation; the last checkpoint is
-        from before that.
-      OverflowError: the simulation ran out of room for contacts; likewise.
-      OSError: a file cannot be written.
+      Exception: see `hgail_jax.trainer.loop.train`; and an OSError where a file cannot be written.
 
     """
     finished = _finished(run, folder)

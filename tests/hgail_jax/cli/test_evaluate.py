@@ -124,7 +124,7 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--policy", "none.npz"], "there is no file or folder none.npz"),
         (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped resumes"),
         (["--policy", "ended"], "ended does not hold a policy: it is no regular file, nor a run's folder"),
-        (["--policy", "text.md"], "text.md does not hold a policy: it is no npz archive"),
+        (["--policy", "text.md"], "text.md does not hold a policy: File is not a zip file"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
         (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
         (["--randomize", "wild"], "randomize is 'wild'"),
