@@ -206,7 +206,7 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
 def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp_path, monkeypatch, request, capsys):
     if "--pictures" in arguments:
         request.getfixturevalue("rendering")
-        # A picture takes long where there is no GPU. The tasks come back in their order, which `monkeypatch` would lose.
+        # A picture takes long where there is no GPU. The tasks come back in order, which `monkeypatch` would lose.
         reach_alone = mock.patch.dict(TASKS, {"reach": TASKS["reach"]}, clear=True)
         reach_alone.start()
         request.addfinalizer(reach_alone.stop)
