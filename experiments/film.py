@@ -14,8 +14,7 @@ from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.io.policy import load_policy
-from hgail_jax.play.film import open_film
-from hgail_jax.play.playback import Playback, frames
+from hgail_jax.play.playback import Playback, frames, open_film
 from hgail_jax.policy import MeanPolicy
 
 FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"

@@ -15,8 +15,8 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from experiments import RESULTS
 from experiments.paper.trials import hash_json
-from experiments.paths import RESULTS
 from hgail_jax.io.files import replace_file
 from hgail_jax.trainer.statistics import confidence_interval
 

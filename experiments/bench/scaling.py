@@ -6,9 +6,8 @@ from typing import Any
 
 import jax
 
-from experiments.bench.timing import seconds_per_call
 from experiments.bench.training import Training
-from experiments.bench.workload import Workload
+from experiments.bench.workload import Workload, seconds_per_call
 from hgail_jax.devices.sharding import make_mesh
 
 

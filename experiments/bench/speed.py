@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 import jax
 
-from experiments.bench.timing import compile_timed, seconds_side_by_side
 from experiments.bench.training import (
     Learning,
     PPOPhases,
@@ -16,7 +15,7 @@ from experiments.bench.training import (
     ppo_fractions,
     td3_fractions,
 )
-from experiments.bench.workload import Workload
+from experiments.bench.workload import Workload, compile_timed, seconds_side_by_side
 from hgail_envs import GoalEnv, State
 from hgail_jax.learners import TD3
 

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from experiments.bench.timing import compile_timed
-from experiments.bench.workload import Workload
+from experiments.bench.workload import Workload, compile_timed
 from hgail_jax.devices.sharding import shard
 from hgail_jax.learner import LEARNING
 from hgail_jax.learners import PPO

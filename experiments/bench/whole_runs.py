@@ -20,7 +20,7 @@ SUCCESS = {"reach": 0.98}
 _SUCCESS_ELSE = 0.95
 
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-_TRAIN = (sys.executable, "-m", "hgail_jax.cli.train")
+_TRAIN = (sys.executable, "-m", "hgail_jax", "train")
 _QUICK = ("--num-envs", "4", "--seeds", "2", "--rounds", "1")
 
 

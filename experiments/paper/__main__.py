@@ -14,7 +14,7 @@ from experiments.paper.work import Unfinished, Work, carry_out, redraw, time_one
 from hgail_envs.validation import check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.signals import stop_on_signal
+from hgail_jax.terminal import stop_on_signal
 from hgail_jax.trainer.folder import sole_user
 from hgail_jax.trainer.options import unless_given
 

@@ -14,7 +14,7 @@ import hgail_envs
 from experiments.paper.trials import Trial
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import evaluate_seeds, split_sweep
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.train import EVALUATE
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.loop import Program, Progress, SavingPolicy, begin, train

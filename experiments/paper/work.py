@@ -16,10 +16,10 @@ from experiments.paper.studies import STUDIES, SWEEP
 from experiments.paper.study import MOST_DEMONSTRATIONS, Setting, Study, choose_seeds
 from experiments.paper.tables import json_path, read_study, set_aside, write_markdown, write_study
 from experiments.paper.trials import Scale, Trial, hash_json, work_out
-from hgail_jax.io.demonstrations import Demonstrations
+from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.files import write_json
 from hgail_jax.io.provenance import provenance
-from hgail_jax.play.recording import load_or_record, make_for_demonstrations
+from hgail_jax.play.recording import make_for_demonstrations, record
 from hgail_jax.trainer.checkpoint import AnotherRunError, refuse_another_run
 
 
@@ -45,7 +45,10 @@ class Work:
         """All demonstrations of the task, recorded if the folder has none."""
         path = self.folder / "demonstrations" / f"{self.task}.npz"
         env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS)
-        return load_or_record(path, env, self.task, MOST_DEMONSTRATIONS)
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_demonstrations(path, record(env, self.task, MOST_DEMONSTRATIONS))
+        return load_demonstrations(path, self.task).first(MOST_DEMONSTRATIONS)
 
     def trial(self, setting: Setting, tuning: bool = False) -> Trial:
         """Resolves a setting for the task."""

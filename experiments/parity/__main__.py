@@ -9,8 +9,13 @@ from pathlib import Path
 import numpy as np
 
 import hgail_envs
-from experiments.parity.moves import one_step_errors, open_loop_drift, open_loop_ends, random_moves
-from experiments.parity.reference import make_counterpart
+from experiments.parity.reference import (
+    make_counterpart,
+    one_step_errors,
+    open_loop_drift,
+    open_loop_ends,
+    random_moves,
+)
 from hgail_envs.fetch.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import check_writable, write_json

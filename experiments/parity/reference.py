@@ -1,6 +1,9 @@
-"""Reference environments of Gymnasium-Robotics, and the mapping of their joints to ours."""
+"""Reference environments of Gymnasium-Robotics: their joints, and how far our gripper is from theirs.
 
-from typing import Any
+Measured after one action and after an episode. `N` is the number of moves or episodes and `T` of actions.
+"""
+
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -51,3 +54,81 @@ def gripper(reference: Any) -> np.ndarray:
     # A step leaves the positions of one physics step before.
     mujoco.mj_kinematics(reference.model, reference.data)
     return reference.data.site("robot0:grip").xpos.copy()
+
+
+EPISODES, STEPS = 8, 48
+"""Episodes of the moves, and steps of each: 384 moves."""
+DRIFTS, ACTIONS = 32, 50
+"""Episodes without feedback, and actions of each."""
+_NEW_TARGET, _HELD = 6, 5  # actions
+
+
+class Moves(NamedTuple):
+    """Actions of the reference, each with the states around it."""
+
+    qpos: np.ndarray
+    """`[N, nq]` of the reference."""
+    qvel: np.ndarray
+    """`[N, nv]` of the reference."""
+    action: np.ndarray
+    """`[N, 4]`."""
+    before: np.ndarray
+    """`[N, 3]`: the gripper's position, metres."""
+    after: np.ndarray
+    """`[N, 3]`."""
+
+
+def random_moves(reference: Any, seed: int = 0) -> Moves:
+    """Returns moves all over the workspace, down to the table: the hand wanders to a new target every few actions."""
+    rng, rows = np.random.default_rng(seed), []
+    data, start = reference.data, reference.initial_gripper_xpos
+    for episode in range(EPISODES):
+        reference.reset(seed=episode)
+        for step in range(STEPS):
+            if step % _NEW_TARGET == 0:
+                target = start + rng.uniform(-0.15, 0.15, 3)
+            pull = 10 * (target - gripper(reference)) * rng.uniform()
+            action = np.clip(np.append(pull, 0) + rng.uniform(-0.7, 0.7, 4), -1, 1).astype(np.float32)
+            before = (data.qpos.copy(), data.qvel.copy(), action, gripper(reference))
+            reference.step(action)
+            rows.append((*before, gripper(reference)))
+    return Moves(*(np.stack(column) for column in zip(*rows, strict=True)))
+
+
+def one_step_errors(env: FetchEnv, reference: Any, moves: Moves) -> np.ndarray:
+    """Returns the errors of the gripper's displacements beside the reference's, `[N]`, metres."""
+    physics = place(env, reference, moves.qpos, moves.qvel)
+    following = _step(env)(physics, moves.action)
+    ours = following.gripper_position - physics.gripper_position
+    return np.linalg.norm(np.asarray(ours) - (moves.after - moves.before), axis=-1)
+
+
+def open_loop_ends(reference: Any, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Returns random actions, each held so that the gripper travels, and the reference's final gripper positions.
+
+    Actions are `[T, N, 4]`, ends `[N, 3]`, metres.
+    """
+    held = np.random.default_rng(seed).uniform(-1, 1, (ACTIONS // _HELD, DRIFTS, 4))
+    actions, ends = np.repeat(held, _HELD, axis=0).astype(np.float32), []
+    for episode in range(DRIFTS):
+        reference.reset(seed=episode)
+        for action in actions[:, episode]:
+            reference.step(action)
+        ends.append(gripper(reference))
+    return actions, np.stack(ends)
+
+
+def open_loop_drift(env: FetchEnv, actions: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Returns the distances from the reference's final positions after actions without feedback, `[N]`, metres."""
+    step, states = _step(env), jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), len(ends)))
+    physics = states.pipeline_state
+    for action in actions:
+        physics = step(physics, action)
+    return np.linalg.norm(np.asarray(physics.gripper_position) - ends, axis=-1)
+
+
+def _step(env: FetchEnv) -> Any:
+    def step(physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
+        return env.step_physics(physics, action)
+
+    return jax.jit(jax.vmap(step))

@@ -6,23 +6,22 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
-from experiments.transfer.conditions import Conditions, NoisyEstimate
+from experiments.transfer.conditions import TASKS, Conditions, NoisyEstimate
+from experiments.transfer.episode import trained_under
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
-from experiments.transfer.observing import trained_under
 from experiments.transfer.policies import find_policies, load_policies, robot_options
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.studies import parts
 from experiments.transfer.sweeps import FETCH, measured_pairs
-from experiments.transfer.tasks import TASKS
 from hgail_envs.engines.c import usable_cores
 from hgail_envs.fetch.arm import CONTROL_PERIOD
 from hgail_envs.past import Past
 from hgail_envs.validation import MOST_SEED, check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
-from hgail_jax.terminal.status import progress_bar
+from hgail_jax.terminal import progress_bar
 from hgail_jax.trainer.options import unless_given
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
-from experiments.transfer.conditions import Estimate, Look, NoisyEstimate
+from experiments.transfer.conditions import TASKS, Estimate, Look, NoisyEstimate
 from experiments.transfer.robots.base import Robot
-from experiments.transfer.tasks import TASKS
 from hgail_envs.vision.camera import Camera, look_at
 
 LOOK_EVERY = 5

@@ -19,7 +19,7 @@ from experiments.transfer.policies import load
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics
-from hgail_jax.terminal.status import progress_bar
+from hgail_jax.terminal import progress_bar
 
 Measured = dict[str, float | None]
 """Columns of a row that are measured."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hgail_envs
-from experiments.transfer.observing import tracks_cube
+from experiments.transfer.episode import tracks_cube
 from hgail_envs import EpisodeMetrics
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv

@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.paths import RESULTS
-from experiments.transfer.tasks import TASKS
+from experiments import RESULTS
+from experiments.transfer.conditions import TASKS
 from hgail_envs import find_class
 from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.policies import policy_files

@@ -4,8 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from experiments.transfer.conditions import Conditions, NoisyEstimate
-from experiments.transfer.tasks import TASKS
+from experiments.transfer.conditions import TASKS, Conditions, NoisyEstimate
 
 _OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03)  # metres
 _DEVIATIONS = (0.0, 0.005, 0.01, 0.02, 0.03)  # metres

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.transfer.conditions import TASKS
 from experiments.transfer.goal_sources import EXACT, stage
 from experiments.transfer.measurement import Point
 from experiments.transfer.policies import Policies, load
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
-from experiments.transfer.tasks import TASKS
 from hgail_envs.fetch.arm import CONTROL_PERIOD
 from hgail_envs.fetch.grasp import CUBES
 

@@ -18,7 +18,7 @@ import jax
 import tyro
 
 from hgail_envs.workarounds import configure_xla
-from hgail_jax.terminal.signals import stop_in_one_line
+from hgail_jax.terminal import stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
@@ -97,7 +97,7 @@ def open_standard_streams() -> None:
 
 @contextlib.contextmanager
 def one_line_errors(program: str) -> Iterator[None]:
-    """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal.signals`."""
+    """Runs a command; a signal, or a lack of memory, ends it with one line, see `hgail_jax.terminal`."""
     open_standard_streams()
     with stop_in_one_line(program):
         try:

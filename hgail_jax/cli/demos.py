@@ -9,7 +9,7 @@ from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_writable
 from hgail_jax.play.recording import make_for_demonstrations, record
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail demos"

@@ -14,38 +14,28 @@ from hgail_envs.base import EpisodeMetrics
 from hgail_envs.engines import ENGINES
 from hgail_envs.fetch.reference import ReferenceFetch, reference_episode
 from hgail_envs.past import Past
-from hgail_envs.randomization import LEVELS
-from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
+from hgail_envs.validation import check_name, counted
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, randomization
+from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, randomization
 from hgail_jax.io.files import from_here
 from hgail_jax.io.provenance import installed
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
 
 PROGRAM = "hgail evaluate"
-Measure = Callable[[], tuple[EpisodeMetrics, int]]
-"""Returns the means over a policy's episodes, and their number."""
+Measure = Callable[[], EpisodeMetrics]
+"""Returns the means over a policy's episodes."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(PolicyOptions):
     """Measures the success of trained policies, with its 95 % interval: Wilson's, or of several seeds Student's."""
 
-    task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
-    """A task's name, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
-    """The policy's file, or a run's folder for all its seeds. Of those that come with the package the plain one, or
-    with --randomize the one trained under that level, else the robust one."""
-    randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
-    """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 200
     """Episodes of each policy; from 513 on rounded up to whole roll-outs."""
-    seed: int = 0
-    """Of the episodes."""
     impl: Annotated[str | None, unless_given("auto", "|".join(["auto", *ENGINES]))] = None
     """Physics engine of the Fetch tasks, always with the reference's 20 steps per action."""
     reference: bool = False
@@ -62,14 +52,14 @@ def main(arguments: list[str] | None = None) -> None:
         task = find_task(options.task, options.policy)
         policies = find_policies(task, options.policy, options.randomize)
         found = [policy for _, policy in policies]
-        engine, measures = (_reference if options.reference else _simulation)(task, options, found)
+        engine, episodes, measures = (_reference if options.reference else _simulation)(task, options, found)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     rows = []
     try:
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {task}"):
             for (path, _), measure in zip(policies, measures, strict=True):
-                rows.append(_row(path, *measure()))
+                rows.append(_row(path, measure(), episodes))
     except OverflowError as error:
         fail(PROGRAM, error, 1)
     if options.json:
@@ -86,18 +76,15 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _check(options: Options) -> None:
     """Refuses numbers out of range, and options that do not go together."""
-    check_count("episodes", options.episodes)
-    check_count("seed", options.seed, least=0, most=MOST_SEED)
-    if options.randomize is not None:
-        check_name("randomize", options.randomize, LEVELS)
+    options.check(options.episodes)
     if options.impl is not None:
         check_name("impl", options.impl, ["auto", *ENGINES])
     if options.reference and (options.impl is not None or options.randomize not in (None, "none")):
         raise ValueError("the reference has one engine and is not randomised; leave out --impl and --randomize")
 
 
-def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, list[Measure]]:
-    """Returns the engine's name, and functions that measure the policies in the task of this package."""
+def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, int, list[Measure]]:
+    """Returns the engine's name, the number of episodes, and functions that measure the policies in the task here."""
     if options.impl and "impl" not in hgail_envs.accepted_options(task):
         raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
     physics: dict[str, Any] = {"impl": options.impl} if options.impl else {}
@@ -108,17 +95,12 @@ def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tupl
         if trained not in evaluations:
             env = make_task(policy, task, options.randomize, **physics)
             evaluations[trained] = Evaluation(env, options.seed, options.episodes)
-        evaluation = evaluations[trained]
-        measures.append(functools.partial(_simulate, evaluation, policy))
-    return getattr(env, "impl", "JAX"), measures
+        measures.append(functools.partial(evaluations[trained], policy))
+    return getattr(env, "impl", "JAX"), evaluations[trained].episodes, measures
 
 
-def _simulate(evaluation: Evaluation, policy: MeanPolicy) -> tuple[EpisodeMetrics, int]:
-    return evaluation(policy), evaluation.episodes
-
-
-def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, list[Measure]]:
-    """Returns the environment's name, and functions that measure the policies in it."""
+def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, int, list[Measure]]:
+    """Returns the environment's name, the number of episodes, and functions that measure the policies in it."""
     measures: list[Measure] = []
     for policy in policies:
         make_task(policy, task, "none")  # refuses a policy that does not fit
@@ -128,17 +110,16 @@ def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple
         except ModuleNotFoundError as error:
             raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
         measures.append(functools.partial(_run_in_reference, reference, policy, options))
-    return str(hgail_envs.find_class(task).reference), measures
+    return str(hgail_envs.find_class(task).reference), options.episodes, measures
 
 
-def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Options) -> tuple[EpisodeMetrics, int]:
-    """Returns the means over the episodes of a policy in the reference, and their number."""
+def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Options) -> EpisodeMetrics:
     ends = [
         reference_episode(reference, policy, Past(policy.randomization), options.seed, index)
         for index in range(options.episodes)
     ]
     names = [field.name for field in dataclasses.fields(EpisodeMetrics)]
-    return EpisodeMetrics(**{name: float(np.mean([getattr(end, name) for end in ends])) for name in names}), len(ends)
+    return EpisodeMetrics(**{name: float(np.mean([getattr(end, name) for end in ends])) for name in names})
 
 
 def _row(path: Path, outcome: EpisodeMetrics, episodes: int) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from hgail_jax.io.files import check_writable, from_here
 from hgail_jax.io.policy import save_policy
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail export"

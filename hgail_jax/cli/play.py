@@ -9,13 +9,11 @@ from typing import Annotated
 import jax
 
 import hgail_envs
-from hgail_envs.randomization import LEVELS
-from hgail_envs.validation import MOST_SEED, check_count, check_name
+from hgail_envs.validation import check_count
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, describe_policy, find_policies, find_task, make_task, shipped
-from hgail_jax.play.film import check_film
-from hgail_jax.play.playback import film, show
+from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, shipped
+from hgail_jax.play.playback import check_film, film, show
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.trainer.options import unless_given
 
@@ -25,20 +23,11 @@ _FIRST_PORT, _MOST_PORT = 8080, 65535
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(PolicyOptions):
     """Rolls out a trained policy: in MuJoCo's viewer where there is a display, else as a film."""
 
-    task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
-    """A task with a scene, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
-    """The policy's file, or a run's folder for its first seed. Of those that come with the package the plain one, or
-    with --randomize the one trained under that level, else the robust one."""
-    randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
-    """How much each episode is randomised; see docs/robust.md."""
     episodes: int = 3
     """Episodes to play; the page plays until it is stopped."""
-    seed: int = 0
-    """Of the episodes."""
     out: Annotated[Path | None, unless_given("the viewer; <task>.mp4 without a display", "FILE")] = None
     """Film to write, .mp4, .gif or .webp, which must not exist."""
     web: bool = False
@@ -79,10 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _check(options: Options) -> None:
     """Refuses numbers out of range, and options that do not go together."""
-    check_count("episodes", options.episodes)
-    if options.randomize is not None:
-        check_name("randomize", options.randomize, LEVELS)
-    check_count("seed", options.seed, least=0, most=MOST_SEED)
+    options.check(options.episodes)
     if options.port is not None:
         check_count("port", options.port, most=_MOST_PORT)
     if options.web and options.out is not None:
@@ -101,26 +87,12 @@ def _check_scene(task: str, path: Path | None) -> None:
     """Refuses a task without a scene, before anything else; the policy's file, if one is named, goes with no other."""
     if hgail_envs.find_class(task).scene is None:
         played = ", ".join(name for name in hgail_envs.TASKS if shipped(name))
-        instead = (
-            f"choose from {played}" if path is None else f"{path} plays no other; without --policy choose from {played}"
-        )
-        raise ValueError(f"task {task!r} has no scene to show; {instead}")
+        other = "" if path is None else f"{path} plays no other; without --policy "
+        raise ValueError(f"task {task!r} has no scene to show; {other}choose from {played}")
 
 
 def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
-    """Returns the task and the policy, and prints the policy's file and the level of the randomisation.
-
-    Args:
-      task: its name.
-      path: the policy's file or a run's folder; None is one that comes with the package, see `shipped`.
-      level: of the randomisation; None is that of the policy's training.
-      **physics: options of the task, where it takes them.
-
-    Raises:
-      ValueError: the policy is not for the task, or none comes with the package.
-      OSError: the policy's file cannot be read.
-
-    """
+    """Returns the task and the policy, and prints the policy's file and level; see `find_policies` and `make_task`."""
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)
     print(describe_policy(file, policy, level), flush=True)
@@ -128,13 +100,7 @@ def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tu
 
 
 def _serve(options: Options, shown: str) -> None:
-    """Serves the page, which begins with the task `shown`, until Ctrl-C.
-
-    Raises:
-      ValueError: it cannot be served so, or the task or the policy does not go.
-      OSError: the policy's file cannot be read.
-
-    """
+    """Serves the page, which begins with the task `shown`, until Ctrl-C."""
     jax.config.update("jax_platforms", "cpu")  # one robot gains nothing by a GPU, which may be at work for others
     try:
         from hgail_jax.play.page import Page, free_port

@@ -1,19 +1,43 @@
 """Policies that a command is given: a file, a run's folder, or one that comes with the package."""
 
 import dataclasses
-import re
 from pathlib import Path
+from typing import Annotated
 
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
+from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.policy import MeanPolicy
+from hgail_jax.trainer.options import unless_given
 
 DEFAULT_TASK = "grasp"
 """Task of a command that is given neither a task nor a policy."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicyOptions:
+    """Options of a command that runs policies."""
+
+    task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
+    """A task's name, e.g. reach or grasp, or 'module:Class' of your own."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
+    """The policy's file, or a run's folder: for its first seed, or to evaluate all. Of those that come with the package
+    the plain one, or with --randomize the one trained under that level, else the robust one."""
+    randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
+    """How much each episode is randomised; see docs/robust.md."""
+    seed: int = 0
+    """Of the episodes."""
+
+    def check(self, episodes: int) -> None:
+        """Raises a ValueError if a number is out of range, or if there is no such level."""
+        check_count("episodes", episodes)
+        check_count("seed", self.seed, least=0, most=MOST_SEED)
+        if self.randomize is not None:
+            check_name("randomize", self.randomize, LEVELS)
 
 
 def policy_files(path: Path) -> list[Path]:
@@ -33,10 +57,7 @@ def policy_files(path: Path) -> list[Path]:
         raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} resumes it")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
-    return sorted(found, key=lambda file: [int(part) if part.isdigit() else part for part in _NUMBER.split(file.name)])
-
-
-_NUMBER = re.compile(r"(\d+)")
+    return sorted(found, key=lambda file: (len(file.name), file.name))  # seed 2 before seed 10
 
 
 def find_task(task: str | None, path: Path | None) -> str:
@@ -61,13 +82,9 @@ def find_task(task: str | None, path: Path | None) -> str:
 def find_policies(
     task: str | None, path: Path | None, level: str | None = None, robust: bool = False
 ) -> list[tuple[Path, MeanPolicy]]:
-    """Returns the policies of a file or a run's folder, and their files.
+    """Returns the policies of a file or a run's folder `path`, and their files; for None, see `shipped`.
 
-    Args:
-      task: its name; None is the policy's own, whose code is not loaded.
-      path: of the file or folder; None is a policy that comes with the package, see `shipped`.
-      level: of the randomisation, for `shipped`.
-      robust: whether a policy that was trained without disturbances is refused for a level.
+    Where `task` is None it is the policy's own, whose code is not loaded.
 
     Raises:
       ValueError: there is none, or it is not for the task.
@@ -89,11 +106,8 @@ def find_policies(
 def shipped(task: str, level: str | None = None, robust: bool = False) -> Path | None:
     """Returns the file of the policy that comes with the package, or None.
 
-    Args:
-      task: its name.
-      level: of the randomisation; the policy is then the one trained under it, else the robust one, else the plain one.
-      robust: leaves out the plain one for a level.
-
+    For a level of randomisation it is the one trained under it, else the robust one, else, unless `robust` is set, the
+    plain one.
     """
     for_level = [] if level in (None, "none") else [f"{task}-{level}", f"{task}-robust"]
     names = for_level + ([] if for_level and robust else [task])
@@ -112,13 +126,7 @@ def _none_is_shipped(task: str | None, level: str | None) -> str:
 
 
 def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int) -> hgail_envs.GoalEnv:
-    """Makes the task that a policy is for.
-
-    Args:
-      policy: its options and the past that it reads are the task's.
-      task: its name.
-      level: of the randomisation; None is that of the policy's training.
-      **physics: options of the task, where it takes them.
+    """Makes the task that a policy is for, with the policy's options and past, and `physics` where the task takes it.
 
     Raises:
       ValueError: the policy is not for it, or an option is refused.
@@ -136,10 +144,10 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
 
 def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
     """Returns a level with the policy's own `history` and `known_delay`; for None what its training had."""
+    trained = policy.randomization
     if level is None:
-        return policy.randomization
-    shown = policy.randomization
-    return dataclasses.replace(LEVELS[level], history=shown.history, known_delay=shown.known_delay)
+        return trained
+    return dataclasses.replace(LEVELS[level], history=trained.history, known_delay=trained.known_delay)
 
 
 def describe_policy(path: Path, policy: MeanPolicy, level: str | None) -> str:

@@ -14,22 +14,14 @@ import jax
 import numpy as np
 
 from hgail_envs.validation import counted
-from hgail_jax.cli.command_line import (
-    NO_DEVICE,
-    fail,
-    is_out_of_memory,
-    one_line_errors,
-    parse,
-    prepare_process,
-    with_new_names,
-)
+from hgail_jax.cli.command_line import NO_DEVICE, fail, is_out_of_memory, parse, with_new_names
 from hgail_jax.devices.processes import HEARTBEAT_TIMEOUT, RESUME, end_without_the_others, join
 from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.signals import in_a_thread, stop_on_signal
+from hgail_jax.terminal import in_a_thread, stop_on_signal
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
@@ -182,9 +174,3 @@ def _mean(rate: dict[str, Any]) -> str:
     """
     half = float(confidence_interval(np.array(rate["per_seed"])))
     return f"{rate['mean']:.3f}" + (f" ± {half:.3f}" if np.isfinite(half) else "")
-
-
-if __name__ == "__main__":
-    with one_line_errors(PROGRAM):
-        prepare_process()
-        main()

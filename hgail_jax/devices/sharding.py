@@ -57,18 +57,9 @@ def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
             f"{counted(seeds, 'seed')} of {counted(num_envs, 'environment')} cannot be divided over"
             f" {len(devices)} devices; with {along_seeds} along the seeds, num_envs must be a multiple of {along_envs}"
         )
-    if len(devices) > 1 and not shardy_works(jaxlib.version.__version__) and _SHARDY not in os.environ:
+    if len(devices) > 1 and jaxlib.version.__version__.startswith("0.11.") and _SHARDY not in os.environ:
         jax.config.update(_SHARDY.lower(), False)
     return Mesh(np.array(devices).reshape(along_seeds, along_envs), (SEEDS, ENVS))
-
-
-def shardy_works(jaxlib_version: str) -> bool:
-    """Returns whether JAX's default partitioner works for a training step of several devices; 0.12 ends the fault.
-
-    >>> shardy_works("0.10.2"), shardy_works("0.11.2"), shardy_works("0.12.0")
-    (True, False, True)
-    """
-    return not jaxlib_version.startswith("0.11.")
 
 
 def most_devices(seeds: int, num_envs: int, available: int) -> int:

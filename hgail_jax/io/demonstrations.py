@@ -11,7 +11,6 @@ which the task makes the observations, `action` `[K, T, action_size]`, and per e
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_envs import GoalEnv
-from hgail_jax.io.files import replace_file
-from hgail_jax.io.npz import load_npz
+from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.samples import Samples
 
 _FORMAT = "hgail_jax demonstrations 1"
@@ -111,9 +109,7 @@ class Demonstrations:
 def save_demonstrations(path: Path | str, demonstrations: Demonstrations) -> None:
     """Writes demonstrations; see the module for the format."""
     header = {"format": _FORMAT, "task": demonstrations.task} | demonstrations.made_by
-    arrays = {name: getattr(demonstrations, name) for name in _STEPS + _EPISODES}
-    with replace_file(path, "wb") as file:
-        np.savez(file, **arrays, header=np.array(json.dumps(header)))
+    save_npz(path, header, {name: getattr(demonstrations, name) for name in _STEPS + _EPISODES})
 
 
 def load_demonstrations(path: Path | str, task: str) -> Demonstrations:
@@ -124,15 +120,12 @@ def load_demonstrations(path: Path | str, task: str) -> Demonstrations:
       ValueError: the file holds no demonstrations, or those of another task.
 
     """
-    demonstrations = load_npz(path, "demonstrations", _from_file)
+    demonstrations = load_npz(path, "demonstrations", _FORMAT, _from_file)
     if demonstrations.task != task:
         raise ValueError(f"{path} demonstrates {demonstrations.task!r}, not {task!r}")
     return demonstrations
 
 
-def _from_file(file: Mapping[str, np.ndarray]) -> Demonstrations:
-    header = json.loads(str(file["header"]))
-    if header["format"] != _FORMAT:
-        raise ValueError(f"its format is {header['format']!r}, not {_FORMAT!r}")
+def _from_file(header: dict, file: Mapping[str, np.ndarray]) -> Demonstrations:
     made_by = {name: value for name, value in header.items() if name not in ("format", "task")}
     return Demonstrations(header["task"], **{name: file[name] for name in _STEPS + _EPISODES}, made_by=made_by)

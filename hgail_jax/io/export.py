@@ -117,9 +117,7 @@ def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
 def check_described(policy: MeanPolicy, trusted: bool = False) -> Description:
     """Returns the description of the numbers that a policy reads and commands.
 
-    Args:
-      policy: whose numbers are described.
-      trusted: whether the class of a task that is not of this package may be imported; else its numbers are numbered.
+    Unless `trusted`, the class of a task that is not of this package is not imported, and its numbers are numbered.
 
     Raises:
       ValueError: the policy reads other numbers than its task has.

@@ -1,4 +1,4 @@
-"""Writes files, JSON and CSV among them, under a name that they get once they are whole."""
+"""Writes files under a name that they get once they are whole, and reads npz archives that need not be trusted."""
 
 import contextlib
 import csv
@@ -6,9 +6,10 @@ import errno
 import json
 import os
 import re
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import jax
 import numpy as np
@@ -93,3 +94,49 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+ContentT = TypeVar("ContentT")
+
+
+def save_npz(path: Path | str, header: dict, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes arrays as an npz archive that is not compressed, with a header in JSON, of which `format` is an entry."""
+    with replace_file(path, "wb") as file:
+        np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
+
+
+def load_npz(
+    path: Path | str, kind: str, file_format: str, read: Callable[[dict, Mapping[str, np.ndarray]], ContentT]
+) -> ContentT:
+    """Opens an archive of `save_npz` and returns its content, as `read` makes it of the header and the arrays.
+
+    Nothing in the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that
+    fills the memory.
+
+    Args:
+      path: the file.
+      kind: of its content, for the error, e.g. `"a policy"`.
+      file_format: entry `format` of the header.
+      read: takes the header, and the arrays by name; any error that it raises says that the file holds another content.
+
+    Raises:
+      FileNotFoundError: there is no such file.
+      ValueError: it does not hold this content.
+
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"there is no file {path}")
+    if not path.is_file():  # opening a pipe would wait for a writer
+        raise ValueError(f"{path} does not hold {kind}: it is no regular file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+                raise ValueError("it is compressed")
+        with np.load(path, allow_pickle=False) as arrays:
+            header = json.loads(str(arrays["header"]))
+            if header["format"] != file_format:
+                raise ValueError(f"its format is {header['format']!r}, not {file_format!r}")
+            return read(header, arrays)
+    except Exception as error:  # zipfile, numpy, json and `read` raise errors of many types
+        raise ValueError(f"{path} does not hold {kind}: {error}") from error

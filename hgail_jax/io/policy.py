@@ -15,7 +15,6 @@ Where `randomization` has a `known_delay`, the features begin with so many actio
 come, where it has a `history`, so many actions and observations. See `RandomizedEnv`.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,7 @@ import numpy as np
 from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
 from hgail_jax.config import Config
-from hgail_jax.io.files import replace_file
-from hgail_jax.io.npz import load_npz
+from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, MeanPolicy
 from hgail_jax.state import TrainState
@@ -75,8 +73,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
     arrays = {"mean": policy.mean, "std": policy.std}
     for index, layer in enumerate(policy.layers):
         arrays |= {f"{name}_{index}": array for name, array in zip(_ARRAYS, layer, strict=False)}
-    with replace_file(path, "wb") as file:
-        np.savez(file, **arrays, header=np.array(json.dumps(header)))  # type: ignore[arg-type]
+    save_npz(path, header, arrays)
 
 
 def load_policy(path: Path | str) -> MeanPolicy:
@@ -87,13 +84,10 @@ def load_policy(path: Path | str) -> MeanPolicy:
       ValueError: the file is not a policy.
 
     """
-    return load_npz(path, "a policy", _from_file)
+    return load_npz(path, "a policy", _FORMAT, _from_file)
 
 
-def _from_file(file: Mapping[str, np.ndarray]) -> MeanPolicy:
-    header = json.loads(str(file["header"]))
-    if header["format"] != _FORMAT:
-        raise ValueError(f"its format is {header['format']!r}, not {_FORMAT!r}")
+def _from_file(header: dict, file: Mapping[str, np.ndarray]) -> MeanPolicy:
     if not (isinstance(header.get("task"), str) and header["task"]):
         raise ValueError("it names no task")
     observation, action = header["observation"], header["action"]

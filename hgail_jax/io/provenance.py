@@ -6,40 +6,24 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
 
 from hgail_envs.engines.c import usable_cores
 from hgail_jax._version import __version__
-from hgail_jax.devices.gpus import driver_version
 
-_PACKAGES = (
-    "hgail-jax",
-    "jax",
-    "jaxlib",
-    "mujoco",
-    "mujoco-mjx",
-    "brax",
-    "flax",
-    "optax",
-    "numpy",
-    "warp-lang",
-)
+_PACKAGES = ["hgail-jax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "numpy", "warp-lang"]
 _ROOT = Path(__file__).parents[2]  # of a checkout
 
 
-def own_command() -> str:
-    """Returns the command that started this process, as one would type it, without the paths of this machine."""
-    return command_of(sys.orig_argv)
+def own_command(words: Sequence[str] = sys.orig_argv) -> str:
+    """Returns the command that started this process, as one would type it, without the paths of this machine.
 
-
-def command_of(words: list[str]) -> str:
-    """Returns a process's words as one would type them.
-
-    >>> command_of(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
+    >>> own_command(["/usr/bin/python3", "-m", "experiments.paper", "--all"])
     'python -m experiments.paper --all'
-    >>> command_of(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
+    >>> own_command(["/venv/bin/python", "/venv/bin/hgail", "train", "--seeds", "2"])
     'hgail train --seeds 2'
     """
     _, *rest = words
@@ -108,3 +92,13 @@ def _version(package: str) -> str | None:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return __version__ if package == "hgail-jax" else None
+
+
+def driver_version() -> str | None:
+    """Returns the version of the GPUs' driver; None without one."""
+    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return next((line.strip() for line in answer.splitlines()), None)

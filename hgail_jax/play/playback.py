@@ -1,12 +1,15 @@
 """Plays a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
 
+import contextlib
 import os
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import Any
 
+import imageio_ffmpeg
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,9 +17,9 @@ import numpy as np
 from hgail_envs import GoalEnv, State
 from hgail_envs.scenes import free_camera, open_scene, pose
 from hgail_envs.vision.rendering import RenderingError, open_renderer
-from hgail_jax.play.film import open_film
+from hgail_jax.io.files import replace_path
 from hgail_jax.policy import MeanPolicy
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 
 _SIZE = (480, 640)  # height, width
 _HOLD = 10  # frames that the last pose of an episode stands still
@@ -100,7 +103,7 @@ def frames(playback: Playback, episodes: int, height: int, width: int, every: in
 
 
 def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
-    """Writes a film of a few episodes in real time, in one of `play.film.FORMATS`; returns whether each succeeded.
+    """Writes a film of a few episodes in real time, in one of `FORMATS`; returns whether each succeeded.
 
     The target is a red ball, or the body that the task names. The last pose of an episode has a green edge where it
     succeeded, a red one where it did not.
@@ -156,3 +159,62 @@ def _check_display() -> None:
         if sys.platform == "linux" and not glfw.init():
             display = os.environ.get("DISPLAY", "")
             raise RenderingError(f"no window opens on DISPLAY={display}; --out writes a film, --web serves a page")
+
+
+Append = Callable[[np.ndarray], None]
+"""Adds the next picture, `[height, width, 3]`, uint8."""
+
+# One palette for all pictures of a GIF: palettes per picture would flicker.
+_PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
+_ENCODERS: dict[str, dict[str, Any]] = {
+    ".mp4": {"quality": 8},
+    ".gif": {"codec": "gif", "pix_fmt_out": "pal8", "quality": None, "output_params": ["-lavfi", _PALETTE]},
+    ".webp": {"codec": "libwebp", "quality": None, "output_params": ["-loop", "0", "-quality", "80", "-f", "webp"]},
+}
+FORMATS = tuple(_ENCODERS)
+"""Endings of a film's name."""
+
+
+def check_film(path: Path) -> None:
+    """Refuses a name under which no new film can be written.
+
+    Raises:
+      ValueError: it is no such name.
+
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"{path} is not the name of a film; it must end in {', '.join(FORMATS)}")
+    if path.exists() or path.is_symlink():
+        raise ValueError(f"{path} exists already; name another file, or remove it")
+    if not path.parent.is_dir():
+        raise ValueError(f"there is no folder {path.parent} to write {path.name} into")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise ValueError(f"the folder {path.parent} cannot be written to")
+
+
+@contextlib.contextmanager
+def open_film(path: Path, frame_period: float) -> Iterator[Append]:
+    """Opens a film, which takes its name once it is whole; a failure leaves no file.
+
+    Args:
+      path: ends in one of `FORMATS`.
+      frame_period: seconds between two pictures.
+
+    """
+    encoders: list[Generator[None, np.ndarray | None, None]] = []
+
+    def append(frame: np.ndarray) -> None:
+        if not encoders:  # FFmpeg learns the size from the first picture
+            options = _ENCODERS[path.suffix.lower()]
+            output = f"file:{temporary}"  # without which FFmpeg reads a:b as b by the protocol a
+            size = frame.shape[1::-1]
+            encoders.append(imageio_ffmpeg.write_frames(output, size, fps=1.0 / frame_period, **options))
+            encoders[0].send(None)
+        encoders[0].send(np.ascontiguousarray(frame))
+
+    with replace_path(path) as temporary:
+        try:
+            yield append
+        finally:
+            for encoder in encoders:
+                encoder.close()

@@ -1,14 +1,12 @@
 """Records demonstrations by a scripted controller."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import hgail_envs
 from hgail_envs.validation import check_count, check_name, counted
-from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
+from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.provenance import installed
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.settings.defaults import platform_name, task_preset
@@ -90,16 +88,3 @@ def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> 
             "versions": installed("hgail-jax", "jax", "mujoco-mjx"),
         },
     )
-
-
-def load_or_record(path: Path, env: hgail_envs.GoalEnv, task: str, episodes: int) -> Demonstrations:
-    """Returns `episodes` demonstrations of a file; if there is no such file, records them into it.
-
-    Raises:
-      ValueError: see `load_demonstrations`, `record` and `Demonstrations.first`.
-
-    """
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_demonstrations(path, record(env, task, episodes))
-    return load_demonstrations(path, task).first(episodes)

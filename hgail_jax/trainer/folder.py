@@ -14,8 +14,7 @@ import jax
 
 from hgail_jax.devices.processes import silent_but_first
 from hgail_jax.devices.sharding import any_process
-from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
-from hgail_jax.trainer.identity import refuse_another_run
+from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints, refuse_another_run
 from hgail_jax.trainer.loggers import Logger
 from hgail_jax.trainer.run import Run
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import imageio
 import numpy as np
+from flax.traverse_util import flatten_dict
 
 from hgail_envs.validation import check_name
 from hgail_jax.io.files import replace_file, write_csv
@@ -67,7 +68,7 @@ class CsvLogger(Logger):
     """metrics.csv, a row per round and seed; a cell is empty if the round did not measure it."""
 
     def rounds(self, history: list[Record]) -> None:
-        """See `Logger`; the table is written anew, as a resumed run repeats the rounds after its checkpoint."""
+        # the whole table, as a resumed run repeats the rounds after its checkpoint
         rows = [
             {"seed": self.run.first_seed + seed}
             | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
@@ -86,18 +87,17 @@ class TensorboardLogger(Logger):
         from tensorboardX import SummaryWriter
 
         super().__init__(folder, run, settings, history)
-        goes_on = (folder / "tensorboard").is_dir()
-        self._done = len(history) if goes_on else 0
+        resumes = (folder / "tensorboard").is_dir()
+        self._done = len(history) if resumes else 0
         # Rounds after the checkpoint that a run resumes from are run, and logged, again.
-        purge = (history[-1]["env_steps"] + 1 if history else 0) if goes_on else None
+        purge = (history[-1]["env_steps"] + 1 if history else 0) if resumes else None
         # A file is named by its second and its host: one of the same second would be overwritten.
         number = len(list((folder / "tensorboard").glob("events*")))
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge, filename_suffix=f".{number:03d}")
-        if not goes_on:
+        if not resumes:
             self._writer.add_text("settings", f"```json\n{json.dumps(settings, indent=2, default=str)}\n```")
 
     def rounds(self, history: list[Record]) -> None:
-        """See `Logger`."""
         for record in history[self._done :]:
             for name, value in scalars(record, self.run.first_seed).items():
                 self._writer.add_scalar(name, value, record["env_steps"])
@@ -105,16 +105,17 @@ class TensorboardLogger(Logger):
         self._writer.flush()
 
     def finish(self, summary: dict[str, Any], curves: Path) -> None:
-        """See `Logger`."""
         self._writer.add_image("curves", imageio.v3.imread(curves), dataformats="HWC")
-        settings = {name: value for name, value in _flat(self.run.identity()).items() if value is not None}
+        settings = flatten_dict(self.run.identity(), sep=".")
         plain = {
-            name: value if isinstance(value, bool | int | float) else str(value) for name, value in settings.items()
+            name: value if isinstance(value, bool | int | float) else str(value)
+            for name, value in settings.items()
+            if value is not None
         }
         self._writer.add_hparams(plain, _final(summary), name="summary")
 
     def film(self, path: Path) -> None:
-        """See `Logger`; TensorBoard shows a film as a GIF, and this one is small and coarse."""
+        # TensorBoard shows a film as a GIF; this one is small and coarse
         from tensorboardX.proto.summary_pb2 import Summary
 
         reader: Any  # which iterates, and is not typed so
@@ -128,7 +129,6 @@ class TensorboardLogger(Logger):
         self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag="film", image=image)]))
 
     def close(self) -> None:
-        """See `Logger`."""
         self._writer.close()
 
 
@@ -142,9 +142,9 @@ class WandbLogger(Logger):
 
         super().__init__(folder, run, settings, history)
         name = folder / "wandb" / "run-id"
-        goes_on = name.exists()
-        self._done = len(history) if goes_on else 0
-        if not goes_on:
+        resumes = name.exists()
+        self._done = len(history) if resumes else 0
+        if not resumes:
             name.parent.mkdir(exist_ok=True)
             with replace_file(name) as file:
                 file.write(uuid.uuid4().hex[:8])
@@ -165,33 +165,28 @@ class WandbLogger(Logger):
 
     @classmethod
     def check(cls) -> None:
-        """See `Logger`."""
         import wandb
 
         if wandb.setup().settings.mode == "online" and not wandb.login(prompt=False):
             raise ValueError("the logger wandb has no account here; call wandb login, or set WANDB_MODE=offline")
 
     def rounds(self, history: list[Record]) -> None:
-        """See `Logger`."""
         for record in history[self._done :]:
             self._run.log(scalars(record, self.run.first_seed))
         self._done = len(history)
 
     def finish(self, summary: dict[str, Any], curves: Path) -> None:
-        """See `Logger`."""
         import wandb
 
         self._run.summary.update(_final(summary))
         self._run.log({"curves": wandb.Image(str(curves))})
 
     def film(self, path: Path) -> None:
-        """See `Logger`."""
         import wandb
 
         self._run.log({"film": wandb.Video(str(path), format="mp4")})
 
     def close(self) -> None:
-        """See `Logger`."""
         self._run.finish()
 
 
@@ -245,12 +240,3 @@ def _final(summary: dict[str, Any]) -> dict[str, float]:
     """Returns the means over the seeds in the final evaluation."""
     measured = {name: value["mean"] for name, value in summary.items() if isinstance(value, dict) and "mean" in value}
     return {f"final/{name}": float(value) for name, value in measured.items() if np.isfinite(value)}
-
-
-def _flat(content: dict[str, Any], name: str = "") -> dict[str, Any]:
-    """Returns the entries of nested dicts, their names joined by dots."""
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        path = f"{name}.{key}" if name else key
-        found |= _flat(value, path) if isinstance(value, dict) else {path: value}
-    return found

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 from jax.sharding import Mesh
+from tqdm import tqdm
 
 import hgail_envs
 from hgail_envs.validation import counted
@@ -24,7 +25,7 @@ from hgail_jax.devices.sharding import (
 from hgail_jax.samples import Samples
 from hgail_jax.seeds import SeedsStep, compile_train_step, init_sweep, seed_keys
 from hgail_jax.state import TrainState
-from hgail_jax.terminal.status import StatusLine, short
+from hgail_jax.terminal import StatusLine
 from hgail_jax.train import EVALUATE, SKIP, RoundMetrics, check_metrics, env_steps, phase_table
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints
 
@@ -251,7 +252,7 @@ def _status(program: Program, progress: Progress) -> str:
     said = [f"round {last['round']}/{program.config.rounds}"]
     said += [] if success is None else [f"success {success:.3f}"]
     said += [f"{len(diverged)} diverged"] if diverged else []
-    said += [f"{short(rate)} env steps/s"] if rate else []
+    said += [f"{tqdm.format_sizeof(rate)} env steps/s"] if rate else []
     return ", ".join(said)
 
 

@@ -78,7 +78,7 @@ class TrainOptions:
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
-    """Weight of the environment's reward, the discriminator's has the rest: 0 is no reward, 1 no discriminator."""
+    """Weight of the environment's reward, the discriminator's has the rest. With TD3 below 1, which is the method her."""
     bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the behaviour-cloning (BC) loss in the policy's updates, 0 for the paper's: PPO clones expert samples,
     TD3 actions of the buffer that its critics prefer."""
@@ -135,21 +135,14 @@ def choose(
     return Choice(chosen, METHODS[chosen].apply(found))
 
 
-def task_defaults(
-    task: str,
-    platform: str,
-    method: str | None = None,
-    preset: str = "parallel",
-    learner: str | None = None,
-    randomize: str = "none",
-) -> dict[str, Any]:
-    """Returns the task's, or the method's, values of the options that are None by default.
+def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
+    """Returns the task's, or the method's, values of the options that are None by default; `options` are `choose`'s.
 
     Raises:
       ValueError: see `choose`.
 
     """
-    chosen, whole = choose(task, platform, method, preset, learner, randomize)
+    chosen, whole = choose(platform=platform, **options)
     config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
     values = {
         "method": chosen,
@@ -216,13 +209,9 @@ def plan(options: TrainOptions, platform: str) -> Run:
 
 def _check(options: TrainOptions) -> None:
     check_seeds(options.first_seed, options.seeds)
-    check_count("checkpoint_every", options.checkpoint_every)
-    if options.evaluate_every is not None:
-        check_count("evaluate_every", options.evaluate_every)
-    if options.rounds is not None:
-        check_count("rounds", options.rounds, least=0)
-    if options.evaluation_episodes is not None:
-        check_count("evaluation_episodes", options.evaluation_episodes)
+    for name in ("checkpoint_every", "evaluate_every", "evaluation_episodes", "rounds"):
+        if getattr(options, name) is not None:
+            check_count(name, getattr(options, name), least=int(name != "rounds"))
     check_name("strategy", options.strategy, STRATEGIES)
     check_name("reward", options.reward, REWARDS)
     if options.resume == "":
@@ -283,9 +272,7 @@ def _find(task: str) -> type[hgail_envs.GoalEnv]:
 def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> hgail_envs.GoalEnv:
     """Makes the task; `defaults` have the physics that it is trained with unless other is given."""
     accepted = hgail_envs.accepted_options(options.task)
-    given = {"impl": options.impl, "worlds": worlds} | defaults
-    if options.substeps is not None:
-        given["substeps"] = options.substeps
+    given = {"impl": options.impl, "worlds": worlds} | defaults | _given({"substeps": options.substeps})
     asks_for_physics = options.substeps is not None or options.impl != "auto"
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")

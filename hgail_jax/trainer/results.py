@@ -30,10 +30,8 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
         save_policy(folder / "policies" / f"seed-{run.first_seed + index}.npz", policy)
     size = f"{counted(run.seeds, 'seed')}, {counted(run.config.num_envs, 'environment')} each"
     title = f"{run.method} on {run.task}: {size}"
-    steps = np.array([record["env_steps"] for record in history])
-    success, distance = (
-        np.array([record[name] for record in history], float) for name in ("success_rate", "distance_l1")
-    )
+    names = ("env_steps", "success_rate", "distance_l1")
+    steps, success, distance = (np.array([record[name] for record in history], float) for name in names)
     evaluated = np.isfinite(success).any(axis=1)
     draw_curves(folder / "curves.png", title, steps[evaluated], success[evaluated], distance[evaluated])
 
@@ -70,8 +68,7 @@ def summarize(
         **nominal,
         "achieved_rate": over_seeds(final.achieved),
         "success_rate_l1": over_seeds(final.success_l1),
-        "distance_l1": over_seeds(final.distance_l1),
-        "distance_l2": over_seeds(final.distance_l2),
+        **{name: over_seeds(getattr(final, name)) for name in ("distance_l1", "distance_l2")},
         "diverged_seeds": diverged_seeds(run, progress),
         "evaluation_episodes_per_seed": rollouts * run.config.num_envs,
         "env_steps_per_seed": steps,
@@ -83,13 +80,8 @@ def summarize(
 def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarray, distance: np.ndarray) -> None:
     """Writes a PNG: each seed thin, their mean thick, a band of one standard deviation around it.
 
-    Args:
-      path: where to.
-      title: printed above.
-      env_steps: `[rounds]`, steps learnt from so far, per seed.
-      success: `[rounds, seeds]`, success rate of the mean action.
-      distance: `[rounds, seeds]`, L1 distance at the end of the episode, metres.
-
+    `env_steps` are `[rounds]`, learnt from so far per seed; `success`, the mean action's rate, and `distance`, the L1
+    distance at the end of the episode in metres, are `[rounds, seeds]`.
     """
     from matplotlib.figure import Figure  # not pyplot, whose backend is the user's; late, for it takes its time
 

@@ -22,7 +22,7 @@ from hgail_jax.io.provenance import provenance
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal.status import StatusLine
+from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
@@ -100,10 +100,7 @@ def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) 
       The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
 
     Raises:
-      FloatingPointError: no seed's update was finite in a round, or no episode's simulation; the last checkpoint is
-        from before that.
-      OverflowError: the simulation ran out of room for contacts; likewise.
-      OSError: a file cannot be written.
+      Exception: see `hgail_jax.trainer.loop.train`; and an OSError where a file cannot be written.
 
     """
     finished = _finished(run, folder)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import pytest
 
 import hgail_envs
-from experiments.paths import RESULTS
+from experiments import RESULTS
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point

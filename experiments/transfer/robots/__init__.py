@@ -1,12 +1,29 @@
-"""The robots that policies are transferred to: a module each, and a line in `ROBOTS`."""
+"""The robots that policies are transferred to: a class each, and a line in `ROBOTS`."""
 
 import functools
 import inspect
 from typing import Any
 
+import numpy as np
+
 from experiments.transfer.robots.base import Robot
-from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
 from experiments.transfer.robots.servo_arm import Franka, UR5e
+from hgail_envs.fetch import reference
+
+
+class GymnasiumFetch(reference.ReferenceFetch, Robot):
+    """Gymnasium-Robotics' Fetch, on C MuJoCo with its own meshes; see `hgail_envs.fetch.reference.ReferenceFetch`."""
+
+    name = "Fetch, Gymnasium-Robotics on C MuJoCo"
+    extra = "compare"
+    packages = ("gymnasium-robotics",)
+    tasks = reference.TASKS
+    unaffected_by = ("gravity",)  # the model compensates none
+
+    offset = np.zeros(3)
+    cube = "object0"
+    marker = "target0"
+
 
 ROBOTS: dict[str, type[Robot]] = {
     "gymnasium": GymnasiumFetch,

@@ -74,7 +74,7 @@ class ServoArm(Robot):
 
     def __init__(self, task: str, slowdown: int | None = None, start_open: bool = False) -> None:
         # Here, so that the class can be read without its extra.
-        from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm, load_cell
+        from experiments.transfer.robots.arms import TOOL_CENTRE, load_arm, load_cell
         from experiments.transfer.robots.inverse_kinematics import DownwardArm
 
         arm = self.arm

@@ -13,7 +13,7 @@ from scipy import stats
 
 import hgail_envs
 from experiments.transfer.episode import run_episodes
-from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
 from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export
@@ -124,7 +124,7 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--policy", "none.npz"], "there is no file or folder none.npz"),
         (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped resumes"),
         (["--policy", "ended"], "ended does not hold a policy: it is no regular file, nor a run's folder"),
-        (["--policy", "text.md"], "text.md does not hold a policy: it is no npz archive"),
+        (["--policy", "text.md"], "text.md does not hold a policy: File is not a zip file"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
         (["--impl", "fast"], "impl is 'fast'; choose from auto, warp, c, jax"),
         (["--randomize", "wild"], "randomize is 'wild'"),

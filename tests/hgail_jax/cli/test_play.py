@@ -17,7 +17,7 @@ from hgail_envs.randomized import randomize
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import Playback, film
-from tests.hgail_jax.terminal.test_status import Terminal
+from tests.hgail_jax.test_terminal import Terminal
 from tests.support import ROOT, SOURCES
 
 REACH = "hgail_envs.fetch.reach:Reach"

@@ -114,9 +114,3 @@ def test_truncated_files_are_refused(path):
 def test_a_missing_file_is_missing(tmp_path):
     with pytest.raises(FileNotFoundError):
         load_demonstrations(tmp_path / "d.npz", "point")
-
-
-def test_a_huge_file_is_refused_before_it_is_read(path, monkeypatch):
-    monkeypatch.setattr("hgail_jax.io.npz._LARGEST_FILE", 100)
-    with pytest.raises(ValueError, match="it is larger than 100 bytes"):
-        load_demonstrations(path, "point")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hgail_jax.play.film import FORMATS, check_film, open_film
+from hgail_jax.play.playback import FORMATS, check_film, open_film
 
 COLOURS = [(220, 30, 30), (30, 200, 40), (30, 40, 210), (240, 240, 240), (10, 10, 10)]
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from experiments.transfer.episode import run_episode, run_episodes
-from experiments.transfer.robots.cell import TOOL_CENTRE
-from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots import GymnasiumFetch
+from experiments.transfer.robots.arms import TOOL_CENTRE
 from experiments.transfer.robots.servo_arm import Franka
 from hgail_envs.fetch.grasp import Grasp
 from hgail_jax.io.policy import load_policy

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.transfer.episode import run_episode, run_episodes
-from experiments.transfer.robots.arms import UR5E
-from experiments.transfer.robots.cell import TOOL_CENTRE, load_arm
-from experiments.transfer.robots.gymnasium_fetch import GymnasiumFetch
+from experiments.transfer.robots import GymnasiumFetch
+from experiments.transfer.robots.arms import TOOL_CENTRE, UR5E, load_arm
 from experiments.transfer.robots.inverse_kinematics import DownwardArm
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
 from experiments.transfer.robots.servo_arm import Franka, UR5e

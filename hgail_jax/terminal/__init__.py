@@ -1,1 +1,0 @@
-"""Talk with a terminal: signals, a status line."""
