@@ -78,7 +78,7 @@ class TrainOptions:
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
-    """Weight of the environment's reward, the discriminator's has the rest. With TD3 below 1, which is the method her."""
+    """Weight of the environment's reward, the discriminator's has the rest. With TD3 1 is the method her."""
     bc_weight: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the behaviour-cloning (BC) loss in the policy's updates, 0 for the paper's: PPO clones expert samples,
     TD3 actions of the buffer that its critics prefer."""
