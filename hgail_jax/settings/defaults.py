@@ -23,7 +23,7 @@ _REACH_SUBSTEPS = {"substeps": 4}
 _EXACT: dict[str, Any] = {"target_noise": 0.0, "epsilon": 0.1}
 
 # Sixteen rounds are enough on a CPU (grasp-hgail-cpu-8: .995, worst .975), with a BC weight of 1. On a GPU runs of
-# 16 rounds leave a seed behind now and then (study grasp-sizes and suite/grasp-smaller-trainings), so 40 stay.
+# 16 rounds leave a seed behind now and then (docs/lab/ppo.md, smaller trainings), so 40 stay.
 _PPO_GRASP = {
     "cpu": ppo_with_object(num_envs=512, rounds=16, hidden=256, evaluate_every=2, bc_weight=1.0),
     "gpu": ppo_with_object(num_envs=1024, rounds=40, hidden=None, evaluate_every=1),
@@ -93,7 +93,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "reach": {
         "ppo": {
             # On two cores each roll-out counts. With the BC loss beside PPO a third of them is enough, and batches of a
-            # quarter learn as well (suite/reach-on-two-cores: without BC one or two of eight seeds end below .98).
+            # quarter learn as well (docs/reach.md: without BC one or two of eight seeds end below .98).
             "cpu": Preset(
                 Config(
                     PPO(policy_phases=2, discriminator_phases=1, bc_batch=512, pretrain_policy_batch=128),
@@ -122,10 +122,10 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "push": {
         # No reward at all: it needs hardly more steps than with the goal test, and ends alike. On a CPU half of it.
         "td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 8}}, OBJECT_SUBSTEPS, on_cpu={"environment_reward": 0.5}),
-        # Networks 256 wide reach .95 in 40 to 55 rounds where those 64 wide take 49 to 102 or never do (suite,
-        # networks); their number on a CPU is from docs/lab/ppo.md. Solved samples, whose cube is at the goal
+        # Networks 256 wide reach .95 in 40 to 55 rounds where those 64 wide take 49 to 102 or never do (docs/lab/
+        # ppo.md); their number on a CPU is from docs/lab/ppo.md. Solved samples, whose cube is at the goal
         # already, count .3 times: at full weight they take more than half of push's success (study parts-push), and at
-        # .1 it is .85 for .93 (suite/push-tuning).
+        # .1 it is .85 for .93 (docs/lab/ppo.md, push).
         "ppo": {
             "cpu": ppo_with_object(num_envs=512, rounds=80, hidden=256, solved_weight=0.3),
             "gpu": ppo_with_object(num_envs=1024, rounds=120, hidden=256, solved_weight=0.3),
@@ -189,9 +189,9 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             **_EXACT,
         ),
         # The deviation shrinks from .2 to .2 × .075 = .015: a wide one finds the puck sooner, later noise in the hand's
-        # speed is noise in where the puck stops (suite/slide-deviation-tuning and slide-precision-tuning, which also
-        # chose the BC weight of .03). 165 rounds: 190 are no better (suite/slide-longer, .744 for .771). The learning
-        # rate of 2e-3 was hardly ahead of 1e-3, .58 for .56 (suite/slide-deviation-tuning).
+        # speed is noise in where the puck stops (docs/lab/ppo.md, slide: trials that also
+        # chose the BC weight of .03). 165 rounds: 190 are no better (.744 for .771). The learning
+        # rate of 2e-3 was hardly ahead of 1e-3, .58 for .56.
         "ppo": dict.fromkeys(
             ("cpu", "gpu"),
             ppo_with_object(

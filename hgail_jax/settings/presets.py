@@ -83,7 +83,7 @@ def ppo_with_object(
         "exploration_noise": (0.2, 0.2, 0.2, 0.5),  # the hand must open and close by chance, the arm be exact
         "bc_weight": 0.3,  # of .1, .3 and 1 the best on grasp (docs/lab/ppo.md, what was tried)
         "policy_learning_rate": 1e-3,
-        "discriminator_learning_rate": 2e-4,  # at 1e-3 it wins against the policy: slide .34 for .56 (slide-deviation)
+        "discriminator_learning_rate": 2e-4,  # at 1e-3 it wins against the policy: slide .34 for .56
     }
     return Preset(
         Config(
