@@ -1,6 +1,7 @@
 """Default settings of each task, by learner and platform, with the reasons for them."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -226,9 +227,7 @@ def default_learner(task_class: type[GoalEnv]) -> str:
 
     """
     name = _name(task_class)
-    for learner in task_class.training:
-        check_name(f"learner in {task_class.__name__}.training", learner, LEARNERS)
-    return next(iter(DEFAULTS[name] if name else task_class.training), PPO.name)
+    return next(iter(DEFAULTS[name] if name else _training(task_class)), PPO.name)
 
 
 def platform_name() -> str:
@@ -276,7 +275,7 @@ def task_preset(
 def _changed(shared: Preset, task_class: type[GoalEnv], learner: str, platform: str) -> Preset:
     """Returns shared settings with the changes that a task brings for a learner and a platform, if it brings any."""
     where = f"{task_class.__name__}.training"
-    changes = task_class.training.get(learner, {}).get(platform, TrainingDefaults())
+    changes = _training(task_class).get(learner, {}).get(platform, TrainingDefaults())
     try:
         check_name("method", changes.method, METHODS)
         return Preset(
@@ -290,6 +289,12 @@ def _changed(shared: Preset, task_class: type[GoalEnv], learner: str, platform: 
         raise ValueError(
             f"{where}[{learner!r}][{platform!r}] is not TrainingDefaults of fields that there are: {error}"
         ) from error
+
+
+def _training(task_class: type[GoalEnv]) -> Mapping[str, Mapping[str, TrainingDefaults]]:
+    for learner in task_class.training:
+        check_name(f"learner in {task_class.__name__}.training", learner, LEARNERS)
+    return task_class.training
 
 
 def _name(task_class: type[GoalEnv]) -> str | None:

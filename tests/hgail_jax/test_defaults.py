@@ -10,10 +10,11 @@ from experiments import RESULTS
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
-from hgail_jax import METHODS, PRESETS, TrainOptions
+from hgail_jax import METHODS, PRESETS, Hyperparameters, TrainOptions
+from hgail_jax.config import OF_TD3
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
-from hgail_jax.settings.defaults import DEFAULTS, SHARED, task_preset
+from hgail_jax.settings.defaults import DEFAULTS, SHARED, default_learner, task_preset
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.options import plan
@@ -133,8 +134,18 @@ def test_defaults_that_name_no_fields_are_refused(changes):
 
 def test_defaults_of_no_learner_are_refused():
     odd = type("Odd", (Point,), {"training": {"cpu": TrainingDefaults()}})
-    with pytest.raises(ValueError, match=r"Odd\.training has the keys cpu; they must be ppo, td3"):
-        task_preset(odd, "cpu")
+    for find in (default_learner, lambda task: task_preset(task, "cpu", learner="td3")):
+        with pytest.raises(ValueError, match=r"learner in Odd\.training is 'cpu'; choose from ppo, td3"):
+            find(odd)
+    with pytest.raises(ValueError, match="method is 'hgial'; choose from hgail"):
+        task_preset(type("Odd", (Point,), {"training": {"ppo": {"cpu": TrainingDefaults(method="hgial")}}}), "cpu")
+
+
+def test_each_hyperparameter_is_of_all_learners_or_of_those_that_name_it():
+    own = [learner.hyperparameters for learner in LEARNERS.values()]
+    assert {name for names in own for name in names} == set(OF_TD3) <= vars(Hyperparameters()).keys()
+    kept = {name: Hyperparameters().as_dict(learner()).keys() for name, learner in LEARNERS.items()}
+    assert kept["td3"] == vars(Hyperparameters()).keys() and kept["td3"] - kept["ppo"] == set(OF_TD3)
 
 
 made = functools.cache(hgail_envs.make)

@@ -150,7 +150,9 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--settings", "taus=1"], "Config has no field 'taus', nor has the learner ppo"),
         (["--settings", "rounds=1"], "setting 'rounds=1': rounds is --rounds here"),
         (["--settings", "tau"], "setting 'tau' is not name=value with a number, true, false or a list of numbers"),
-        (["--settings", "shuffled_goals=2"], "shuffled_goals is 2; it must be from 0 to 1"),
+        (["--settings", "tau=0.5"], "--settings tau changes nothing for the learner ppo"),
+        (["--learner", "td3", "--settings", "goal_jitter=1"], "changes nothing for the method her, which has no"),
+        (["--task", "push", "--settings", "shuffled_goals=2"], "shuffled_goals is 2; it must be from 0 to 1"),
         (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),
         (["--exploration-noise", "0"], "exploration_noise is 0.0; it must be positive"),
         (["--exploration-noise", "1", "2"], "exploration_noise is (1.0, 2.0); it must be one number or 4"),
@@ -246,7 +248,7 @@ HANDED_ON = {
     "checkpoint_every": (4, lambda run: run.checkpoint_every),
     "evaluate_every": (3, lambda run: run.evaluate_every),
     "evaluation_episodes": (9, lambda run: run.evaluation_episodes),
-    "settings": (("tau=0.5",), lambda run: (f"tau={run.hyperparameters.tau}",)),
+    "settings": (("discount=0.5",), lambda run: (f"discount={run.hyperparameters.discount}",)),
     "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
 }
 """An option's value, which is no default, and where a run has it."""
