@@ -81,9 +81,6 @@ def progress_bar(*arguments: Any, file: TextIO | None = None, **options: Any) ->
 ResultT = TypeVar("ResultT")
 
 _HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)  # which Windows does not have
-_SIGNALS = {signal.SIGINT, signal.SIGTERM}
-if signal.getsignal(_HANGUP) == signal.SIG_DFL:  # not so under nohup
-    _SIGNALS.add(_HANGUP)
 _ONE_SIGNAL = 1.0  # seconds within which signals count as one: timeout(1) signals its child, then the child's group
 
 
@@ -157,7 +154,10 @@ def in_a_thread(function: Callable[[], ResultT]) -> ResultT:
 
 @contextlib.contextmanager
 def _handling(handler: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
-    before = {number: signal.signal(number, handler) for number in _SIGNALS}
+    numbers = {signal.SIGINT, signal.SIGTERM}
+    if signal.getsignal(_HANGUP) != signal.SIG_IGN:  # as nohup has it
+        numbers.add(_HANGUP)
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:

@@ -173,6 +173,7 @@ def test_a_process_without_stderr_shows_nothing(monkeypatch, capsys):
 
 BEGIN = """
 import os, signal, sys, threading, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which nohup makes processes ignore
 from pathlib import Path
 from hgail_jax.cli.command_line import one_line_errors
 from hgail_jax.io.files import replace_file

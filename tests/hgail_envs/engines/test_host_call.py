@@ -149,6 +149,7 @@ import jax, jax.numpy as jnp
 from hgail_envs.engines.host_call import host_call
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell may have made processes ignore
+jax.config.update("jax_cpu_enable_async_dispatch", False)  # as the command does: calls come in the main thread
 
 def count(values):
     if values[0] == 3.0:
