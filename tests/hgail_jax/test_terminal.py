@@ -249,6 +249,13 @@ with signals.stop_on_signal() as stop:
     raise SystemExit(0 if stop.is_set() else 1)
 """
 
+NOHUP = """
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+with signals.stop_on_signal() as stop:
+    interrupt("SIGHUP")
+    print(stop.is_set(), flush=True)
+"""
+
 TRAIN = """
 from hgail_jax.cli import main
 from hgail_jax.trainer.loop import Program
@@ -291,6 +298,7 @@ SCRIPTS = {
     "SIGINT": TWICE.format("SIGINT"),
     "SIGTERM": TWICE.format("SIGTERM"),
     "hangup": HANGUP,
+    "nohup": NOHUP,
     "compiling": TRAIN.format(WHILE_COMPILING),
     "play": PLAY,
     "reader": READER_LEAVES,
@@ -319,6 +327,10 @@ def test_signals_that_come_together_are_one(ended):
 
 def test_a_closed_terminal_stops_a_training_which_writes_nothing_more_to_it(ended):
     assert (ended["hangup"].returncode, ended["hangup"].stdout, ended["hangup"].stderr) == (0, "", "")
+
+
+def test_a_training_under_nohup_outlives_its_terminal(ended):
+    assert (ended["nohup"].returncode, ended["nohup"].stdout, ended["nohup"].stderr) == (0, "False\n", "")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
