@@ -8,9 +8,10 @@ import numpy as np
 
 from experiments.paper.figures import draw_figure
 from experiments.paper.markdown import study_table, with_bounds
+from experiments.paper.statistics import interquartile_mean, probability_of_improvement
 from experiments.paper.study import Setting, Study, describe_seeds
 from hgail_jax.io.files import replace_file, write_json
-from hgail_jax.trainer.statistics import Estimate, confidence_interval, interquartile_mean, probability_of_improvement
+from hgail_jax.trainer.statistics import Estimate, confidence_interval
 
 _HEADER = {
     "label": "setting",

@@ -1,0 +1,66 @@
+"""Estimates over the seeds of several tasks or settings, with bootstrap intervals."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hgail_jax.trainer.statistics import FEWEST, Estimate
+
+_RESAMPLES = 5000
+_TRIMMED = 0.25  # off either end
+
+
+def interquartile_mean(*strata: np.ndarray) -> Estimate:
+    """Returns the mean of the middle half of all values, and its interval by a stratified bootstrap.
+
+    As Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", have it: seeds are
+    drawn again within each stratum, and the interval is that of percentiles. With three values or fewer none is
+    trimmed.
+
+    Args:
+      *strata: `[seeds]` each: one array for each task that is averaged over, or a single one.
+
+    >>> interquartile_mean(np.array([0.0, 0.0, 0.5, 0.6, 0.7, 0.8, 1.0, 1.0])).value
+    0.65
+
+    """
+
+    def statistic(*strata: np.ndarray, axis: int) -> Any:
+        return stats.trim_mean(np.concatenate(strata, axis=axis), _TRIMMED, axis=axis)
+
+    return _bootstrap(statistic, strata)
+
+
+def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Estimate:
+    """Returns the probability that a seed of the first is better than one of the second, P(X > Y); ties count half.
+
+    The interval is a bootstrap's, which draws the seeds of either again.
+
+    Args:
+      first: `[seeds]`, larger is better.
+      second: `[seeds]`, as many or not.
+
+    >>> probability_of_improvement(np.array([1.0, 2.0]), np.array([1.0, 0.0])).value
+    0.875
+
+    """
+
+    def statistic(first: np.ndarray, second: np.ndarray, axis: int) -> Any:
+        one, other = np.moveaxis(first, axis, -1)[..., :, None], np.moveaxis(second, axis, -1)[..., None, :]
+        return ((one > other) + 0.5 * (one == other)).mean(axis=(-2, -1))
+
+    return _bootstrap(statistic, (first, second))
+
+
+def _bootstrap(statistic: Callable[..., Any], samples: tuple[np.ndarray, ...]) -> Estimate:
+    """Returns the statistic of samples `[seeds]`, and its bootstrap interval, always with the same draws."""
+    samples = tuple(np.asarray(sample, float) for sample in samples)
+    value = float(statistic(*samples, axis=-1))
+    if min(len(sample) for sample in samples) < FEWEST:
+        return Estimate(value, np.nan, np.nan)
+    found = stats.bootstrap(
+        samples, statistic, n_resamples=_RESAMPLES, vectorized=True, method="percentile", rng=np.random.default_rng(0)
+    )
+    return Estimate(value, *map(float, found.confidence_interval))
