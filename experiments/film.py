@@ -14,7 +14,8 @@ from hgail_envs.randomized import randomize
 from hgail_envs.scenes import assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.io.policy import load_policy
-from hgail_jax.play.playback import Playback, frames, open_film
+from hgail_jax.play.playback import frames, open_film
+from hgail_jax.play.session import Session
 from hgail_jax.policy import MeanPolicy
 
 FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
@@ -30,7 +31,7 @@ _PANELS = {
 }
 """Titles, and the policies below them; a multiple of `_COLUMNS`, so that no panel stays empty."""
 _SECONDS = 10.0
-_EVERY = 2  # of the playback's frames is shown
+_EVERY = 2  # of the frames is shown
 _COLUMNS = 3
 _SIZE = (240, 300)  # height and width of a task's picture, pixels
 _SCALE = 2  # rendered so many times larger, then made smaller, which smooths edges
@@ -44,7 +45,7 @@ def main() -> None:
     """Films all `_PANELS`, six at once."""
     loaded = {title: _load(name) for title, name in _PANELS.items()}
     period = max(env.control_period for env, _ in loaded.values()) * _EVERY
-    panels = [_panels(title, Playback(env, policy, seed=0)) for title, (env, policy) in loaded.items()]
+    panels = [_panels(title, Session(env, policy)) for title, (env, policy) in loaded.items()]
     with open_film(FILM, period) as append:
         for together in itertools.islice(zip(*panels, strict=True), round(_SECONDS / period)):
             append(_tile(together))
@@ -57,15 +58,15 @@ def _load(name: str) -> tuple[GoalEnv, MeanPolicy]:
     return randomize(hgail_envs.make(policy.task, **policy.task_options), policy.randomization), policy
 
 
-def _panels(title: str, playback: Playback) -> Iterator[np.ndarray]:
-    """Yields the pictures of a playback below its title, `[height, width, 3]`, without end."""
+def _panels(title: str, session: Session) -> Iterator[np.ndarray]:
+    """Yields the pictures of a session below its title, `[height, width, 3]`, without end."""
     height, width = _SIZE
     ended, since = 0, _SUCCESS_PICTURES
-    for frame in frames(playback, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):
-        since = since + 1 if len(playback.outcomes) == ended else 0
-        ended = len(playback.outcomes)
+    for frame in frames(session, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):
+        since = since + 1 if len(session.outcomes) == ended else 0
+        ended = len(session.outcomes)
         picture = Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS)
-        yield _titled(title, picture, since < _SUCCESS_PICTURES and playback.outcomes[-1])
+        yield _titled(title, picture, since < _SUCCESS_PICTURES and session.outcomes[-1])
 
 
 def _titled(title: str, picture: Image.Image, success: bool) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Annotated
 from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.demonstrations import save_demonstrations
-from hgail_jax.io.files import check_writable
+from hgail_jax.io.files import check_new_file
 from hgail_jax.play.recording import make_for_demonstrations, record
 from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
@@ -36,9 +36,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         check_count("episodes", options.episodes)
         check_count("seed", options.seed, least=0, most=MOST_SEED)
-        if path.exists():
-            raise ValueError(f"{path} exists already; name another file, or remove it")
-        check_writable(path)
+        check_new_file(path)
         env = make_for_demonstrations(options.task, options.episodes)
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):
             demonstrations = record(env, options.task, options.episodes, options.seed)

@@ -3,7 +3,6 @@
 import dataclasses
 import importlib.util
 import json
-import os
 import re
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,7 @@ from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task
 from hgail_jax.io.export import check_described, export_onnx, export_policy
-from hgail_jax.io.files import check_writable, from_here
+from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.policy import save_policy
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
@@ -56,9 +55,11 @@ def main(arguments: list[str] | None = None) -> None:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
-        _check_file(out)
-        success, trusted = None, policy.task in TASKS or options.task is not None
-        if out.suffix == ".onnx":
+        check_new_file(out, FORMATS)
+        kind, trusted = out.suffix.lower(), policy.task in TASKS or options.task is not None
+        if kind == ".onnx":
+            if importlib.util.find_spec("onnx") is None:
+                raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
             check_described(policy, trusted)
             success = _success(path, policy, options.episodes, trusted)
     except OverflowError as error:
@@ -67,13 +68,13 @@ def main(arguments: list[str] | None = None) -> None:
         fail(PROGRAM, error, 2)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        if out.suffix == ".onnx":
+        if kind == ".onnx":
             export_onnx(out, policy, success, trusted)
         else:
-            {".mlirbc": export_policy, ".npz": save_policy}[out.suffix](out, policy)
+            {".mlirbc": export_policy, ".npz": save_policy}[kind](out, policy)
     except OSError as error:
         fail(PROGRAM, error, 1)
-    print(f"policy {from_here(path)} as {FORMATS[out.suffix]} -> {out}")
+    print(f"policy {from_here(path)} as {FORMATS[kind]} -> {out}")
 
 
 def _check(options: Options) -> None:
@@ -83,17 +84,6 @@ def _check(options: Options) -> None:
         check_name("randomize", options.randomize, LEVELS)
         if options.policy is not None:
             raise ValueError("--randomize chooses among the policies that come with the package; leave out --policy")
-
-
-def _check_file(path: Path) -> None:
-    """Refuses a file that exists or cannot be written, or a format that there is not or lacks its package."""
-    if path.suffix not in FORMATS:
-        raise ValueError(f"{path} is not the name of a policy to write; it must end in {', '.join(FORMATS)}")
-    if os.path.lexists(path):
-        raise ValueError(f"{path} exists already; name another file, or remove it")
-    check_writable(path)
-    if path.suffix == ".onnx" and importlib.util.find_spec("onnx") is None:
-        raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
 
 
 def _success(path: Path, policy: MeanPolicy, episodes: int, trusted: bool) -> float | None:

@@ -13,7 +13,8 @@ from hgail_envs.validation import check_count
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, shipped
-from hgail_jax.play.playback import check_film, film, show
+from hgail_jax.io.files import check_new_file
+from hgail_jax.play.playback import FORMATS, film, show
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.trainer.options import unless_given
 
@@ -51,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
             return
         path = options.out or _free_name(task.replace(":", "."))
         if not shows:
-            check_film(path)
+            check_new_file(path, FORMATS)
         env, policy = _load(task, options.policy, options.randomize)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -53,6 +53,21 @@ def check_writable(path: Path) -> None:
     ):
         if refused:
             raise OSError(number, os.strerror(number), str(place))
+
+
+def check_new_file(path: Path, endings: Collection[str] = ()) -> None:
+    """Refuses a file that is there already, that could not be written later, or that ends in none of `endings`, if any.
+
+    Raises:
+      ValueError: it is there, or has another ending.
+      OSError: see `check_writable`.
+
+    """
+    if endings and path.suffix.lower() not in endings:
+        raise ValueError(f"{path} has an unknown format; it must end in {', '.join(endings)}")
+    if os.path.lexists(path):
+        raise ValueError(f"{path} exists already; name another file, or remove it")
+    check_writable(path)
 
 
 def from_here(path: Path) -> Path:
@@ -108,16 +123,11 @@ def save_npz(path: Path | str, header: dict, arrays: Mapping[str, np.ndarray]) -
 def load_npz(
     path: Path | str, kind: str, file_format: str, read: Callable[[dict, Mapping[str, np.ndarray]], ContentT]
 ) -> ContentT:
-    """Opens an archive of `save_npz` and returns its content, as `read` makes it of the header and the arrays.
+    """Opens an archive of `save_npz` and returns its content, as `read` makes it of the header and the arrays by name.
 
-    Nothing in the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that
-    fills the memory.
-
-    Args:
-      path: the file.
-      kind: of its content, for the error, e.g. `"a policy"`.
-      file_format: entry `format` of the header.
-      read: takes the header, and the arrays by name; any error that it raises says that the file holds another content.
+    Any error that `read` raises says that the file does not hold this `kind` of content, e.g. `"a policy"`. Nothing in
+    the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that fills the
+    memory.
 
     Raises:
       FileNotFoundError: there is no such file.

@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import functools
 from collections.abc import Iterator
 
 import jax
@@ -10,7 +11,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs import GoalEnv
-from hgail_envs.scenes import load_scene
+from hgail_envs.scenes import open_scene, pose
 from hgail_jax.policy import MeanPolicy
 
 _REST = 1.0  # seconds that the scene stands still after an episode
@@ -54,12 +55,7 @@ class Session:
     where it was put, and the time of the episode starts anew: after a success the policy continues there, and after
     a failure, or in a task that ends with a lift test, the next episode starts with the target in that place.
 
-    For use in one thread.
-
-    Args:
-      env: the task.
-      policy: the policy.
-      seed: of the starts.
+    For use in one thread. The seed is that of the starts.
 
     Raises:
       ValueError: the task has no scene.
@@ -67,42 +63,35 @@ class Session:
     """
 
     def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int = 0) -> None:
-        if env.scene is None:
-            raise ValueError("the task has no scene to show")
-        self.env = env
-        self.model = load_scene(env.scene, visual=True)
-        self.data = mujoco.MjData(self.model)
-        self._policy = policy
-        self._phase, self._clock = Phase.ACTING, 0
-        self._action: np.ndarray = np.zeros(env.action_size)
-        self._held: np.ndarray | None = None
+        self.model, self.data = open_scene(env)
+        self.env, self._policy = env, policy
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
-        self.bounds = self._bounds()
-        """Lowest and highest position of the target, `[2, 3]`, metres, world frame."""
+        self.phase = Phase.ACTING
         self.restart(seed)
 
     def restart(self, seed: int | None = None) -> None:
         """Lets go of the target and starts the next episode, or the first of another seed."""
         if seed is not None:
             self._starts = self._keys(seed)
-            self._episodes = self._successes = 0
-        self._held = None
+            self.outcomes: list[bool] = []
+            """Whether each episode that came to an end was a success."""
+        self._held: np.ndarray | None = None
         self._begin()
 
     def move_target(self, position: np.ndarray) -> None:
         """Moves the target to a position, `[3]`, metres, world frame, or as near to it as the bounds allow."""
         self._held = np.clip(position, *self.bounds)
-        if self.env.lift_test_steps and self._phase in (Phase.LIFT_TEST, Phase.RESTING):
+        if self.env.lift_test_steps and self.phase in (Phase.LIFT_TEST, Phase.RESTING):
             self._begin()  # a lift test leaves the arm where no episode takes it
         else:
             self._place_target()
-            self._phase, self._clock = Phase.ACTING, 0
+            self._enter(Phase.ACTING)
 
     def step(self) -> None:
         """Takes one action, `env.control_period` seconds; starts the next episode if one is over."""
         self._before = self._state
-        match self._phase:
+        match self.phase:
             case Phase.RESTING:
                 self._clock += 1
                 if self._clock * self.env.control_period >= _REST:
@@ -110,11 +99,11 @@ class Session:
             case Phase.ACTING | Phase.STAYING:
                 self._advance(self._policy(np.asarray(self._state.obs)))
                 self._end = self._state
-                if self._phase is Phase.ACTING and self._clock == self.env.episode_length:
-                    self._phase, self._clock = Phase.LIFT_TEST, 0
+                if self.phase is Phase.ACTING and self._clock == self.env.episode_length:
+                    self._enter(Phase.LIFT_TEST)
             case Phase.LIFT_TEST:
                 self._advance(np.asarray(self.env.lift_test_action(jnp.asarray(self._action))))
-        if self._phase is Phase.LIFT_TEST and self._clock == self.env.lift_test_steps:
+        if self.phase is Phase.LIFT_TEST and self._clock == self.env.lift_test_steps:
             self._conclude()
 
     @property
@@ -122,12 +111,12 @@ class Session:
         """Status after the last action."""
         outcome = self._outcome(self._end, self._state)
         return Status(
-            phase=self._phase,
+            phase=self.phase,
             distance=float(outcome.distance_l2),
             reached=bool(self._end.reward >= 0.0),
             success=bool(outcome.success),
-            episodes=self._episodes,
-            successes=self._successes,
+            episodes=len(self.outcomes),
+            successes=sum(self.outcomes),
         )
 
     @property
@@ -141,12 +130,11 @@ class Session:
         difference = np.zeros(self.model.nv)
         mujoco.mj_differentiatePos(self.model, difference, 1.0, before, after)
         mujoco.mj_integratePos(self.model, before, difference, fraction)
-        self.data.qpos[:] = before
-        self.model.site("target").pos = self.target
-        mujoco.mj_kinematics(self.model, self.data)
+        pose(self.model, self.data, before, self.target)
 
-    def _bounds(self) -> np.ndarray:
-        """Returns the box of the task's goals; an axis along which they do not differ has no width."""
+    @functools.cached_property
+    def bounds(self) -> np.ndarray:
+        """Box of the task's goals, lowest and highest position, `[2, 3]`, metres, world frame."""
         keys = jax.random.split(jax.random.key(0), _SAMPLED_GOALS)
         goals = np.asarray(jax.jit(jax.vmap(self.env.reset))(keys).info["desired_goal"])[:, :3]
         return np.stack([goals.min(axis=0), goals.max(axis=0)])
@@ -159,9 +147,11 @@ class Session:
 
     def _begin(self) -> None:
         self._state = self._reset(next(self._starts))
-        self._phase, self._clock = Phase.ACTING, 0
-        self._action = np.zeros(self.env.action_size)
+        self._enter(Phase.ACTING)
         self._place_target()
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase, self._clock = phase, 0
 
     def _place_target(self) -> None:
         if self._held is not None:
@@ -177,7 +167,6 @@ class Session:
 
     def _conclude(self) -> None:
         """Counts the episode, and stays or rests."""
-        success = self.status.success
-        self._episodes, self._successes = self._episodes + 1, self._successes + success
-        stays = success and self._held is not None and not self.env.lift_test_steps
-        self._phase, self._clock = (Phase.STAYING if stays else Phase.RESTING), 0
+        self.outcomes.append(self.status.success)
+        stays = self.outcomes[-1] and self._held is not None and not self.env.lift_test_steps
+        self._enter(Phase.STAYING if stays else Phase.RESTING)

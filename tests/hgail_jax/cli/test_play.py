@@ -16,7 +16,9 @@ from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
-from hgail_jax.play.playback import Playback, film
+from hgail_jax.play.playback import film
+from hgail_jax.play.playback import play as play_episodes
+from hgail_jax.play.session import Session
 from tests.hgail_jax.test_terminal import Terminal
 from tests.support import ROOT, SOURCES
 
@@ -28,14 +30,14 @@ PLAYED = "reach, grasp, push, pick-and-place, slide, stack, tower"
 
 def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
     env = hgail_envs.make("grasp")
-    playback = Playback(env, load_policy(grasp_policy), seed=0)
-    heights = [playback.data.body("cube").xpos[2] for _ in playback.play(1)]
-    assert playback.outcomes == [True]
+    session = Session(env, load_policy(grasp_policy), seed=0)
+    heights = [session.data.body("cube").xpos[2] for _ in play_episodes(session, 1)]
+    assert session.outcomes == [True]
     assert len(heights) == env.episode_length + env.lift_test_steps + 10
     assert heights[0] == pytest.approx(0.425, abs=1e-3)
     assert heights[-1] > 0.6
-    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0), 1)[0])
-    np.testing.assert_allclose(playback.model.site("target").pos, start.info["desired_goal"][:3], atol=1e-6)
+    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0))[1])
+    np.testing.assert_allclose(session.model.site("target").pos, start.info["desired_goal"][:3], atol=1e-6)
 
 
 def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rendering):
@@ -124,8 +126,7 @@ def test_the_package_has_a_policy_of_its_own_for_each_task_that_it_plays(task):
         (["--policy", "none.npz"], "hgail play: there is no file or folder none.npz"),
         (["--episodes", "many"], "--episodes INT: invalid literal for int() with base 10: 'many'"),
         (["--task", REACH], f"no policy of {REACH} comes with the package; name one by --policy"),
-        (["--out", "film.avi"], "film.avi is not the name of a film; it must end in .mp4, .gif, .webp"),
-        (["--out", "none/film.mp4"], "there is no folder none to write film.mp4 into"),
+        (["--out", "film.avi"], "film.avi has an unknown format; it must end in .mp4, .gif, .webp"),
         (["--web", "--out", "film.mp4"], "--web writes no film"),
         (["--web", "--port", "0"], "port is 0; it must be at least 1"),
         (["--web", "--port", "70000"], "port is 70000; it must be at most 65535"),
