@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -181,21 +182,20 @@ class Hyperparameters(struct.PyTreeNode):
     negative_weight: jax.Array | float = 1.0
     """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's (TD3)."""
 
+    def as_arrays(self) -> "Hyperparameters":
+        """Returns itself with arrays for leaves."""
+        return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(self).items()})
+
     def as_dict(self, learner: Learner) -> dict[str, Any]:
         """Returns the fields as JSON has them, less those that other learners alone read."""
         others = set(OF_TD3) - set(learner.hyperparameters)
         return {name: np.asarray(value).tolist() for name, value in vars(self).items() if name not in others}
 
     def validate(self, action_size: int | None = None, config: Config | None = None) -> "Hyperparameters":
-        """Returns itself.
-
-        Args:
-          action_size: numbers in an action of the task, if it is known.
-          config: sizes to train with, if they are known.
+        """Returns itself, checked against the sizes of an action and of the training, where they are known.
 
         Raises:
-          ValueError: a value is out of its range, or contradicts the sizes. Values that are being traced are not
-            checked.
+          ValueError: a value is out of its range, or contradicts the sizes; none that is being traced is checked.
 
         """
         for name in _SHARES:

@@ -32,12 +32,7 @@ def check_seeds(first: int, count: int) -> None:
 
 
 def seed_keys(first: int, count: int) -> jax.Array:
-    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others.
-
-    Raises:
-      ValueError: see `check_seeds`.
-
-    """
+    """Returns the PRNG keys of the seeds `first` to `first + count - 1`; a seed's run does not depend on the others."""
     check_seeds(first, count)
     return jax.vmap(jax.random.key)(jnp.arange(first, first + count))
 
@@ -62,14 +57,8 @@ def init_sweep(
 ) -> TrainState:
     """Returns a state whose every leaf has a leading axis over settings times seeds, the seeds within a setting.
 
-    Whatever trains several seeds trains this: a grid of settings is one program. `split_sweep` takes its results apart.
-
-    Args:
-      env: the task.
-      config: sizes and counts, which all settings share.
-      settings: the hyperparameters of each.
-      keys: `[seeds]`; every setting has the same seeds.
-      demonstrations: see `init_state`.
+    Whatever trains several seeds trains this: a grid of settings is one program, with one `config`. Every setting has
+    the same seeds, `[seeds]` keys. `split_sweep` takes its results apart; see `init_state` for the rest.
 
     Raises:
       ValueError: see `init_state`; or there is no setting.
@@ -78,15 +67,10 @@ def init_sweep(
     check_count("the number of settings", len(settings))
     for setting in settings:  # while they are being traced they have no values
         setting.validate(env.action_size, config)
-    swept = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *map(_widen, settings))
-    swept = jax.tree.map(lambda values: jnp.repeat(values, len(keys), axis=0), swept)
+    arrays = [setting.as_arrays() for setting in settings]
+    swept = jax.tree.map(lambda *values: jnp.repeat(jnp.stack(values), len(keys), axis=0), *arrays)
     init = functools.partial(init_state, env, config, demonstrations=demonstrations)
     return jax.jit(jax.vmap(init))(swept, jnp.tile(keys, len(settings)))
-
-
-def _widen(setting: Hyperparameters) -> Hyperparameters:
-    """Returns the setting with arrays for leaves."""
-    return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(setting).items()})
 
 
 def split_sweep(results: Any, settings: int) -> Any:
@@ -99,18 +83,9 @@ def compile_train_step(
 ) -> SeedsStep:
     """Compiles `train_step` for all seeds at once. The step consumes the states that it is given.
 
-    With a mesh of several devices each runs its part, see `hgail_jax.devices.sharding`. The step then takes states
-    that `shard` placed, and every process can read its metrics.
-
-    Args:
-      env: the task.
-      config: sizes and counts.
-      states: from `init_seeds`; only its shapes are read.
-      phases: any row of `phase_table`; only its shape is read.
-      mesh: from `make_mesh`; None is one device.
-
-    Returns:
-      A function of states and a row of phases to new states and metrics, each with an axis over seeds.
+    Of the states, from `init_seeds`, and of a row of `phase_table` only the shapes are read. With a mesh of several
+    devices, from `make_mesh`, each runs its part, see `hgail_jax.devices.sharding`. The step then takes states that
+    `shard` placed, and every process can read its metrics.
 
     Raises:
       ValueError: a device would step more environments than the task's physics can.
@@ -148,12 +123,7 @@ def trace_evaluation(
 ) -> Callable[[], SeedsEvaluation]:
     """Traces the evaluation of every seed's mean action in the task's most accurate physics.
 
-    Args:
-      env: the task.
-      config: sizes and counts.
-      states: with an axis over seeds; only their shapes are read.
-      num_episodes: that each seed has at least: whole roll-outs.
-      mesh: see `compile_train_step`.
+    Each seed has `num_episodes` at least, in whole roll-outs. See `compile_train_step` for the other arguments.
 
     Returns:
       A function that compiles, which needs the device no more, and returns a function of states, with a mesh as `shard`

@@ -36,18 +36,13 @@ def init_state(
     rng: jax.Array,
     demonstrations: Samples | None = None,
 ) -> TrainState:
-    """Returns the state of an untrained learner; `jax.vmap` it over `rng` for several seeds.
+    """Returns the state of an untrained learner; `jax.vmap` it over `rng`, a PRNG key, for several seeds.
 
-    Args:
-      env: the task.
-      config: sizes and counts.
-      hyperparameters: scalars, or tracers where a sweep is vmapped.
-      rng: a PRNG key, from `jax.random.key`.
-      demonstrations: leaves `[S, ...]`; where the config's expert samples are demonstrations, and only there.
+    Hyperparameters are tracers where a sweep is vmapped. The demonstrations, leaves `[S, ...]`, are given where the
+    config's expert samples are demonstrations, and only there.
 
     Raises:
-      ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`; or there are several standard
-        deviations, but not one for each number of an action.
+      ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`.
 
     """
     config.validate(env)
@@ -59,7 +54,7 @@ def init_state(
         discriminator=discriminator,
         discriminator_optimizer=discriminator_optimizer,
         statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
-        hyperparameters=Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(hyperparameters).items()}),
+        hyperparameters=hyperparameters.as_arrays(),
         rng=rng,
         expert=init_expert(env, config, demonstrations),
         buffer=config.learner.init_buffer(env),
@@ -130,10 +125,7 @@ def train_step(
       state: the learner, from `init_state` or an earlier step.
       phases: `[phases]`, a row of `phase_table`. Under a vmap over states leave it unbatched, so that a phase runs its
         own update and no other.
-      axis: within a `jax.shard_map`, the mesh axis that the environments are split along; see `rollout`.
-
-    Returns:
-      The learner after the round, and the round's metrics.
+      axis: see `rollout`.
 
     """
     phases = jnp.asarray(phases)
@@ -154,10 +146,7 @@ def train_step(
 
 
 def check_metrics(metrics: RoundMetrics) -> None:
-    """Refuses a round whose results are wrong.
-
-    Args:
-      metrics: leaves `[]` or, of several seeds, `[seeds]`.
+    """Refuses a round whose results are wrong; leaves of the metrics are `[]` or, of several seeds, `[seeds]`.
 
     Raises:
       OverflowError: the simulation ran out of room for contacts.

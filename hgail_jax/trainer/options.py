@@ -1,10 +1,12 @@
 """Options of a training, and the run that they ask for on a platform."""
 
+import contextlib
 import dataclasses
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import jax
 import numpy as np
@@ -29,8 +31,6 @@ from hgail_jax.trainer.run import Run
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that are options of `TrainOptions`, or follow from them."""
 _EPISODES = f"{EVALUATION_EPISODES['cpu']} on a CPU, {EVALUATION_EPISODES['gpu']} on a GPU"
-
-_OTHER_METHOD = ", the task's default; name another by --method"
 
 
 def _choices(text: str, names: Any) -> Any:
@@ -102,24 +102,18 @@ class TrainOptions:
     logger: Annotated[str, _choices("Where measurements go, several with commas between them", LOGGERS)] = "csv"
 
 
-class Choice(NamedTuple):
-    """The method of a run, and its preset before the options that the user gave."""
-
-    method: str
-    preset: Preset
-
-
 def choose(
     task: str, platform: str, method: str | None, preset: str, learner: str | None, randomize: str = "none"
-) -> Choice:
-    """Returns the method and the settings of a task; where method or learner are None they are the task's.
+) -> Preset:
+    """Returns the settings of a task under a method and a learner, which are the task's where they are None.
 
     Raises:
       ValueError: there is no such task, method, learner or preset, or they do not go together.
 
     """
     check_name("randomize", randomize, LEVELS)
-    task_class = _find(task)
+    with _one_error(f"cannot load task {task!r}"):
+        task_class = hgail_envs.find_class(task)
     if method is not None:
         check_name("method", method, METHODS)
     if learner is not None:
@@ -132,20 +126,15 @@ def choose(
             learner = METHODS[method].learners[0]
     found = task_preset(task_class, platform, preset, learner, randomize != TrainOptions.randomize)
     chosen = method or found.method
-    return Choice(chosen, METHODS[chosen].apply(found))
+    return dataclasses.replace(METHODS[chosen].apply(found), method=chosen)
 
 
 def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
-    """Returns the task's, or the method's, values of the options that are None by default; `options` are `choose`'s.
-
-    Raises:
-      ValueError: see `choose`.
-
-    """
-    chosen, whole = choose(platform=platform, **options)
-    config, hyperparameters, physics = whole.config, whole.hyperparameters, whole.task_options
+    """Returns the task's, or the method's, values of the options that are None by default; see `choose`."""
+    chosen = choose(platform=platform, **options)
+    config, hyperparameters, physics = chosen.config, chosen.hyperparameters, chosen.task_options
     values = {
-        "method": chosen,
+        "method": chosen.method,
         "learner": config.learner.name,
         "num_envs": config.num_envs,
         "rounds": config.rounds,
@@ -155,7 +144,8 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "exploration_noise": " ".join(map(str, np.ravel(hyperparameters.exploration_noise))),
     }
-    refused = METHODS[chosen].without_effect + METHODS[chosen].decides
+    method = METHODS[chosen.method]
+    refused = method.without_effect + method.decides
     return {name: value for name, value in values.items() if name not in refused}
 
 
@@ -170,9 +160,9 @@ def plan(options: TrainOptions, platform: str) -> Run:
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
-    method, preset = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
-    _refuse_without_effect(options, method, preset.config.learner.name)
-    preset = _with_options(options, preset)
+    chosen = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
+    _refuse_without_effect(options, chosen)
+    preset = _with_options(options, chosen)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
@@ -184,11 +174,11 @@ def plan(options: TrainOptions, platform: str) -> Run:
         hgail_envs.check_task(env)
     env = randomize(env, options.randomize)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
-    if (demonstrations is None) != (method != "gail-demo"):
+    if (demonstrations is None) != (preset.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
     return Run(
         task=options.task,
-        method=method,
+        method=preset.method,
         seeds=options.seeds,
         first_seed=options.first_seed,
         env=env,
@@ -220,15 +210,17 @@ def _check(options: TrainOptions) -> None:
         raise ValueError("--resume and --out exclude each other; a run resumes in its own folder")
 
 
-def _refuse_without_effect(options: TrainOptions, method: str, learner: str) -> None:
+def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
+    name, learner = preset.method, preset.config.learner
+    method, others = METHODS[name], "" if options.method else ", the task's default; name another by --method"
     for names, why in (
-        (METHODS[method].without_effect, f"changes nothing for the method {method}"),
-        (LEARNERS[learner].without_effect, f"changes nothing for the learner {learner}"),
-        (METHODS[method].decides, f"is decided by the method {method}" + ("" if options.method else _OTHER_METHOD)),
+        (method.without_effect, f"changes nothing for the method {name}"),
+        (learner.without_effect, f"changes nothing for the learner {learner.name}"),
+        (method.decides, f"is decided by the method {name}{others}"),
     ):
-        for name in names:
-            if getattr(options, name) != (default := getattr(TrainOptions, name)):
-                flag = ("no-" if default is True else "") + name.replace("_", "-")
+        for option in names:
+            if getattr(options, option) != (default := getattr(TrainOptions, option)):
+                flag = ("no-" if default is True else "") + option.replace("_", "-")
                 raise ValueError(f"--{flag} {why}")
 
 
@@ -260,13 +252,15 @@ def _given(values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _find(task: str) -> type[hgail_envs.GoalEnv]:
+@contextlib.contextmanager
+def _one_error(fault: str) -> Iterator[None]:
+    """Turns errors of any type, as a user's task raises them, into a ValueError."""
     try:
-        return hgail_envs.find_class(task)
+        yield
     except ValueError:
         raise
-    except Exception as error:  # a user's module raises errors of any type
-        raise ValueError(f"cannot load task {task!r}: {error}") from error
+    except Exception as error:
+        raise ValueError(f"{fault}: {error}") from error
 
 
 def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[str, Any]) -> hgail_envs.GoalEnv:
@@ -276,12 +270,8 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     asks_for_physics = options.substeps is not None or options.impl != "auto"
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
-    try:
+    with _one_error(f"cannot make task {options.task!r}"):
         return hgail_envs.make(options.task, **{name: given[name] for name in accepted if name in given} | task_options)
-    except ValueError:
-        raise
-    except Exception as error:  # a class that is abstract, or the user's own
-        raise ValueError(f"cannot make task {options.task!r}: {error}") from error
 
 
 def _check_effect(name: str, config: Config) -> None:

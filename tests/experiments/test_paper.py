@@ -8,7 +8,7 @@ import pytest
 
 import hgail_envs
 from experiments.paper import __main__ as paper
-from experiments.paper import tables, work
+from experiments.paper import statistics, tables, work
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.programs import group_by_program, make_program, train_program
 from experiments.paper.studies import STUDIES, SWEEP, studies_of
@@ -20,7 +20,6 @@ from hgail_jax import PRESETS, env_steps, phase_table
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
-from hgail_jax.trainer import statistics
 from hgail_jax.trainer.loop import Program
 
 QUICK = ["--quick", "--seeds", "3"]

@@ -199,7 +199,7 @@ class OwnSizes(Push):
     ],
 )
 def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, method, preset, given, chosen):
-    assert choose(task, "cpu", method, preset, given).preset.config.learner.name == chosen
+    assert choose(task, "cpu", method, preset, given).config.learner.name == chosen
 
 
 @pytest.mark.parametrize(
@@ -220,10 +220,7 @@ def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, m
 def test_a_task_s_default_method_is_the_one_that_trains_it(task, platform, learner, randomize, method):
     chosen = choose(task, platform, None, "parallel", learner, randomize)
     assert chosen.method == method
-    weight, minibatches = (
-        chosen.preset.hyperparameters.environment_reward,
-        chosen.preset.config.discriminator_minibatches,
-    )
+    weight, minibatches = chosen.hyperparameters.environment_reward, chosen.config.discriminator_minibatches
     assert (weight == 1.0) == (minibatches == 0) == (method == "her")
 
 
