@@ -12,7 +12,6 @@ Range = tuple[float, float]
 
 MOST_DELAY = 50
 """Largest delay, steps: an episode of the Fetch tasks."""
-_LATER = ("hand_width", "pad_size", "known_delay")  # sizes that runs and policy files of earlier releases lack
 _OLD_NAMES = {"sag": "z_bias", "growth": "ramp"}  # of fields, in policy files of earlier releases
 
 
@@ -117,14 +116,9 @@ class Randomization:
         """Returns no randomisation, for observations of the same size."""
         return type(self)(history=self.history, known_delay=self.known_delay)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Returns the sizes by their names, those of `_LATER` only where they are not nominal, as in older runs."""
-        sizes, nominal = dataclasses.asdict(self), dataclasses.asdict(type(self)())
-        return {name: value for name, value in sizes.items() if name not in _LATER or value != nominal[name]}
-
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Rebuilds a randomisation from `as_dict` as JSON, also with an earlier release's names.
+        """Rebuilds a randomisation from its fields as JSON, also with an earlier release's names, or without some.
 
         Raises:
           ValueError: there is no such field, or it cannot have such a value.

@@ -15,6 +15,7 @@ Where `randomization` has a `known_delay`, the features begin with so many actio
 come, where it has a `history`, so many actions and observations. See `RandomizedEnv`.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
         "layers": len(policy.layers),
         "activation": _LAYER_NORM_RELU if len(policy.layers[0]) > 2 else _TANH,
         "squash": policy.squash,
-        "randomization": {} if policy.randomization == Randomization() else policy.randomization.as_dict(),
+        "randomization": {} if policy.randomization == Randomization() else dataclasses.asdict(policy.randomization),
         "task_options": policy.task_options,
         "versions": policy.versions,
     }

@@ -6,6 +6,7 @@ from typing import Any
 
 from jax.sharding import Mesh
 
+from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.trainer.loop import Program
 
@@ -40,16 +41,14 @@ class Run(Program):
 
     def identity(self) -> dict[str, Any]:
         """Returns the settings that a run must have in common with one that it resumes."""
+        physics = {name: getattr(self.env, name, None) for name in ("impl", "substeps")}
+        if isinstance(self.env, RandomizedEnv):
+            physics["randomization"] = dataclasses.asdict(self.env.randomization)
         return {
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
-            "physics": {name: getattr(self.env, name, None) for name in ("impl", "substeps")} | self._randomization(),
+            "physics": physics,
             "task_options": self.task_options,
             "config": self.config.as_dict(),
             "hyperparameters": self.hyperparameters.as_dict(self.config.learner),
             "demonstrations": self.demonstrations_sha256,
         }
-
-    def _randomization(self) -> dict[str, Any]:
-        """Returns the sizes of the randomisation; nothing if there is none."""
-        randomization = getattr(self.env, "randomization", None)
-        return {} if randomization is None else {"randomization": randomization.as_dict()}
