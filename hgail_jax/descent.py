@@ -32,19 +32,11 @@ def descend(
     learning_rate: jax.Array | float,
     minibatches: Any,
 ) -> tuple[Any, optax.OptState, Any]:
-    """Takes one gradient step for each minibatch.
+    """Takes one gradient step for each minibatch, leaves `[steps, ...]`.
 
-    Args:
-      optimizer: without its learning rate.
-      loss: parameters and a minibatch to the loss, `[]`, and metrics.
-      params: of the network.
-      optimizer_state: of `optimizer`.
-      learning_rate: step size; an argument, so that a sweep can batch it.
-      minibatches: leaves `[steps, ...]`.
-
-    Returns:
-      The new parameters, the optimiser's new state and the metrics' means over the steps.
-
+    The optimiser is without its learning rate, an argument that a sweep can batch. The loss maps parameters and a
+    minibatch to a number, `[]`, and metrics. Returns the new parameters, the optimiser's new state and the metrics'
+    means over the steps.
     """
 
     def step(carry: tuple[Any, optax.OptState], minibatch: Any) -> tuple[tuple[Any, optax.OptState], Any]:

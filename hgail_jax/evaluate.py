@@ -41,19 +41,9 @@ def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) ->
 def evaluate_rollouts(
     env: GoalEnv, policy: Policy, rng: jax.Array, rollouts: int, num_envs: int, axis: str | None = None
 ) -> tuple[EpisodeMetrics, jax.Array]:
-    """Runs `policy` for some roll-outs of `num_envs` episodes, one after another.
+    """Runs `policy` for some roll-outs of `num_envs` episodes, one after another; see `rollout` for `axis`.
 
-    Args:
-      env: the task.
-      policy: to be evaluated.
-      rng: a PRNG key.
-      rollouts: their number.
-      num_envs: episodes side by side in each.
-      axis: see `rollout`.
-
-    Returns:
-      The means over all episodes, `[]`, and whether the simulation ran out of room for contacts, a boolean `[]`.
-
+    Returns the means over all episodes, `[]`, and whether the simulation ran out of room for contacts, a boolean `[]`.
     """
 
     def roll_out(rng: jax.Array) -> tuple[EpisodeMetrics, jax.Array]:
@@ -66,14 +56,10 @@ def evaluate_rollouts(
 
 
 def whole_rollouts(num_episodes: int, num_envs: int) -> int:
-    """Returns how many roll-outs of `num_envs` episodes have at least `num_episodes`.
-
-    Raises:
-      ValueError: `num_episodes` is no count from 1.
+    """Returns how many roll-outs of `num_envs` episodes have at least `num_episodes`, which must be a count from 1.
 
     >>> whole_rollouts(100, 64)
     2
-
     """
     check_count("num_episodes", num_episodes)
     return -(-num_episodes // num_envs)

@@ -73,14 +73,9 @@ def relabel(
 
 
 def _draw_future(rng: jax.Array, first: jax.Array, kind: jax.Array, kind_share: jax.Array) -> jax.Array:
-    """Draws a state for each step, from `first` on: a kind among those ahead by its share, then one of its states.
+    """Draws a state for each step, from `first`, `[T]`, on: a kind among those ahead, then one of its states.
 
-    Args:
-      rng: a PRNG key.
-      first: `[T]`.
-      kind: `[T + 1]` integers below `K`.
-      kind_share: `[K]`.
-
+    The states' `kind` is `[T + 1]` integers below `K`, and `kind_share`, `[K]`, how often each is drawn.
     """
     ahead = jnp.arange(len(kind))[None] >= first[:, None]
     states_of_kind = jnp.maximum(ahead.astype(jnp.float32) @ jax.nn.one_hot(kind, len(kind_share)), 1.0)
@@ -109,15 +104,8 @@ def draw_source(
     The distribution is that of `relabel`: "future" draws a kind of goal among those ahead by its share, then one of its
     states uniformly; "final" takes the last. It costs a search of log T steps where `relabel` weighs all T + 1 states.
 
-    Args:
-      rng: a PRNG key.
-      counts: `[episodes, T + 2, K]`, from `count_kinds`.
-      episode: `[B]`: the episode of each step.
-      first: `[B]`: the first state that may be drawn.
-      last: `[B]`: the last one.
-      share: `[K]`, positive: how often each kind is drawn where all lie ahead.
-      strategy: `FUTURE` or `FINAL`.
-
+    The `counts`, `[episodes, T + 2, K]`, are from `count_kinds`. Of the `episode` of each step, `[B]`, the states from
+    `first` to `last`, `[B]`, may be drawn; `share`, `[K]`, is positive.
     """
     kind_uniform, state_uniform = jax.random.uniform(rng, (2, *episode.shape))
     before = counts[episode, first]

@@ -69,11 +69,9 @@ class MeanPolicy:
         return self.layers[-1][1].size
 
     def __call__(self, observation: np.ndarray, xp: Any = np) -> np.ndarray:
-        """Returns actions in [-1, 1], `[..., action_size]`, for observations `[..., observation_size]`.
+        """Returns actions in [-1, 1], `[..., action_size]`, for observations `[..., observation_size]`, as they are.
 
-        Args:
-          observation: not normalised.
-          xp: the module that computes, `numpy` or `jax.numpy`.
+        The module `xp` computes, `numpy` or `jax.numpy`.
 
         Raises:
           ValueError: the last axis of the observations has another size.

@@ -56,16 +56,12 @@ def rollout(
 ) -> Trajectory:
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
 
-    Args:
-      env: the task.
-      policy: of the actions.
-      rng: a PRNG key.
-      num_envs: environments, that is, episodes.
-      training_goals: whether the goals are those to learn from, see `GoalEnv`; may be traced.
-      lift_test: whether the outcome includes the task's lift test, `env.lift_test_steps` further steps that are no part
-        of the trajectory; may be traced. Without it the outcome is that of a test that changed nothing.
-      axis: within a `jax.shard_map`, the mesh axis that the environments are split along. Each device steps its part of
-        them, asks `policy` for their actions alone, and returns the trajectory of all of them.
+    The goals are those to learn from if `training_goals` is set, see `GoalEnv`. With a `lift_test` the outcome includes
+    the task's, `env.lift_test_steps` further steps that are no part of the trajectory; without one the outcome is that
+    of a test that changed nothing. Both may be traced.
+
+    Within a `jax.shard_map`, `axis` is the mesh axis that the environments are split along. Each device steps its part
+    of them, asks `policy` for their actions alone, and returns the trajectory of all of them.
 
     Raises:
       ValueError: `num_envs` is no count from 1, or a device would step more environments than `env.max_worlds`.
@@ -106,15 +102,9 @@ def _seen(state: State) -> dict[str, jax.Array]:
 def _lift_test(
     env: GoalEnv, move: Callable[..., State], end: State, action: jax.Array, wanted: jax.Array | bool
 ) -> State:
-    """Returns the states that the lift test leads to where `wanted`, else `end`.
+    """Returns the states that the lift test leads to where `wanted`, else `end`, the last states, `[N, ...]`.
 
-    Args:
-      env: the task.
-      move: takes a step in all environments.
-      end: the last states of episodes, `[N, ...]`.
-      action: their last actions, `[N, action_size]`.
-      wanted: `lift_test` of `rollout`.
-
+    `move` takes a step in all environments; `action`, `[N, action_size]`, are the last actions.
     """
 
     def step(_: jax.Array, carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:

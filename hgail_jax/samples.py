@@ -44,13 +44,9 @@ class Samples(struct.PyTreeNode):
 
 
 def _first_above(cumulative: jax.Array, block: jax.Array, target: jax.Array) -> jax.Array:
-    """Returns the first column of row `block` whose number is above `target`, by bisection; indices `[...]`.
+    """Returns the first column of row `block` whose number is above `target`, by bisection; all three are `[...]`.
 
-    Args:
-      cumulative: `[blocks, width]`, each row growing to more than its targets.
-      block: `[...]` rows.
-      target: `[...]` numbers.
-
+    The rows of `cumulative`, `[blocks, width]`, grow to more than their targets.
     """
     width = cumulative.shape[1]
 

@@ -29,12 +29,7 @@ class StatusLine:
     """Shows the activity within a `with` block, and its time so far.
 
     A terminal shows one line, `activity, 00:12 elapsed`, which never wraps; elsewhere, as in a log file, an activity is
-    a line when it begins. Of several processes only the first shows it.
-
-    Args:
-      text: the activity, e.g. `"compiling the training program"`.
-      stream: None is stderr.
-
+    a line when it begins. Of several processes only the first shows it. The stream is stderr if None.
     """
 
     def __init__(self, text: str, stream: TextIO | None = None) -> None:
@@ -115,12 +110,9 @@ def stop_in_one_line(program: str) -> Iterator[None]:
 def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator[threading.Event]:
     """Yields an event that the first signal sets; a second ends the process at once, with 128 + its number.
 
-    Each prints one line on stderr. Enter it in the main thread; Python handles signals between two instructions of
+    Each prints one line on stderr. Where there is nothing to save, `refusal` returns a line; then the first signal ends
+    the process at once, with this line. Enter it in the main thread; Python handles signals between two instructions of
     that thread alone, so that work which must not delay them belongs `in_a_thread`.
-
-    Args:
-      refusal: returns a line where there is nothing to save; then the first ends the process at once, with this line.
-
     """
     stop = threading.Event()
     noted = -_ONE_SIGNAL

@@ -40,9 +40,6 @@ def check_task(env: GoalEnv) -> None:
         def test_my_task():
             hgail_envs.check_task(MyTask())
 
-    Args:
-      env: the task.
-
     Raises:
       ValueError: an attribute is missing or out of range, or a method raises, or returns other shapes than `GoalEnv`
         documents. The message names it, its value and the value that is needed.

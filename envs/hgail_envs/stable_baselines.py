@@ -15,11 +15,8 @@ class GoalVecEnv(VecEnv):
     Each environment's `info` has `is_success`, and at an episode's end `terminal_observation` and
     `TimeLimit.truncated`, as stable-baselines3 wants them.
 
-    Args:
-      env: made with `autoreset_mode="SameStep"`.
-
     Raises:
-      ValueError: another autoreset mode.
+      ValueError: the environment was not made with `autoreset_mode="SameStep"`.
 
     """
 

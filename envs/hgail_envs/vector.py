@@ -53,12 +53,9 @@ class GoalVectorEnv(VectorEnv):
     episode `key, episode_key = jax.random.split(key)`, and the episode is `env.reset(episode_key)`. A `reset` without
     a seed continues with the next episode.
 
-    Args:
-      env: the task.
-      num_envs: environments.
-      max_episode_steps: steps in an episode; None is the task's `episode_length`.
-      autoreset_mode: `NEXT_STEP` or `SAME_STEP`, as a string (`"NextStep"`, `"SameStep"`) or Gymnasium's enumeration.
-      render_mode: None, or `"rgb_array"`: `render` returns a picture of each environment.
+    An episode has the task's `episode_length` unless `max_episode_steps` says otherwise. The `autoreset_mode` is a
+    string (`"NextStep"`, `"SameStep"`) or Gymnasium's enumeration. With the `render_mode` `"rgb_array"`, `render`
+    returns a picture of each environment.
 
     Raises:
       TypeError: `env` is no `GoalEnv`.
@@ -129,11 +126,9 @@ class GoalVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Starts an episode in all environments.
+        """Starts an episode in all environments, which are reset together: there are no options, such as `reset_mask`.
 
-        Args:
-          seed: seed of the first environment, from which the others count on; or a seed for each.
-          options: must be empty; all environments are reset together, so that there is no `reset_mask`.
+        The seed is that of the first environment, from which the others count on, or there is one for each.
 
         Raises:
           ValueError: not as many seeds as environments, or a seed that is no integer or out of range; or there are

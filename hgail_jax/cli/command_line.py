@@ -31,12 +31,8 @@ _STDERR = 2  # the last of the standard streams' descriptors
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
     """Reads a command line into `options`; a mistake in it ends the process with one line and exit code 2.
 
-    Args:
-      options: a dataclass, or a union of them, which makes subcommands.
-      program: the name that begins a line of error.
-      description: stands above the options in the help.
-      arguments: the words of the command line; None are the process's own.
-
+    The options are a dataclass, or a union of them, which makes subcommands. The name of the `program` begins a line of
+    error, and the `description` stands above the options in the help. The arguments are the process's own if None.
     """
     words = sys.argv[1:] if arguments is None else arguments
     for old, new in RENAMED.items():

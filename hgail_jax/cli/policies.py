@@ -1,4 +1,7 @@
-"""Policies that a command is given: a file, a run's folder, or one that comes with the package."""
+"""Policies that a command is given: a file, a run's folder, or one that comes with the package.
+
+What cannot be found, read or used together is a ValueError or an OSError, whose message the command prints.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -41,13 +44,7 @@ class PolicyOptions:
 
 
 def policy_files(path: Path) -> list[Path]:
-    """Returns a policy's file, or those of a run's folder, by seed.
-
-    Raises:
-      ValueError: the folder has no policy.
-      FileNotFoundError: there is no such file or folder.
-
-    """
+    """Returns a policy's file, or those of a run's folder, by seed."""
     if not path.exists():
         raise FileNotFoundError(f"there is no file or folder {path}")
     if not path.is_dir():
@@ -63,11 +60,8 @@ def policy_files(path: Path) -> list[Path]:
 def find_task(task: str | None, path: Path | None) -> str:
     """Returns the task that is named, else the policy's, else the default one.
 
-    Raises:
-      ValueError: the policy's task is none of this package. To load it would run code that the file names, and the
-        file need not be trusted.
-      OSError: the policy's file cannot be read.
-
+    A policy's task that is none of this package is refused: to load it would run code that the file names, and the file
+    need not be trusted.
     """
     if task is not None or path is None:
         return task or DEFAULT_TASK
@@ -85,11 +79,6 @@ def find_policies(
     """Returns the policies of a file or a run's folder `path`, and their files; for None, see `shipped`.
 
     Where `task` is None it is the policy's own, whose code is not loaded.
-
-    Raises:
-      ValueError: there is none, or it is not for the task.
-      OSError: a policy's file cannot be read.
-
     """
     if path is None and task is not None:
         hgail_envs.find_class(task)
@@ -126,12 +115,7 @@ def _none_is_shipped(task: str | None, level: str | None) -> str:
 
 
 def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int) -> hgail_envs.GoalEnv:
-    """Makes the task that a policy is for, with the policy's options and past, and `physics` where the task takes it.
-
-    Raises:
-      ValueError: the policy is not for it, or an option is refused.
-
-    """
+    """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
     taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
     if policy.observation_size != env.observation_size:

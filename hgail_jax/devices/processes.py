@@ -36,12 +36,8 @@ def join(
 ) -> None:
     """Joins this process to the others of a training, before JAX is first used; alone without a coordinator or `auto`.
 
-    Args:
-      coordinator: host:port of the first process.
-      num_processes: how many there are.
-      process_id: which this one is, from 0.
-      auto: takes all three from Slurm, Open MPI or Kubernetes, as `jax.distributed` finds them.
-      heartbeat_timeout: seconds after which the others end if a process is silent.
+    The `coordinator` is host:port of the first process; `auto` takes it and the numbers from Slurm, Open MPI or
+    Kubernetes, as `jax.distributed` finds them. The others end if a process is silent for `heartbeat_timeout` seconds.
 
     Raises:
       ValueError: the numbers do not fit, the first process does not answer, or no cluster is found.

@@ -117,9 +117,6 @@ def check_replicas(tree: Any) -> None:
     Devices with the same seeds make the same update of the same trajectories. Nothing else keeps them alike: a program
     per device is compiled without a check of values that vary between devices.
 
-    Args:
-      tree: arrays and PRNG keys, as a step of several devices returned them.
-
     Raises:
       ReplicaError: they differ by more than rounding; the message names the array.
 
@@ -181,16 +178,10 @@ def any_process(flag: bool) -> bool:
 
 
 def jit_per_device(mesh: Mesh | None, function: Any, given: Any, returned: Any, **options: Any) -> Any:
-    """Jits a function, each device of the mesh running its part.
+    """Jits a function, each device of the mesh running its part; `options` are those of `jax.jit`.
 
-    Args:
-      mesh: None is one device.
-      function: of the mesh axis that environments are split along, or None, and of arrays; its results have an axis
-        over seeds.
-      given: how the arrays are laid out.
-      returned: how the results are laid out: along the seeds, or whole on each device.
-      options: of `jax.jit`.
-
+    The function is of the mesh axis that environments are split along, or None, and of arrays laid out as `given`. Its
+    results have an axis over seeds, and are `returned` along it or whole on each device.
     """
     if mesh is None or mesh.size == 1:
         return jax.jit(functools.partial(function, None), **options)

@@ -39,13 +39,9 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
     to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
     frame of each number), `frames`, `control_period` in seconds, `known_delay`, `history`, `randomization` and
-    `task_options` of the training, `versions` and, if it is known, `success`.
+    `task_options` of the training, `versions` and, if it is known, the rate of `success`.
 
-    Args:
-      path: to write.
-      policy: to be written.
-      success: rate of success of the policy, if it is known.
-      trusted: whether the class of a task that is not of this package may be imported, to name its numbers.
+    Only if `trusted` is the class of a task imported that is not of this package, to name its numbers.
 
     Raises:
       ImportError: the extra `onnx` is not installed.

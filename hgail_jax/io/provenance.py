@@ -59,11 +59,7 @@ def _git(*words: str) -> str:
 def provenance(*packages: str) -> dict:
     """Returns command, commit, device, usable processor cores and versions of this process.
 
-    Among the versions is the GPU's driver, None on a CPU.
-
-    Args:
-      *packages: further distributions to name the versions of.
-
+    The versions are those of our and further `packages`, and of the GPU's driver, None on a CPU.
     """
     device = jax.devices()[0]
     name = platform.processor() or platform.machine() if device.platform == "cpu" else device.device_kind

@@ -9,17 +9,10 @@ import jax.numpy as jnp
 def generalized_advantages(
     reward: jax.Array, value: jax.Array, discount: jax.Array | float, gae_lambda: jax.Array | float
 ) -> jax.Array:
-    """Returns generalised advantage estimates (Schulman et al. 2016, Eq. 16), `[T, ...]`.
+    """Returns generalised advantage estimates (Schulman et al. 2016, Eq. 16) of rewards, both `[T, ...]`.
 
     Episodes end by their time limit alone, which is a truncation: the last step bootstraps from the value of the
-    state it leads to, as every other step does.
-
-    Args:
-      reward: `[T, ...]`.
-      value: `[T + 1, ...]`, the values of states 0 to T.
-      discount: γ.
-      gae_lambda: λ.
-
+    state it leads to, as every other step does. The values are `[T + 1, ...]`, of states 0 to T.
     """
     delta = reward + discount * value[1:] - value[:-1]
 

@@ -18,12 +18,8 @@ _MOST_AT_ONCE = 512  # episodes side by side
 class Evaluation:
     """Evaluates mean actions in a task's most accurate physics, as a run evaluates its seeds at its end.
 
-    Policies of one shape, as the seeds of a run are, share a compiled program.
-
-    Args:
-      env: the task, of the policies' sizes.
-      seed: of the episodes.
-      num_episodes: least number of episodes: whole roll-outs of equal size.
+    Policies of one shape, as the seeds of a run are, share a compiled program. Each has `num_episodes` at least: whole
+    roll-outs of equal size.
 
     Raises:
       ValueError: `num_episodes` is no count from 1.

@@ -35,12 +35,7 @@ _COLOURS = {"blue": "#166bb8", "green": "#1e8e4e", "red": "#c0392b", "grey": "#6
 
 
 def free_port(host: str, port: int | None, first: int) -> int:
-    """Returns `port` if it is free; if it is None, the first free port from `first` on.
-
-    Raises:
-      ValueError: it is taken, none is free, or the host has no such address.
-
-    """
+    """Returns `port`, or if it is None the first free port from `first` on; a ValueError says that none is free."""
     tried = range(first, first + _MOST_TRIED) if port is None else (port,)
     reason: OSError | None = None
     for candidate in tried:
@@ -55,15 +50,8 @@ def free_port(host: str, port: int | None, first: int) -> int:
 class Page:
     """A page that shows a session and lets visitors take part; all of them see the same.
 
-    The session runs in the thread of `run`. Visitors' requests reach it through a queue, between two actions.
-
-    Args:
-      open_session: makes the session of a task, given its name and the seed.
-      tasks: the names of the tasks to choose from; the first is shown.
-      seed: of the starts.
-      host: the network address to serve on.
-      port: the port.
-
+    Visitors choose from `tasks`, of which the first is shown; `open_session` makes the session of a task's name and a
+    seed. It runs in the thread of `run`. Visitors' requests reach it through a queue, between two actions.
     """
 
     def __init__(

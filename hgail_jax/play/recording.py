@@ -1,4 +1,4 @@
-"""Records demonstrations by a scripted controller."""
+"""Records demonstrations by a scripted controller; a ValueError says that there is none, or that it rarely succeeds."""
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,7 @@ from hgail_jax.settings.defaults import platform_name, task_preset
 
 
 def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int) -> Trajectory:
-    """Rolls out a task's controller of that name, on evaluation goals, with the lift test.
-
-    Raises:
-      ValueError: the task has no such controller.
-
-    """
+    """Rolls out a task's controller of that name, on evaluation goals, with the lift test."""
     if not env.controllers:
         raise ValueError("the task has no controllers, or none that reads its observation")
     check_name("controller", name, env.controllers)
@@ -32,12 +27,7 @@ def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int)
 
 
 def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
-    """Makes a task with its training physics, to record so many demonstrations.
-
-    Raises:
-      ValueError: there is no such task, or no controller demonstrates it.
-
-    """
+    """Makes a task with its training physics, to record so many demonstrations."""
     if not hgail_envs.find_class(task).controllers:
         raise ValueError(f"no controller demonstrates {task!r}")
     options = dict(task_preset(hgail_envs.find_class(task), platform_name()).task_options)
@@ -52,12 +42,7 @@ def _attempts(episodes: int) -> int:
 
 
 def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> Demonstrations:
-    """Returns the first `episodes` successes of the controller that demonstrates a task.
-
-    Raises:
-      ValueError: the controller succeeds too rarely.
-
-    """
+    """Returns the first `episodes` successes of the controller that demonstrates a task."""
     check_count("demonstrations", episodes)
     name = next(iter(env.controllers))
     trajectory = run_controller(env, name, _attempts(episodes), seed)

@@ -51,12 +51,9 @@ class Checkpoint(NamedTuple):
 class Checkpoints:
     """The checkpoints of one run, of which the last `KEPT` and the best are kept.
 
-    Leaving the context waits for the checkpoint that is being written. Of several processes that train together only
-    the first writes and reads.
-
-    Args:
-      folder: made with the first checkpoint.
-      run: identity of the run, as JSON has it; a checkpoint of another run is refused.
+    The folder is made with the first of them. A checkpoint of another run, by its identity, is refused. Leaving the
+    context waits for the checkpoint that is being written. Of several processes that train together only the first
+    writes and reads.
 
     Raises:
       AnotherRunError: the folder has checkpoints of another schema.
@@ -92,11 +89,9 @@ class Checkpoints:
     def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole.
 
-        Args:
-          rounds: rounds done, more than in any checkpoint before.
-          state: any pytree of arrays and PRNG keys; it may be donated once this returns.
-          record: anything that JSON can hold.
-          score: the checkpoint whose score is largest, in the order of tuples, is the best; one that has none never is.
+        The state, any pytree of arrays and PRNG keys, may be donated once this returns. The checkpoint whose `score` is
+        largest, in the order of tuples, is the best; one that has none never is. More `rounds` are done than in any
+        checkpoint before, and JSON can hold the record.
 
         Raises:
           FloatingPointError: the state is not finite. Nothing is written.
@@ -127,8 +122,7 @@ class Checkpoints:
     def restore(self, template: Any) -> Checkpoint | None:
         """Reads the latest checkpoint that is whole; None if there is no checkpoint. Writes nothing.
 
-        Args:
-          template: a pytree of arrays, or of `jax.ShapeDtypeStruct`, like the state that was saved.
+        The template is a pytree of arrays, or of `jax.ShapeDtypeStruct`, like the state that was saved.
 
         Raises:
           AnotherRunError: the checkpoint is of another run or schema.

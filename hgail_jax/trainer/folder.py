@@ -1,4 +1,7 @@
-"""The folder of a run: its name, the guard that keeps other runs and processes out of it, and its checkpoints."""
+"""The folder of a run: its name, the guard that keeps other runs and processes out of it, and its checkpoints.
+
+A folder that cannot be used is a ValueError, whose message says why and what to do instead.
+"""
 
 import contextlib
 import dataclasses
@@ -23,12 +26,7 @@ _NAME_ANOTHER = "name another folder, or none to have one numbered"
 
 
 def create_numbered_folder(parent: Path, stem: str) -> Path:
-    """Makes and returns `parent/stem-N` for the smallest N from 1 that is larger than any there already.
-
-    Raises:
-      ValueError: it cannot be made.
-
-    """
+    """Makes and returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
     for number in itertools.count(1 + max(_numbers(parent, stem), default=0)):
         path = parent / f"{stem}-{number}"
         try:
@@ -65,12 +63,7 @@ def _is_empty(folder: Path) -> bool:
 
 
 def create_folder(path: Path) -> Path:
-    """Makes a run's folder and returns it.
-
-    Raises:
-      ValueError: it is there already, or cannot be made.
-
-    """
+    """Makes a run's folder, which must not be there already, and returns it."""
     try:
         path.mkdir(parents=True)
         return path
@@ -83,12 +76,7 @@ def create_folder(path: Path) -> Path:
 
 
 def reopen_folder(path: Path, identity: dict) -> None:
-    """Checks that a folder is empty, or that of the run with this identity; writes nothing.
-
-    Raises:
-      ValueError: it is neither.
-
-    """
+    """Checks that a folder is empty, or that of the run with this identity; writes nothing."""
     if not path.is_dir():
         raise ValueError(f"there is no folder {path} to resume")
     if _is_empty(path):
@@ -105,13 +93,7 @@ def reopen_folder(path: Path, identity: dict) -> None:
 
 @contextlib.contextmanager
 def sole_user(path: Path) -> Iterator[None]:
-    """Holds a folder for this process, by its file `.lock`; the system lets go of it however the process ends.
-
-    Raises:
-      ValueError: another process holds it.
-      OSError: the folder cannot be written to.
-
-    """
+    """Holds a folder for this process, by its file `.lock`; the system lets go of it however the process ends."""
     lock = filelock.FileLock(path / ".lock", timeout=0)
     try:
         lock.acquire()
@@ -141,14 +123,12 @@ class RunFolder:
 def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None) -> Iterator[RunFolder]:
     """Makes the folder of a run, or opens the one to resume. If one of several processes cannot, none continues.
 
-    Args:
-      run: the run to train.
-      out: folder to make; None numbers one in `runs/`.
-      resume: folder of a run to resume; `"auto"` takes the newest in `runs/`, if there is one.
+    It makes `out`, or where that is None numbers a folder in `runs/`; to `resume` `"auto"` takes the newest there, if
+    there is one.
 
     Raises:
       ValueError: the folder, or its checkpoints, cannot be used.
-      OSError: likewise.
+      OSError: the folder cannot be written to.
 
     """
     with contextlib.ExitStack() as held:

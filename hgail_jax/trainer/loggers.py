@@ -28,11 +28,7 @@ Record = dict[str, Any]
 class Logger(abc.ABC):
     """Writes a run's measurements to one place.
 
-    Args:
-      folder: the run's folder.
-      run: the run.
-      settings: its settings, as config.json has them.
-      history: records of the rounds done before, if the run resumes from a checkpoint.
+    It is given the settings as config.json has them, and the records of the rounds done before a resumed checkpoint.
 
     Raises:
       OSError: it cannot be opened.

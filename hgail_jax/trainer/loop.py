@@ -118,18 +118,11 @@ def train(
     stop: threading.Event | None = None,
     after_round: Callable[[Progress], None] = lambda progress: None,
 ) -> None:
-    """Runs the rounds that are left, or until `stop` is set, and saves a checkpoint.
+    """Runs the rounds that are left, by `step` from `Program.compile`, and changes `progress`, from `begin`.
 
-    A seed whose update is not finite is left as it was before that update, and continues; the round's record counts it.
-
-    Args:
-      program: the program.
-      step: from `Program.compile`.
-      progress: from `begin`; it is changed.
-      checkpoints: where states are saved; None saves nothing.
-      saving: their spacing; by default one after each round.
-      stop: once it is set in any process, the training ends with the round that it is in.
-      after_round: called once a round is recorded, before it is saved.
+    Checkpoints are saved as `saving` spaces them, by default after each round, and at the end. Once `stop` is set in
+    any process, the training ends with the round that it is in. `after_round` is called before a round is saved. A seed
+    whose update is not finite is left as it was before that update, and continues; the round's record counts it.
 
     Raises:
       OverflowError: the simulation ran out of room for contacts; the last checkpoint is from before that.
@@ -165,13 +158,9 @@ def train(
 
 
 def begin(program: Program, untrained: TrainState, restored: Checkpoint | None = None) -> Progress:
-    """Returns the progress that a training starts from, on its devices.
+    """Returns the progress that a training starts from, on its devices: `untrained` states, or a checkpoint's.
 
-    Args:
-      program: the program.
-      untrained: from `Program.init`.
-      restored: checkpoint to resume from, which the first of several processes has for all; None begins anew.
-
+    The first of several processes has the checkpoint for all.
     """
     progress = Progress(untrained)
     if restored is not None:

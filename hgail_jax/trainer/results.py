@@ -39,15 +39,10 @@ def write_results(run: Run, folder: Path, states: TrainState, history: list[dict
 def summarize(
     run: Run, progress: Progress, evaluations: Mapping[str, EpisodeMetrics], timing: dict[str, float]
 ) -> dict[str, Any]:
-    """Returns summary.json's content without provenance and total time.
+    """Returns summary.json's content, after the last round, without provenance and total time.
 
-    Args:
-      run: the run.
-      progress: after its last round.
-      evaluations: `"final"` and, of a randomised task, `"nominal"`, that of the task without randomisation; leaves
-        `[seeds]`.
-      timing: seconds of `compile`, `train` and `evaluation`.
-
+    The evaluations, leaves `[seeds]`, are `"final"` and, of a randomised task, `"nominal"`, that of the task without
+    randomisation; the timing has seconds of `compile`, `train` and `evaluation`.
     """
 
     def over_seeds(measured: jax.Array | float) -> dict[str, Any]:

@@ -40,13 +40,10 @@ class Trainer:
         summary = trainer.train()
         action = trainer.policy(seed=0)(observation)
 
-    Nothing is written before `train`. A training that was stopped resumes, in this process or another, with
-    `resume=trainer.folder`, and ends with the bits of one that was not. Of several processes that train together each
-    has a trainer; the first writes the folder.
-
-    Args:
-      options: settings of the run.
-      **changes: fields of `TrainOptions` that differ from `options`.
+    Its arguments are fields of `TrainOptions`, in which it may differ from `options`. Nothing is written before
+    `train`. A training that was stopped resumes, in this process or another, with `resume=trainer.folder`, and ends
+    with the bits of one that was not. Of several processes that train together each has a trainer; the first writes the
+    folder.
 
     Raises:
       ValueError: an option has a value that it cannot have.
@@ -89,15 +86,10 @@ class Trainer:
 
 
 def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:
-    """Trains and evaluates all seeds of a run, and writes everything into its folder.
+    """Trains and evaluates all seeds of a run, and writes everything into its folder, from `open_run_folder`.
 
-    Args:
-      run: the run to train.
-      folder: from `open_run_folder`.
-      stop: once it is set, the training ends with the round that it is in, and a checkpoint.
-
-    Returns:
-      The content of summary.json, or None if it was stopped. A run that was finished before is left as it is.
+    Once `stop` is set, the training ends with the round that it is in, and a checkpoint. Returns the content of
+    summary.json, or None if it was stopped; a run that was finished before is left as it is.
 
     Raises:
       Exception: see `hgail_jax.trainer.loop.train`; and an OSError where a file cannot be written.

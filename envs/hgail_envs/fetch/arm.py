@@ -63,9 +63,8 @@ class FetchEnv(GoalEnv):
     """The Fetch arm, its gripper pulled by a mocap body through a weld constraint.
 
     An action is four numbers in [-1, 1]: three end-effector displacements (x, y, z; a unit moves the gripper about
-    33 mm once it is up to speed) and the gripper command. The physics state is a `FetchPhysics`.
-
-    A task sets `scene` and the attributes of a `GoalEnv`; its arm may start elsewhere.
+    33 mm once it is up to speed) and the gripper command. A task sets `scene` and the attributes of a `GoalEnv`; its
+    arm may start elsewhere.
 
     Args:
       impl: physics engine, see `hgail_envs.engines.resolve_impl`: `"auto"`, `"warp"`, `"c"` or `"jax"`.
@@ -129,12 +128,10 @@ class FetchEnv(GoalEnv):
 
     @property
     def impl(self) -> str:
-        """The engine's name."""
         return self.engine.name
 
     @property
     def substeps(self) -> int:
-        """Physics steps per action."""
         return self.engine.substeps
 
     def prepare(self) -> None:

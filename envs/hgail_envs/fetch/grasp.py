@@ -53,19 +53,10 @@ class Grasp(FetchEnv):
     with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is without that test.
     Distances are between gripper and cube after the last step.
 
-    A policy sees where the cube was at the start, as by one look of a camera: if a finger pushes it away, the policy
-    does not know. With `cube="tracked"`, which TD3 takes by default, it sees at each step where the cube is, so that it
-    can try again: the cube's position less the gripper's is the last of the features, and the target of a goal with
-    holding 1 follows the cube.
-
-    See `FetchEnv` for the other arguments.
-
-    Args:
-      cube: `"at-start"` or `"tracked"`, what a policy sees of the cube.
-
-    Raises:
-      ValueError: an unknown option.
-
+    With `cube="at-start"` a policy sees where the cube was at the start, as by one look of a camera: if a finger pushes
+    it away, the policy does not know. With `cube="tracked"`, which TD3 takes by default, it sees at each step where the
+    cube is, so that it can try again: the cube's position less the gripper's is the last of the features, and the
+    target of a goal with holding 1 follows the cube. See `FetchEnv` for the other arguments.
     """
 
     features_layout = GRIPPER + HAND

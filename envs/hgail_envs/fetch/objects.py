@@ -50,12 +50,9 @@ class ObjectEnv(FetchEnv):
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
     A task sets `object_name`, `object_title`, `object_range`, `target_range` and `target_offset`, the scene, and
-    `features_layout`, which begins with `compact_layout` of that title. See `FetchEnv` for the other arguments.
-
-    Args:
-      observation: `"compact"`, or `"official"` for the reference's 25 numbers, see
-        `hgail_envs.fetch.layouts.official`; with these the task has no controllers.
-
+    `features_layout`, which begins with `compact_layout` of that title. The `observation` is `"compact"`, or
+    `"official"` for the reference's 25 numbers, see `hgail_envs.fetch.layouts.official`; with these the task has no
+    controllers. See `FetchEnv` for the other arguments.
     """
 
     goal_layout = GOAL

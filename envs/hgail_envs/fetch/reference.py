@@ -47,12 +47,8 @@ class ReferenceFetch:
     Starts, goals, successes and actions are the environment's own, except that the goal of grasp is the cube: the place
     where FetchPickAndPlace wants it is ignored. The features are taken from the environment's observation
     (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and velocity `5:8`), whose
-    velocities are already multiplied by `CONTROL_PERIOD`.
-
-    Args:
-      task: one of `TASKS`.
-      observation: see `hgail_envs.fetch.objects.ObjectEnv`.
-      cube: see `hgail_envs.fetch.grasp.Grasp`.
+    velocities are already multiplied by `CONTROL_PERIOD`. See `hgail_envs.fetch.objects.ObjectEnv` for `observation`
+    and `hgail_envs.fetch.grasp.Grasp` for `cube`.
 
     Raises:
       ValueError: the task has no reference, or no such option.

@@ -37,14 +37,8 @@ class Slide(Push):
     ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place 0.40 m before the
     gripper's start, on the table.
 
-    See `ObjectEnv` for success and the other arguments.
-
-    Args:
-      achieved: `"at-rest"` or `"passed"`, the places of the puck that are achieved goals.
-
-    Raises:
-      ValueError: an unknown option, or the engine is MJX-JAX, which cannot collide a puck with a table that has edges.
-
+    See `ObjectEnv` for success and the other arguments. The engine MJX-JAX is refused, with a ValueError: it cannot
+    collide a puck with a table that has edges.
     """
 
     features_layout, goal_layout = compact_layout("puck"), GOAL
