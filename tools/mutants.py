@@ -65,7 +65,6 @@ TESTS = {
     "envs/hgail_envs/fetch/cubes": [CUBES, STACK, TOWER],
     "envs/hgail_envs/fetch/stack": [CUBES, STACK],
     "envs/hgail_envs/fetch/tower": [CUBES, TOWER],
-    "envs/hgail_envs/fetch/tower_goals": [CUBES, TOWER],
 }
 """What is run for a module, the quickest first."""
 

@@ -66,18 +66,12 @@ class FetchEnv(GoalEnv):
     33 mm once it is up to speed) and the gripper command. A task sets `scene` and the attributes of a `GoalEnv`; its
     arm may start elsewhere.
 
-    Args:
-      impl: physics engine, see `hgail_envs.engines.resolve_impl`: `"auto"`, `"warp"`, `"c"` or `"jax"`.
-      substeps: physics steps per action, from `FAST_SUBSTEPS` to `REFERENCE_SUBSTEPS`; an action always lasts
-        `CONTROL_PERIOD`.
-      worlds: most environments that are stepped at once; MJX-Warp sizes its contact buffers by it.
+    The physics engine `impl` is `"auto"`, `"warp"`, `"c"` or `"jax"`, see `hgail_envs.engines.resolve_impl`. An action
+    always lasts `CONTROL_PERIOD`, in physics steps from `FAST_SUBSTEPS` to `REFERENCE_SUBSTEPS`. At most `worlds`
+    environments are stepped at once; MJX-Warp sizes its contact buffers by it. Other values are a ValueError.
 
     Making a task does not start JAX, which no process that is forked later could use. So the engine and the start are
     made at first use unless JAX has started, and an `impl` that is not available here is refused then.
-
-    Raises:
-      ValueError: an unknown or unavailable `impl`, or a number out of range.
-
     """
 
     scene: str

@@ -42,21 +42,17 @@ def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
 class Grasp(FetchEnv):
     """Grasping the cube of FetchPickAndPlace; a goal is a position and whether the cube is held there.
 
-    See `is_held` for when the hand holds the cube. The paper's observation has neither gap nor holding, and its goal is
-    a position alone. Here hindsight relabels a step with the position and the holding of a later one, so that the
-    expert samples of a goal with holding 1 are real grasps.
+    Start, success with its lift test, and goals are in `docs/tasks.md`; see `is_held` for when the hand holds the cube,
+    and `FetchEnv` for the other arguments.
 
-    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
-    and at least 0.10 m away. The evaluation's goal is (cube, 1). Half the training goals are (a random position, 0).
-
-    Success includes a lift test: after the last step the hand holds the cube, and in twelve further steps straight up,
-    with the gripper command held, the cube rises by more than 5 cm. `achieved` of the metrics is without that test.
-    Distances are between gripper and cube after the last step.
+    The paper's observation has neither gap nor holding, and its goal is a position alone. Here hindsight relabels a
+    step with the position and the holding of a later one, so that the expert samples of a goal with holding 1 are real
+    grasps.
 
     With `cube="at-start"` a policy sees where the cube was at the start, as by one look of a camera: if a finger pushes
     it away, the policy does not know. With `cube="tracked"`, which TD3 takes by default, it sees at each step where the
     cube is, so that it can try again: the cube's position less the gripper's is the last of the features, and the
-    target of a goal with holding 1 follows the cube. See `FetchEnv` for the other arguments.
+    target of a goal with holding 1 follows the cube.
     """
 
     features_layout = GRIPPER + HAND

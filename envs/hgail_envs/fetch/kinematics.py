@@ -33,12 +33,7 @@ class Pose(NamedTuple):
 
 
 class Chain:
-    """The bodies from the world to the one that carries the site of a name, joined by hinges and slides alone.
-
-    Raises:
-      ValueError: the chain has a joint of another kind.
-
-    """
+    """The bodies from the world to the one that carries the site of a name, joined by hinges and slides alone."""
 
     def __init__(self, model: mujoco.MjModel, site: str) -> None:
         self._model = model

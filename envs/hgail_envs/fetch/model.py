@@ -102,7 +102,6 @@ class SceneModel:
         return fields
 
     def _object_fields(self, mass: jax.Array | float, size: jax.Array | float) -> dict[str, jax.Array]:
-        """Returns the fields that differ for objects `mass` times as heavy and `size` times as large."""
         bodies, geoms, turning = self._bodies, self._geoms, mass * size**2  # inertia is mass times length squared
         of_dof = jnp.array([mass] * 3 + [turning] * 3)
         heavier = self._model.body_mass[bodies] * (mass - 1.0)
@@ -120,10 +119,7 @@ class SceneModel:
         return fields | {"body_subtreemass": subtrees}
 
     def _pad_fields(self, size: jax.Array | float, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Returns the fields that differ for pads `size` times as wide and high, which end where they did.
-
-        So the gripper comes as low as before.
-        """
+        """Returns the fields that differ for pads `size` times as wide and high, whose lower ends stay in place."""
         pads, axes = self._pads, np.array([_HEIGHT, _WIDTH])
         of_pads = (pads[:, None], axes)
         shorter = self._model.geom_size[pads, _HEIGHT].astype(np.float32) * (1.0 - size)

@@ -9,7 +9,7 @@ from brax import math
 
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.layouts import GRIPPER, TARGET, gripper_values, of_object, official
+from hgail_envs.fetch.layouts import TARGET, gripper_values, official
 from hgail_envs.layout import Layout, flag
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
@@ -50,7 +50,7 @@ class ObjectEnv(FetchEnv):
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
     A task sets `object_name`, `object_title`, `object_range`, `target_range` and `target_offset`, the scene, and
-    `features_layout`, which begins with `compact_layout` of that title. The `observation` is `"compact"`, or
+    `features_layout`, which begins with those of the gripper and of that title. The `observation` is `"compact"`, or
     `"official"` for the reference's 25 numbers, see `hgail_envs.fetch.layouts.official`; with these the task has no
     controllers. See `FetchEnv` for the other arguments.
     """
@@ -181,11 +181,6 @@ class ObjectEnv(FetchEnv):
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         physics, desired = end.pipeline_state, end.info["desired_goal"]
         return self.measure(self.object_position(physics), desired[:3], self.reached(physics, desired))
-
-
-def compact_layout(name: str) -> Layout:
-    """Returns the layout of the default features of a task with one object."""
-    return GRIPPER + of_object(name)
 
 
 def gripper_goal(position: jax.Array) -> jax.Array:

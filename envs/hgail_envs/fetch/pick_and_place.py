@@ -8,16 +8,15 @@ from flax import struct
 
 from hgail_envs.fetch import controllers
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
-from hgail_envs.fetch.layouts import HAND
-from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.layouts import GRIPPER, HAND, of_object
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, gripper_goal
 
-RELAYS, ELSEWHERE = 0.5, 0.125
-"""Fractions of the training episodes whose goals are the stages on the way, and a random place."""
 AT_CUBE = 0.04
 """Metres between gripper and cube, within which a relay's goal becomes the cube's."""
 HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
 
+_RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
 _PADS = 2  # whose touch of the cube the scene's first sensors tell
 
 
@@ -30,21 +29,20 @@ class PickAndPlacePlan(struct.PyTreeNode):
     """`[]` boolean: whether the goals are the stages on the way to it, first the gripper at the cube."""
 
 
+def draw_kind(rng: jax.Array, training_goals: jax.Array | bool) -> tuple[jax.Array, jax.Array]:
+    """Draws whether training goals are the stages on the way, or a random place: booleans `[]`, one True at most."""
+    kind = jnp.where(training_goals, jax.random.uniform(rng), 1.0)
+    return kind < _RELAYS, (kind >= _RELAYS) & (kind < _RELAYS + _ELSEWHERE)
+
+
 class PickAndPlace(ObjectEnv):
     """FetchPickAndPlace: grasp a cube and bring it to a place, in half the episodes up to 45 cm above the table.
 
-    An episode starts as the reference's does: hand closed, the cube uniform within ±0.15 m of the gripper in x and y
-    and at least 0.10 m away, the target uniform in the same square, in half the episodes on the table and in half
-    uniform from there up.
-
-    Half the training episodes are relays: while the gripper is more than 4 cm from the cube the goal is the gripper at
-    the cube's place, and then the cube at the target. In an eighth the goal is the gripper at a random place. The rest
-    have the evaluation's goals. A random policy hardly ever moves the cube (`docs/lab/ppo.md`).
-
-    See `ObjectEnv` for the meaning of a goal, success and the arguments.
+    Start, goals and the relays of training are in `docs/tasks.md`; a random policy hardly ever moves the cube. See
+    `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
-    features_layout, goal_layout = compact_layout("cube") + HAND, GOAL
+    features_layout, goal_layout = GRIPPER + of_object("cube") + HAND, GOAL
     object_name = object_title = "cube"
     holding_title = "hand holds the cube"
     """Name of the flag in `features_layout`."""
@@ -74,10 +72,9 @@ class PickAndPlace(ObjectEnv):
 
     def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> PickAndPlacePlan:
         kind_rng, position_rng, goal_rng = jax.random.split(rng, 3)
-        kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
-        elsewhere, goal = gripper_goal(self.random_position(position_rng)), self.sample_goal(goal_rng, physics)
-        sent_elsewhere = (kind >= RELAYS) & (kind < RELAYS + ELSEWHERE)
-        return PickAndPlacePlan(goal=jnp.where(sent_elsewhere, elsewhere, goal), relay=kind < RELAYS)
+        relay, elsewhere = draw_kind(kind_rng, training_goals)
+        anywhere, goal = gripper_goal(self.random_position(position_rng)), self.sample_goal(goal_rng, physics)
+        return PickAndPlacePlan(goal=jnp.where(elsewhere, anywhere, goal), relay=relay)
 
     def current_goal(self, plan: Any, physics: ObjectPhysics, step: jax.Array | int) -> jax.Array:
         # By the state alone: a relay whose cube slips out of the hand sends the gripper back to it.

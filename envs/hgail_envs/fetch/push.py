@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.layouts import ACTION_OF_ARM
-from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, compact_layout, gripper_goal
+from hgail_envs.fetch.layouts import ACTION_OF_ARM, GRIPPER, of_object
+from hgail_envs.fetch.objects import GOAL, ObjectEnv, ObjectPhysics, gripper_goal
 
 _ROAMING = 0.5  # fraction of the training episodes whose goals are waypoints
 _EVERY = 12  # steps from one waypoint to the next: a hand at full speed moves 0.4 m
@@ -29,18 +29,16 @@ class PushPlan(struct.PyTreeNode):
 class Push(ObjectEnv):
     """FetchPush: push a cube to a place on the table, with closed fingers.
 
-    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the cube uniform within
-    ±0.15 m of it in x and y and at least 0.10 m away, the target uniform in the same square, on the table. Unlike the
-    reference's, the table has no edge from which the cube could fall.
+    The start is the reference's, see `docs/tasks.md`; unlike there, the table has no edge from which the cube could
+    fall.
 
-    In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps,
-    uniform within ±12 cm of the cube in x and y and 1 cm below to 5 cm above its centre. TD3 needs them
-    (`docs/lab/off-policy.md`), PPO only in `Slide`, which inherits them (`docs/lab/ppo.md`).
+    In half the training episodes the goals are waypoints of the gripper near the cube, another one every 12 steps. TD3
+    needs them (`docs/lab/off-policy.md`), PPO only in `Slide`, which inherits them (`docs/lab/ppo.md`).
 
     See `ObjectEnv` for the meaning of a goal, success and the arguments.
     """
 
-    features_layout, goal_layout = compact_layout("cube"), GOAL
+    features_layout, goal_layout = GRIPPER + of_object("cube"), GOAL
     action_layout = ACTION_OF_ARM
 
     start_height = 0.0

@@ -24,12 +24,7 @@ _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # the displacements of an epis
 
 
 def make_reference(name: str, **options: Any) -> Any:
-    """Makes an environment of Gymnasium-Robotics, e.g. `"FetchReach-v4"`, on whatever MuJoCo is installed.
-
-    Raises:
-      ImportError: the extra `compare` is not installed.
-
-    """
+    """Makes an environment of Gymnasium-Robotics, e.g. `"FetchReach-v4"`, on whatever MuJoCo is installed."""
     import gymnasium  # here, so that this module imports without the extra
     import gymnasium_robotics
     from gymnasium_robotics.utils import mujoco_utils
@@ -48,12 +43,7 @@ class ReferenceFetch:
     where FetchPickAndPlace wants it is ignored. The features are taken from the environment's observation
     (`hgail_envs.fetch.layouts.official`, in FetchReach the gripper's position `0:3` and velocity `5:8`), whose
     velocities are already multiplied by `CONTROL_PERIOD`. See `hgail_envs.fetch.objects.ObjectEnv` for `observation`
-    and `hgail_envs.fetch.grasp.Grasp` for `cube`.
-
-    Raises:
-      ValueError: the task has no reference, or no such option.
-      ImportError: the extra `compare` is not installed.
-
+    and `hgail_envs.fetch.grasp.Grasp` for `cube`. An ImportError says that the extra `compare` is not installed.
     """
 
     def __init__(self, task: str, observation: str = "compact", cube: str = CUBES[0]) -> None:
@@ -116,7 +106,6 @@ class ReferenceFetch:
         return self._env._get_obs()["observation"]
 
     def _touching(self) -> bool:
-        """Returns whether both fingers touch the cube."""
         cube = self.model.geom("object0").id
         pairs = self.data.contact.geom
         return self._fingers <= set(pairs[(pairs == cube).any(axis=1)].ravel())

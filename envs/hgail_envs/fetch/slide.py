@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.fetch import controllers
-from hgail_envs.fetch.objects import GOAL, ObjectPhysics, compact_layout, gripper_goal, is_object
+from hgail_envs.fetch.layouts import GRIPPER, of_object
+from hgail_envs.fetch.objects import GOAL, ObjectPhysics, gripper_goal, is_object
 from hgail_envs.fetch.push import Push
 from hgail_envs.validation import check_name
 
@@ -33,15 +34,11 @@ class Slide(Push):
     x and three along y, and each field is a kind of goals (`goal_kind`), from which hindsight draws as often as targets
     lie in it.
 
-    An episode starts as the reference's does: fingers blocked closed, the gripper at the table, the puck uniform within
-    ±0.10 m of it in x and y and at least 0.10 m away, the target uniform within ±0.30 m of the place 0.40 m before the
-    gripper's start, on the table.
-
     See `ObjectEnv` for success and the other arguments. The engine MJX-JAX is refused, with a ValueError: it cannot
     collide a puck with a table that has edges.
     """
 
-    features_layout, goal_layout = compact_layout("puck"), GOAL
+    features_layout, goal_layout = GRIPPER + of_object("puck"), GOAL
 
     base_x = 0.05
     start_height = -0.02

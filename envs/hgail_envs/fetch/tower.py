@@ -4,17 +4,24 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from hgail_envs.base import EpisodeMetrics, State
-from hgail_envs.fetch import controllers, tower_goals
-from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchEnv, FetchPhysics
-from hgail_envs.fetch.cubes import LEAST_WIDEST_GAP, is_in_place, is_left, place_tolerance, relay
+from hgail_envs.fetch import controllers
+from hgail_envs.fetch.arm import CONTROL_PERIOD, FetchPhysics
+from hgail_envs.fetch.cubes import OF_GRIPPER, CubeGoals, is_in_place, is_left
 from hgail_envs.fetch.grasp import CUBE_WIDTH, is_held
-from hgail_envs.fetch.layouts import gripper_values
-from hgail_envs.fetch.objects import AT_GOAL, MOVED
-from hgail_envs.fetch.pick_and_place import ELSEWHERE, RELAYS
-from hgail_envs.fetch.tower_goals import BASE, CUBES, MIDDLE, ROLES, TOP, TowerPlan, goal_of
+from hgail_envs.fetch.layouts import GAP, GRIPPER, TARGET, gripper_values, of_object
+from hgail_envs.fetch.objects import MOVED
+from hgail_envs.fetch.pick_and_place import draw_kind
+from hgail_envs.layout import Layout, flag
 from hgail_envs.variation import ModelFactors
+
+TOP, MIDDLE, BASE = range(3)
+"""Roles of the cubes, in the order of the features."""
+NAMES = ("top cube", "middle cube", "base cube")
+"""Their names."""
+CUBES = len(NAMES)
 
 _RANGE = 0.15  # metres around the gripper's start, along x and y, in which the cubes start
 _ON_TABLE = 0.425  # metres, of a cube's centre
@@ -22,6 +29,14 @@ _AT_HAND = 0.15  # metres between gripper and cube, within which this holds for 
 _PADS = 2 * CUBES  # number of the first sensors, of the pads' contacts with each cube
 _MOST_SHIFT = 0.05  # metres of the base cube from its start after a success
 _BEGUN = 0.5  # fraction of the training episodes that start with the middle cube on the base
+_RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on another cube at 0.475
+_KIND_ON_TABLE, _KIND_OF_MIDDLE, _KIND_OF_TOP = 1, 3, 5  # one higher if the cube is left
+_OF_CUBES = slice(GRIPPER.size, GRIPPER.size + CUBES * of_object("cube").size)
+
+
+def _features(first: str, second: str, third: str) -> Layout:
+    hand = Layout(GAP, flag("hand holds a cube"))
+    return GRIPPER + of_object(first) + of_object(second) + of_object(third) + hand
 
 
 class TowerPhysics(FetchPhysics, kw_only=True):
@@ -35,50 +50,43 @@ class TowerPhysics(FetchPhysics, kw_only=True):
     """`[]` boolean: whether the middle cube was left in its place on the base, and has not come out of it since."""
 
 
-class Tower(FetchEnv):
+class TowerPlan(struct.PyTreeNode):
+    """The goals of an episode of `Tower`."""
+
+    goal: jax.Array
+    """`[goal_size]`: pursued where `elsewhere`."""
+    elsewhere: jax.Array
+    """`[]` boolean: whether the goal is `goal`."""
+    relay: jax.Array
+    """`[]` boolean: whether the goals are the stages on the way to a placement."""
+
+
+class Tower(CubeGoals):
     """A tower of three: put the middle cube on the base, and the top cube on it, and withdraw the hand.
+
+    Start, success, achieved goals and training goals are in `docs/tasks.md`; see `CubeGoals` for what a goal is, and
+    `FetchEnv` for the arguments.
 
     Each episode draws at random which of the three coloured cubes is the top, the middle and the base. Observation and
     goals speak of these roles alone, so a policy sees the order of the tower in the order of its numbers. In the
     observation the target's cube is first, then the one that it is to lie on, then the third, so that one placement
     looks to the policy like the other. In the features, and under goals of the gripper, the top is first.
 
-    A goal is a position, whose it is, and whether the cube is left there; see `hgail_envs.fetch.cubes`, also for the
-    training episodes. The goal names one placement after the other: the middle cube left on the base, and as soon as it
-    was left there and as long as it stays there, the top cube left on the middle. The place is where the cube below now
-    is.
-
-    The achieved goal of a state is the position of the present placement's cube, and whether it is left, once it is
-    more than 1 cm from its start; else of another cube that has moved so far and is within 15 cm of the gripper; else
-    the gripper's. Once the middle cube was left on the base, that is the middle cube while the gripper is within 15 cm
-    of it, then the gripper until the top cube moves.
-
-    A scripted hand takes 75 to 89 steps. Episodes have two hundred: with a noise of .1 on its actions, as of a policy
-    that explores, the same hand reaches half of the goals in a hundred steps and nearly all in two hundred.
-
-    An episode starts with the hand closed and each cube uniform within ±0.15 m of the gripper in x and y, at least
-    0.10 m away from it and from the other cubes. Half the training episodes start with the middle cube on the base, so
-    that the second placement is learnt beside the first; no evaluation episode does.
-
-    Success includes a test that the tower stands. After the last step the middle cube is in its place on the base and
-    the top cube on the middle, and both pairs touch; the top cube is left, and the base within 5 cm of its start. After
-    twelve further steps, in which the hand keeps still and open, cubes and contacts still are so. `achieved` of the
-    metrics is without that test. Distances are between the top cube and its place in the tower, two cubes above the
-    base, after the last step.
-
-    See `FetchEnv` for the arguments.
+    The goal names one placement after the other: the middle cube left on the base, and as soon as it was left there and
+    as long as it stays there, the top cube left on the middle. The place is where the cube below now is.
     """
 
-    episode_length = 200
-    features_layout = tower_goals.FEATURES
-    goal_layout = tower_goals.GOAL
-    seen_layout = tower_goals.SEEN
+    episode_length = 200  # a scripted hand with a noise of .1 reaches half of the goals in 100, nearly all in 200
+    features_layout = _features(*NAMES)
+    seen_layout = _features("target's cube", "cube below it", "third cube")
+    goal_layout = Layout(
+        TARGET, *(flag(f"target is the {cube}'s") for cube in NAMES), flag("the cube is to be left at the target")
+    )
     goal_kinds = 7
-    lift_test_steps = 12
+    cubes, cubes_to_leave = NAMES, CUBES
 
     scene = "fetch/tower"
-    least_widest_gap = LEAST_WIDEST_GAP
-    controllers = (tower_goals.SEEN + tower_goals.GOAL).readers({"from-above": controllers.tower})
+    controllers = (seen_layout + goal_layout).readers({"from-above": controllers.tower})
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
         order, starts = jnp.arange(CUBES), jnp.asarray(qpos[self._scene_model.object_qpos], jnp.float32)
@@ -161,16 +169,21 @@ class Tower(FetchEnv):
             "hand holds a cube": self.holding(physics),
         }
         velocities = self.cube_velocities(physics)
-        for role, name in enumerate(ROLES):
+        for role, cube in enumerate(NAMES):
             values |= {
-                f"{name} cube position less gripper position": cubes[role] - physics.gripper_position,
-                f"{name} cube position": cubes[role],
-                f"{name} cube velocity": velocities[role],
+                f"{cube} position less gripper position": cubes[role] - physics.gripper_position,
+                f"{cube} position": cubes[role],
+                f"{cube} velocity": velocities[role],
             }
         return self.features_layout.join(values)
 
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        return super().goal_observation(tower_goals.pursued_first(features, goal), goal)
+        # The pursued cube comes first, then the one that it is to lie on: the roles are turned.
+        turned = (jnp.argmax(self.whose(goal), axis=-1)[..., None] + jnp.arange(CUBES)) % CUBES
+        by_role = features[..., _OF_CUBES].reshape(*features.shape[:-1], CUBES, -1)
+        cubes = jnp.take_along_axis(by_role, turned[..., None], axis=-2).reshape(*features.shape[:-1], -1)
+        before, after = features[..., : _OF_CUBES.start], features[..., _OF_CUBES.stop :]
+        return super().goal_observation(jnp.concatenate([before, cubes, after], axis=-1), goal)
 
     def achieved_goal(self, physics: TowerPhysics) -> jax.Array:
         cubes, left = self.cube_positions(physics), self.are_left(physics)
@@ -178,8 +191,8 @@ class Tower(FetchEnv):
         at_hand = jnp.linalg.norm(cubes - physics.gripper_position, axis=1) <= _AT_HAND
         displaced = (jnp.linalg.norm(cubes - physics.starts, axis=1) > MOVED) & (present | at_hand)
         chosen = jnp.argmax(jnp.where(displaced, 1 + present, 0))
-        of_cube = goal_of(cubes[chosen], chosen, left[chosen])
-        return jnp.where(displaced.any(), of_cube, goal_of(physics.gripper_position))
+        of_cube = self.goal_of(cubes[chosen], chosen, left[chosen])
+        return jnp.where(displaced.any(), of_cube, self.goal_of(physics.gripper_position, OF_GRIPPER))
 
     def sample_goal(self, rng: jax.Array, physics: TowerPhysics) -> jax.Array:
         return self.placement(physics)
@@ -187,31 +200,20 @@ class Tower(FetchEnv):
     def placement(self, physics: TowerPhysics) -> jax.Array:
         """Returns the goal of the present placement, `[goal_size]`."""
         role = _role(physics)
-        return goal_of(self.places(physics)[role], role, left=True)
+        return self.goal_of(self.places(physics)[role], role, left=True)
 
     def plan_goals(self, rng: jax.Array, physics: TowerPhysics, training_goals: jax.Array | bool) -> TowerPlan:
         kind_rng, whose_rng, position_rng = jax.random.split(rng, 3)
-        kind = jnp.where(training_goals, jax.random.uniform(kind_rng), 1.0)  # 1 is neither a relay nor elsewhere
-        whose = jax.random.randint(whose_rng, (), 0, CUBES + 1)
+        relay, elsewhere = draw_kind(kind_rng, training_goals)
+        whose = jax.random.randint(whose_rng, (), 0, CUBES + 1)  # the last is the gripper
         anywhere = self.random_position(position_rng)
         position = jnp.where(whose < CUBES, anywhere.at[2].set(_ON_TABLE), anywhere)
-        return TowerPlan(
-            goal=goal_of(position, whose),
-            elsewhere=(kind >= RELAYS) & (kind < RELAYS + ELSEWHERE),
-            relay=kind < RELAYS,
-        )
+        return TowerPlan(goal=self.goal_of(position, whose), elsewhere=elsewhere, relay=relay)
 
     def current_goal(self, plan: TowerPlan, physics: TowerPhysics, step: jax.Array | int) -> jax.Array:
-        pursued = jnp.where(plan.relay, self._stage(physics), self.placement(physics))
-        return jnp.where(plan.elsewhere, plan.goal, pursued)
-
-    def _stage(self, physics: TowerPhysics) -> jax.Array:
-        """Returns the goal of a relay, `[goal_size]`, by the state alone: a cube that slips is taken again."""
         role = _role(physics)
-        cube, place = self.cube_positions(physics)[role], self.places(physics)[role]
-        away, brought = relay(physics.gripper_position, cube, place)
-        before = jnp.where(away, goal_of(cube), goal_of(brought, role))
-        return jnp.where(self.are_in_place(physics)[role], goal_of(place, role, left=True), before)
+        stage = self.stage(physics, role, self.cube_positions(physics)[role], self.places(physics)[role])
+        return jnp.where(plan.elsewhere, plan.goal, jnp.where(plan.relay, stage, self.placement(physics)))
 
     def move_target(self, state: State, position: jax.Array) -> State:
         """Puts the base down below `position`, and the middle on it if it was left there; see `GoalEnv`."""
@@ -221,29 +223,14 @@ class Tower(FetchEnv):
         return self._advance(state, moved, state.info["plan"], state.info["step"])
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
-        return tower_goals.goal_kind(goal)
+        """Returns 0 for goals of the gripper, 1 of a cube on the table, 3 of the middle and 5 of the top above it.
 
-    def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
-        return tower_goals.is_at(achieved[..., :3], desired, self.success_threshold) & alike
-
-    def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-        """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
-        at_goal = tower_goals.is_at(tower_goals.position_of(features, goal), goal, self.success_threshold)
-        return at_goal & tower_goals.is_left_as_wanted(features, goal)
-
-    def goal_tolerance(self, goal: jax.Array) -> jax.Array:
-        return jnp.where(
-            tower_goals.is_to_be_left(goal)[..., None], place_tolerance(goal), super().goal_tolerance(goal)
-        )
-
-    def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
-        """Returns whether goals are a cube's and within 3 cm of its present position, and it is left as wanted."""
-        distance = jnp.linalg.norm(tower_goals.position_of(features, goal) - goal[..., :3], axis=-1)
-        return ~tower_goals.is_of_gripper(goal) & (distance <= AT_GOAL) & tower_goals.is_left_as_wanted(features, goal)
-
-    def lift_test_action(self, action: jax.Array) -> jax.Array:
-        return jnp.array([0.0, 0.0, 0.0, 1.0])  # still and open
+        Those of a cube that is left are one higher. The base counts as on the table wherever it is.
+        """
+        whose = self.whose(goal)
+        raised = (goal[..., 2] > _RAISED) & ~whose[..., BASE]
+        of_cube = jnp.where(raised, jnp.where(whose[..., TOP], _KIND_OF_TOP, _KIND_OF_MIDDLE), _KIND_ON_TABLE)
+        return jnp.where(whose.any(axis=-1), of_cube + self.is_to_be_left(goal), 0)
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         last = end.pipeline_state
@@ -265,5 +252,4 @@ def _role(physics: TowerPhysics) -> jax.Array:
 
 
 def _choose(condition: jax.Array, one: Any, other: Any) -> Any:
-    """Returns one of two physics of the same structure."""
     return jax.tree.map(lambda first, second: jnp.where(condition, first, second), one, other)
