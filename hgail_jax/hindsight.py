@@ -3,6 +3,7 @@
 Its probability `p_ht` is a hyperparameter (`config`), with defaults by task in `settings/defaults`.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -120,12 +121,17 @@ def draw_source(
 
     number = of_kind(ahead)
     rank = of_kind(before) + jnp.minimum((state_uniform * number.astype(jnp.float32)).astype(jnp.int32), number - 1)
+    drawn = bisect(lambda state: counts[episode, state + 1, kind] > rank, first, last, counts.shape[1])
+    return jnp.where(strategy == FINAL, last, drawn)
+
+
+def bisect(test: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, most: int) -> jax.Array:
+    """Returns the first integers from `low` to `high`, less than `most` apart, that pass a test, as greater ones do."""
 
     def halve(_: jax.Array, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = bounds  # the state is at least `low` and at most `high`
+        low, high = bounds
         middle = (low + high) // 2
-        enough = counts[episode, middle + 1, kind] > rank
-        return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
+        passes = test(middle)
+        return jnp.where(passes, low, middle + 1), jnp.where(passes, middle, high)
 
-    drawn, _ = jax.lax.fori_loop(0, counts.shape[1].bit_length(), halve, (first, last))
-    return jnp.where(strategy == FINAL, last, drawn)
+    return jax.lax.fori_loop(0, most.bit_length(), halve, (low, high))[0]

@@ -12,7 +12,7 @@ from flax import struct
 
 from hgail_envs import GoalEnv
 from hgail_jax.config import Hyperparameters
-from hgail_jax.hindsight import relabel
+from hgail_jax.hindsight import bisect, relabel
 from hgail_jax.rollout import Trajectory
 
 _LEAST_SHARE = 1e-6  # of a kind of goal that does not occur: it is drawn only where there is no other
@@ -44,20 +44,13 @@ class Samples(struct.PyTreeNode):
 
 
 def _first_above(cumulative: jax.Array, block: jax.Array, target: jax.Array) -> jax.Array:
-    """Returns the first column of row `block` whose number is above `target`, by bisection; all three are `[...]`.
+    """Returns the first column of row `block` whose number is above `target`, all three `[...]`.
 
     The rows of `cumulative`, `[blocks, width]`, grow to more than their targets.
     """
     width = cumulative.shape[1]
-
-    def halve(_: jax.Array, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = bounds  # the column is at least `low` and at most `high`
-        middle = (low + high) // 2
-        above = cumulative[block, middle] > target
-        return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
-
-    bounds = jnp.zeros_like(block), jnp.full_like(block, width - 1)
-    return jax.lax.fori_loop(0, width.bit_length(), halve, bounds)[0]
+    low, high = jnp.zeros_like(block), jnp.full_like(block, width - 1)
+    return bisect(lambda column: cumulative[block, column] > target, low, high, width)
 
 
 def pursued_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
