@@ -43,12 +43,7 @@ class PPOState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True)
 class PPO(Learner):
-    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples.
-
-    Raises:
-      ValueError: a value is out of its range.
-
-    """
+    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples."""
 
     name: ClassVar[str] = "ppo"
     metrics: ClassVar[Mapping[str, str]] = {
@@ -97,7 +92,6 @@ class PPO(Learner):
         return dataclasses.replace(self, bc_batch=(self.bc_batch or BC_BATCH) if weight else 0)
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> PPOState:
-        """See `Learner`."""
         observation = jnp.zeros(env.observation_size)
         policy_rng, value_rng = rngs
         actor_critic = {
@@ -139,7 +133,6 @@ class PPO(Learner):
         return np.array([first] + [[SKIP, *updates, EVALUATE]] * config.rounds)
 
     def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
-        """See `Learner`."""
         return dense_layers(state.learner.actor_critic["policy"])
 
     def decay_schedule(self, config: Config, final: jax.Array | float) -> optax.Schedule:
@@ -272,15 +265,10 @@ def _ppo_loss(
     """Loss of policy and value function on a minibatch, and its parts as metrics."""
     mean = apply(_policy_network(config, env.action_size), params["policy"], part["observation"])
     log_prob = gaussian_log_prob(part["action"], mean, std)
-    policy = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
+    loss, metrics = policy_loss(log_prob, part["log_prob"], part["advantage"], part["weight"], hyper.clip_ratio)
     predicted = apply(_value_network(config), params["value"], part["observation"])[..., 0]
     value_loss = 0.5 * weighted_mean(jnp.square(predicted - part["return"]), part["weight"])
-    return hyper.ppo_weight * policy.loss + value_loss, {
-        "policy_loss": policy.loss,
-        "value_loss": value_loss,
-        "clip_fraction": policy.clip_fraction,
-        "kl": policy.kl,
-    }
+    return hyper.ppo_weight * loss + value_loss, metrics | {"value_loss": value_loss}
 
 
 def _bc_loss(
@@ -299,7 +287,6 @@ def _bc_loss(
 def _expert_samples(
     env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, Samples]:
-    """Returns (state with the new expert buffer, expert samples)."""
     expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
     return state.replace(expert=expert), samples
 

@@ -1,7 +1,5 @@
 """Proximal policy optimisation: advantages and losses."""
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 
@@ -23,36 +21,24 @@ def generalized_advantages(
     return jax.lax.scan(accumulate, jnp.zeros_like(delta[0]), delta, reverse=True)[1]
 
 
-class PolicyLoss(NamedTuple):
-    """PPO's clipped loss and its diagnostics, all `[]`."""
-
-    loss: jax.Array
-    clip_fraction: jax.Array
-    """Fraction of samples whose probability ratio is outside the bounds."""
-    kl: jax.Array
-    """Estimate of KL(old policy ‖ new policy), nats."""
-
-
 def policy_loss(
     log_prob: jax.Array,
     old_log_prob: jax.Array,
     advantage: jax.Array,
     weight: jax.Array,
     clip_ratio: jax.Array | float,
-) -> PolicyLoss:
-    """Clipped surrogate loss (Schulman et al. 2017, Eq. 7) of a minibatch; every argument but the last is `[B]`.
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Clipped surrogate loss (Schulman et al. 2017, Eq. 7) of a minibatch and `PPO.metrics` of it, all `[]`.
 
-    `weight` is 1 where a sample counts and 0 where it does not. There is no entropy bonus: with a fixed covariance the
-    entropy is constant.
+    Every argument but the last is `[B]`; `weight` is 1 where a sample counts and 0 where it does not. There is no
+    entropy bonus: with a fixed covariance the entropy is constant.
     """
     log_ratio = log_prob - old_log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - clip_ratio, 1.0 + clip_ratio)
-    return PolicyLoss(
-        loss=-weighted_mean(jnp.minimum(ratio * advantage, clipped * advantage), weight),
-        clip_fraction=weighted_mean((jnp.abs(ratio - 1.0) > clip_ratio).astype(ratio.dtype), weight),
-        kl=weighted_mean(ratio - 1.0 - log_ratio, weight),
-    )
+    loss = -weighted_mean(jnp.minimum(ratio * advantage, clipped * advantage), weight)
+    outside = weighted_mean((jnp.abs(ratio - 1.0) > clip_ratio).astype(ratio.dtype), weight)
+    return loss, {"policy_loss": loss, "clip_fraction": outside, "kl": weighted_mean(ratio - 1.0 - log_ratio, weight)}
 
 
 def weighted_mean(values: jax.Array, weight: jax.Array) -> jax.Array:

@@ -398,16 +398,16 @@ def test_the_policy_s_loss_by_hand():
     for clip in (0.1, 0.7):
         ratio = np.exp(new - old)
         clipped = np.where(ratio > 1 + clip, 1 + clip, np.where(ratio < 1 - clip, 1 - clip, ratio))
-        found = policy_loss(new, old, advantage, weight, clip)
+        loss, found = policy_loss(new, old, advantage, weight, clip)
         gain = np.minimum(ratio * advantage, clipped * advantage)
-        assert found.loss == pytest.approx(-np.average(gain, weights=weight), rel=1e-4)
+        assert loss == pytest.approx(-np.average(gain, weights=weight), rel=1e-4)
         outside = (ratio < 1 - clip) | (ratio > 1 + clip)
-        assert found.clip_fraction == pytest.approx(np.average(outside, weights=weight), rel=1e-5)
-        assert found.kl == pytest.approx(np.average(ratio - 1 - np.log(ratio), weights=weight), rel=1e-3)
+        assert found["clip_fraction"] == pytest.approx(np.average(outside, weights=weight), rel=1e-5)
+        assert found["kl"] == pytest.approx(np.average(ratio - 1 - np.log(ratio), weights=weight), rel=1e-3)
 
 
 def test_a_ratio_at_the_bound_is_not_outside():
-    assert policy_loss(np.zeros(3), np.zeros(3), np.ones(3), np.ones(3), 0.0).clip_fraction == 0.0
+    assert policy_loss(np.zeros(3), np.zeros(3), np.ones(3), np.ones(3), 0.0)[1]["clip_fraction"] == 0.0
 
 
 def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():

@@ -39,11 +39,11 @@ def test_policy_loss_by_hand():
     old = jnp.log(jnp.array([0.5, 0.5, 0.5, 0.5]))
     new = jnp.log(jnp.array([0.5, 1.0, 0.55, 0.1]))  # ratios 1, 2, 1.1, 0.2
     advantage = jnp.array([1.0, 1.0, -1.0, -1.0])
-    result = policy_loss(new, old, advantage, jnp.ones(4), 0.2)
-    assert result.loss == pytest.approx(-(1.0 + 1.2 - 1.1 - 0.8) / 4, rel=1e-5)
-    assert result.clip_fraction == pytest.approx(0.5)
+    loss, metrics = policy_loss(new, old, advantage, jnp.ones(4), 0.2)
+    assert loss == pytest.approx(-(1.0 + 1.2 - 1.1 - 0.8) / 4, rel=1e-5)
+    assert metrics["clip_fraction"] == pytest.approx(0.5)
     ratio = np.array([1, 2, 1.1, 0.2])
-    assert result.kl == pytest.approx(np.mean(ratio - 1 - np.log(ratio)), rel=1e-4)
+    assert metrics["kl"] == pytest.approx(np.mean(ratio - 1 - np.log(ratio)), rel=1e-4)
 
 
 def test_log_prob_is_the_normal_density():
