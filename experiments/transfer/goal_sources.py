@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 import mujoco
 import numpy as np
 
+from experiments.transfer.camera import Camera, look_at
 from experiments.transfer.conditions import TASKS, Estimate, Look, NoisyEstimate
 from experiments.transfer.robots.base import Robot
-from hgail_envs.vision.camera import Camera, look_at
 
 LOOK_EVERY = 5
 """Steps from one look at a tracked cube to the next."""

@@ -1,1 +1,1 @@
-"""Calibrated cameras, and MuJoCo's renderer."""
+"""MuJoCo's renderer."""

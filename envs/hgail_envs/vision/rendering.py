@@ -18,12 +18,7 @@ class RenderingError(RuntimeError):
 
 
 def open_renderer(model: mujoco.MjModel, height: int, width: int) -> "mujoco.Renderer":
-    """Opens MuJoCo's renderer.
-
-    Raises:
-      RenderingError: MuJoCo cannot render here.
-
-    """
+    """Opens MuJoCo's renderer; a RenderingError says that it cannot render here."""
     try:
         _choose_backend()
         # Not `mujoco.Renderer`, which is missing, without a reason, where the backend could not be imported at first.

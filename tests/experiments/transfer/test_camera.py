@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hgail_envs.vision.camera import Camera, intrinsics, look_at
+from experiments.transfer.camera import Camera, intrinsics, look_at
 from hgail_envs.vision.rendering import headless_backend, open_renderer
 from tests.support import SOURCES
 
