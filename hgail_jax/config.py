@@ -32,11 +32,7 @@ _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 class Config:
     """Shapes and counts of a training: all that decides the compiled program.
 
-    A sample is one step of one episode; a roll-out holds `num_envs` episodes.
-
-    Raises:
-      ValueError: a value is out of its range.
-
+    A sample is one step of one episode; a roll-out holds `num_envs` episodes. A value out of its range is a ValueError.
     """
 
     learner: Learner
@@ -75,16 +71,12 @@ class Config:
                 check_count(f"a width in {name}", width)
 
     def replace(self, **changes: Any) -> "Config":
-        """Returns a copy with some fields changed, the learner's own sizes among them.
-
-        Raises:
-          ValueError: there is no such field, or a value is out of its range.
+        """Returns a copy with some fields changed, the learner's own sizes among them; others are a ValueError.
 
         >>> from hgail_jax.learners import PPO
         >>> config = Config(PPO()).replace(num_envs=8, minibatches=2)
         >>> config.num_envs, config.learner.minibatches
         (8, 2)
-
         """
         own = {field.name for field in dataclasses.fields(self)}
         sizes = set(vars(self.learner))
@@ -102,12 +94,7 @@ class Config:
         return vars(self) | {"learner": learner}
 
     def validate(self, env: GoalEnv) -> "Config":
-        """Returns itself.
-
-        Raises:
-          ValueError: a roll-out on `env` does not fit the learner's sizes, or has more samples than an index can count.
-
-        """
+        """Returns itself; a ValueError if a roll-out on `env` does not fit the learner or has too many samples."""
         if not isinstance(env, GoalEnv):
             raise ValueError(f"{env!r} is not a GoalEnv")
         samples = self.num_envs * env.episode_length
@@ -194,9 +181,7 @@ class Hyperparameters(struct.PyTreeNode):
     def validate(self, action_size: int | None = None, config: Config | None = None) -> "Hyperparameters":
         """Returns itself, checked against the sizes of an action and of the training, where they are known.
 
-        Raises:
-          ValueError: a value is out of its range, or contradicts the sizes; none that is being traced is checked.
-
+        A value out of its range, or that contradicts the sizes, is a ValueError; none that is being traced is checked.
         """
         for name in _SHARES:
             check_fraction(name, getattr(self, name))

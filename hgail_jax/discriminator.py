@@ -60,10 +60,7 @@ def fit_discriminator(
     rng: jax.Array,
     policy_weight: jax.Array | float = 1.0,
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy.
-
-    See `discriminator_loss` for `policy_weight`.
-    """
+    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy."""
     expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
 
     def loss(params: Any, indices: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:

@@ -9,11 +9,7 @@ from hgail_jax.rollout import Policy, Trajectory, rollout
 
 
 def mean_outcome(trajectory: Trajectory) -> EpisodeMetrics:
-    """Returns the means over a trajectory's episodes, `[]`.
-
-    An episode whose simulation broke down counts as a failure, and in no distance; where all did, the distances are
-    infinite.
-    """
+    """Returns the means over a trajectory's episodes, `[]`; broken simulations are failures, and in no distance."""
     outcome, valid = trajectory.outcome, trajectory.valid
     distances = {name: measured_mean(getattr(outcome, name), valid) for name in ("distance_l1", "distance_l2")}
     return jax.tree.map(jnp.mean, outcome).replace(**distances)
@@ -30,10 +26,9 @@ def measured_mean(values: jax.Array, measured: jax.Array) -> jax.Array:
 
 
 def evaluate(env: GoalEnv, policy: Policy, rng: jax.Array, num_episodes: int) -> EpisodeMetrics:
-    """Runs `policy` for `num_episodes` fresh episodes side by side, with the task's lift test; jit it.
+    """Returns the means, `[]`, over `num_episodes` episodes side by side, with the task's lift test; jit it.
 
-    Returns the means over the episodes, `[]`. It does not say whether the simulation ran out of room for contacts;
-    `hgail_jax.seeds.evaluate_seeds` raises an error then.
+    It does not say whether the simulation ran out of room for contacts; `hgail_jax.seeds.evaluate_seeds` does.
     """
     return mean_outcome(rollout(env, policy, rng, num_episodes, lift_test=True))
 

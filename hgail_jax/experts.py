@@ -39,10 +39,7 @@ class BestEpisodes(struct.PyTreeNode):
 def init_expert(env: GoalEnv, config: Config, demonstrations: Samples | None) -> Any:
     """Returns the expert samples that a training state begins with: `Samples`, `BestEpisodes` or None.
 
-    Raises:
-      ValueError: there are demonstrations and the config asks for none, or the other way round; or they are not of
-        this task's sizes.
-
+    Demonstrations that the config does not ask for, or lacks, or of other sizes than the task's are a ValueError.
     """
     if (demonstrations is not None) != (config.expert_source == DEMONSTRATIONS):
         given = "none are given" if demonstrations is None else "demonstrations are given"

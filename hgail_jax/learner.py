@@ -87,15 +87,10 @@ class Learner(abc.ABC):
     def policy(
         self, env: GoalEnv, config: "Config", state: "TrainState", noise: jax.Array | float, axis: str | None = None
     ) -> "Policy":
-        """Returns the policy of `state`, to be rolled out.
+        """Returns the policy of `state`, to be rolled out, with a `noise` of 1 to explore or 0 for the mean action.
 
-        Args:
-          env: the task.
-          config: sizes and counts.
-          state: the training state.
-          noise: 1 to explore, 0 for the mean action; may be traced.
-          axis: see `rollout`; in a device's part of the environments the policy acts as it would in all of them.
-
+        The noise may be traced. In a device's part of the environments, by `axis` of `rollout`, the policy acts as it
+        would in all of them.
         """
 
     @abc.abstractmethod
@@ -112,10 +107,7 @@ class Learner(abc.ABC):
 
 
 def check_sizes(sizes: Any, may_be_zero: tuple[str, ...] = ()) -> None:
-    """Raises a ValueError if a field of a dataclass is declared a count or a boolean, and its value is none.
-
-    Counts are from 1, those named in `may_be_zero` from 0.
-    """
+    """Refuses fields declared `int` that are no counts from 1, or 0 if they `may_be_zero`, and `bool` that are none."""
     for field in dataclasses.fields(sizes):
         value = getattr(sizes, field.name)
         if field.type is int:

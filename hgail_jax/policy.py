@@ -16,12 +16,7 @@ NORM_EPSILON = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class MeanPolicy:
-    """The mean action of a trained policy, free of JAX.
-
-    Raises:
-      ValueError: the sizes of the arrays do not fit together, or a number is not finite.
-
-    """
+    """The mean action of a trained policy, free of JAX; its arrays must fit together and be finite."""
 
     task: str
     goal_size: int
@@ -71,11 +66,7 @@ class MeanPolicy:
     def __call__(self, observation: np.ndarray, xp: Any = np) -> np.ndarray:
         """Returns actions in [-1, 1], `[..., action_size]`, for observations `[..., observation_size]`, as they are.
 
-        The module `xp` computes, `numpy` or `jax.numpy`.
-
-        Raises:
-          ValueError: the last axis of the observations has another size.
-
+        The module `xp` computes, `numpy` or `jax.numpy`. A ValueError says that the last axis has another size.
         """
         if np.shape(observation)[-1:] != self.mean.shape:
             raise ValueError(f"an observation of {self.task} has {self.observation_size} numbers")

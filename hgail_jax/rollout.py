@@ -94,7 +94,6 @@ def rollout(
 
 
 def _seen(state: State) -> dict[str, jax.Array]:
-    """Returns the fields of a trajectory that come from a state."""
     info = state.info
     return {"features": info["features"], "achieved": info["achieved_goal"], "desired": info["desired_goal"]}
 
@@ -135,10 +134,7 @@ def _is_finite(tree: Any, num_envs: int) -> jax.Array:
 
 
 def _blank(tree: Any, valid: jax.Array, env_axis: int) -> Any:
-    """Returns a tree with 0 for all of the episodes that are not `valid`, `[N]`; no NaN can spread from it.
-
-    Axis `env_axis` of the leaves counts the episodes.
-    """
+    """Returns a tree with 0 for all of the episodes, along axis `env_axis`, that are not `valid`, `[N]`."""
 
     def blank(values: jax.Array) -> jax.Array:
         keep = jnp.expand_dims(valid, [axis for axis in range(values.ndim) if axis != env_axis])

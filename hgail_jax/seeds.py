@@ -58,11 +58,7 @@ def init_sweep(
     """Returns a state whose every leaf has a leading axis over settings times seeds, the seeds within a setting.
 
     Whatever trains several seeds trains this: a grid of settings is one program, with one `config`. Every setting has
-    the same seeds, `[seeds]` keys. `split_sweep` takes its results apart; see `init_state` for the rest.
-
-    Raises:
-      ValueError: see `init_state`; or there is no setting.
-
+    the same seeds, `[seeds]` keys. `split_sweep` takes its results apart; see `init_state` for the rest, and errors.
     """
     check_count("the number of settings", len(settings))
     for setting in settings:  # while they are being traced they have no values
@@ -92,7 +88,12 @@ def compile_train_step(
 
     """
     _check_worlds(env, config, states, mesh)
-    return compile_program(_jit_train_step(env, config, mesh), states, phases)
+
+    def step(axis: str | None, states: TrainState, phases: jax.Array) -> tuple[TrainState, RoundMetrics]:
+        return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
+
+    jitted = jit_per_device(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
+    return compile_program(jitted, states, phases)
 
 
 def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh | None) -> None:
@@ -102,13 +103,6 @@ def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh |
             f"{counted(len(states.rng), 'seed')} of {counted(config.num_envs, 'environment')} make {on_a_device} on a"
             f" device; the task was made for {env.max_worlds}: make it with worlds={on_a_device}"
         )
-
-
-def _jit_train_step(env: GoalEnv, config: Config, mesh: Mesh | None) -> Any:
-    def step(axis: str | None, states: TrainState, phases: jax.Array) -> tuple[TrainState, RoundMetrics]:
-        return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
-
-    return jit_per_device(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
 
 
 def evaluate_seeds(

@@ -81,10 +81,7 @@ _ONE_SIGNAL = 1.0  # seconds within which signals count as one: timeout(1) signa
 
 @contextlib.contextmanager
 def stop_in_one_line(program: str) -> Iterator[None]:
-    """Ends the block and the process on a signal: one line, exit code 128 + its number; a second ends it at once.
-
-    Enter it in the main thread.
-    """
+    """Ends the process on a signal: one line, exit code 128 + its number; a second at once. For the main thread."""
     received: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

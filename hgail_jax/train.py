@@ -39,11 +39,8 @@ def init_state(
     """Returns the state of an untrained learner; `jax.vmap` it over `rng`, a PRNG key, for several seeds.
 
     Hyperparameters are tracers where a sweep is vmapped. The demonstrations, leaves `[S, ...]`, are given where the
-    config's expert samples are demonstrations, and only there.
-
-    Raises:
-      ValueError: see `Config.validate`, `Hyperparameters.validate` and `init_expert`.
-
+    config's expert samples are demonstrations, and only there. See `Config.validate`, `Hyperparameters.validate` and
+    `init_expert` for errors.
     """
     config.validate(env)
     hyperparameters.validate(env.action_size, config)
@@ -100,10 +97,7 @@ class RoundMetrics(struct.PyTreeNode):
 
 
 def phase_table(config: Config) -> np.ndarray:
-    """Returns the phases of a whole run, integers `[rounds + 1, phases]`, as `Phase` numbers them.
-
-    Row 0 is the pre-training, if there is one; every row ends with an evaluation.
-    """
+    """Returns the phases of a whole run, integers `[rounds + 1, phases]`; see `Learner.phase_table`."""
     return config.learner.phase_table(config)
 
 
@@ -117,16 +111,9 @@ def train_step(
 ) -> tuple[TrainState, RoundMetrics]:
     """Runs one round. Pure: bind `env` and `config`, then jit, scan over a table of phases, or vmap over states.
 
-    Errors cannot be raised from within: `check_metrics` raises them from the metrics.
-
-    Args:
-      env: the task.
-      config: sizes and counts.
-      state: the learner, from `init_state` or an earlier step.
-      phases: `[phases]`, a row of `phase_table`. Under a vmap over states leave it unbatched, so that a phase runs its
-        own update and no other.
-      axis: see `rollout`.
-
+    The state is from `init_state` or an earlier step. The phases, `[phases]`, are a row of `phase_table`; under a vmap
+    over states leave them unbatched, so that a phase runs its own update and no other. See `rollout` for `axis`. Errors
+    cannot be raised from within: `check_metrics` raises them from the metrics.
     """
     phases = jnp.asarray(phases)
     state, measured = jax.lax.scan(functools.partial(_run_phase, env, config, axis), state, phases)
@@ -191,10 +178,9 @@ def _run_phase(
 
 
 def _keys_of_evaluation(rng: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Returns the key after an evaluation, and the key of the evaluation.
+    """Returns the key after an evaluation, which is the key itself, and the key of the evaluation.
 
-    The former is the key itself, so that an evaluation changes nothing in the training: the next phase splits it again,
-    and takes other parts of it.
+    So an evaluation changes nothing in the training: the next phase splits the key again, and takes other parts of it.
     """
     return jax.random.clone(rng), split_key(rng).evaluation
 

@@ -271,12 +271,7 @@ class GoalEnv(HasLayouts, Env):
         return self._make_state(physics, plan, jnp.zeros((), jnp.int32), {})
 
     def step(self, state: State, action: jax.Array) -> State:
-        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1].
-
-        Raises:
-          ValueError: the action has another shape.
-
-        """
+        """Takes one step; `action`, `[action_size]`, is clipped to [-1, 1]. Another shape is a ValueError."""
         if jnp.shape(action) != (self.action_size,):
             raise ValueError(f"an action has the shape {jnp.shape(action)}; it must be {(self.action_size,)}")
         physics = self.step_physics(state.pipeline_state, jnp.clip(action, -1.0, 1.0))

@@ -64,15 +64,11 @@ def flag(name: str) -> Quantity:
 
 
 class Layout:
-    """Quantities of a vector, in their order, with different names.
-
-    Raises:
-      ValueError: two quantities have the same name.
+    """Quantities of a vector, in their order; two of the same name are a ValueError.
 
     >>> goal = Layout(position("target position"), flag("hand holds the cube"))
     >>> goal.size, goal["target position"], goal["hand holds the cube"]
     (4, slice(0, 3, None), 3)
-
     """
 
     def __init__(self, *quantities: Quantity) -> None:
@@ -89,11 +85,7 @@ class Layout:
 
     @classmethod
     def numbered(cls, kind: str, size: int) -> "Layout":
-        """Returns the layout of a vector that nobody described.
-
-        >>> Layout.numbered("goal", 2).numbers[1].name
-        'goal 1'
-        """
+        """Returns the layout of a vector that nobody described: `"goal 0"`, `"goal 1"` and so on."""
         return cls(*(Quantity(f"{kind} {index}") for index in range(size)))
 
     def __iter__(self) -> Iterator[Quantity]:
@@ -103,12 +95,7 @@ class Layout:
         return Layout(*self.quantities, *other.quantities)
 
     def __getitem__(self, name: str) -> slice | int:
-        """Returns where a quantity is: the index of a single number, the slice of several.
-
-        Raises:
-          KeyError: there is no such quantity.
-
-        """
+        """Returns where a quantity is: the index of a single number, the slice of several."""
         return self._places[name]
 
     @property
@@ -124,10 +111,7 @@ class Layout:
         return places
 
     def is_near(self, one: jax.Array, other: jax.Array, distance: float) -> jax.Array:
-        """Returns whether vectors, `[..., size]`, are near each other: booleans `[...]`.
-
-        That is if their flags are equal, and their other numbers within a Euclidean distance.
-        """
+        """Returns whether vectors, `[..., size]`, have equal flags and are else within a distance: booleans `[...]`."""
         flags = self._where(lambda unit: unit == FLAG)
         if not isinstance(flags, slice) and not len(flags):
             return jnp.linalg.norm(one - other, axis=-1) <= distance
@@ -155,11 +139,7 @@ class Layout:
     def join(self, values: Mapping[str, Any], xp: Any = jnp) -> Any:
         """Returns the vector, `[size]`, of values by the names of their quantities, `[quantity.size]` or `[]`.
 
-        `xp` is `jax.numpy` or `numpy`.
-
-        Raises:
-          ValueError: a quantity has no value or a value of another size, or there is no such quantity.
-
+        `xp` is `jax.numpy` or `numpy`. A value that is missing, unknown or of another size is a ValueError.
         """
         if values.keys() != self._places.keys():
             wrong = min(values.keys() ^ self._places.keys())
@@ -215,7 +195,6 @@ class HasLayouts:
     """Of the features within an observation, if `goal_observation` changes their meaning."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Derives sizes from layouts, and layouts from sizes."""
         super().__init_subclass__(**kwargs)
         for kind, layout_name in _LAYOUTS.items():
             size, layout = vars(cls).get(f"{kind}_size"), vars(cls).get(layout_name)

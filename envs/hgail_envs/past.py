@@ -11,11 +11,8 @@ class Past:
     """The past of one episode, as `RandomizedEnv` shows it: actions on their way, then past actions and observations.
 
     The randomization is that of the policy's training, with its `known_delay` and `history`; `delay` is the robot's,
-    from an observation to the action that answers it, steps; `action_size` is by default that of the Fetch.
-
-    Raises:
-      ValueError: the delay is longer than the policy knows, if it knows any.
-
+    from an observation to the action that answers it, steps; `action_size` is by default that of the Fetch. A delay
+    that is longer than the policy knows, if it knows any, is a ValueError.
     """
 
     def __init__(self, randomization: Randomization, delay: int = 0, action_size: int = 4) -> None:

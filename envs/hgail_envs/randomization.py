@@ -30,11 +30,7 @@ class Randomization:
     Ranges are drawn uniformly, once per episode. Noises are drawn at each step and offsets once per episode, both
     Gaussian and independent for each coordinate. A size is declared here alone, with its limits: its default is the
     nominal value, a pair declares a range and an integer whole numbers. Its effect is in `RandomizedEnv`, or in the
-    task if it is a field of `ModelFactors`.
-
-    Raises:
-      ValueError: a size is not finite, out of range, or not a least and a most.
-
+    task if it is a field of `ModelFactors`. A size out of range is a ValueError.
     """
 
     delay: tuple[int, int] = field(default=(0, 0), metadata=_limits(0, MOST_DELAY))
@@ -118,12 +114,7 @@ class Randomization:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Rebuilds a randomisation from its fields as JSON, also with an earlier release's names, or without some.
-
-        Raises:
-          ValueError: there is no such field, or it cannot have such a value.
-
-        """
+        """Rebuilds a randomisation from its fields as JSON, also with an earlier release's names, or without some."""
         content = {_OLD_NAMES.get(name, name): value for name, value in content.items()}
         unknown = set(content) - {size.name for size in dataclasses.fields(cls)}
         if unknown:
@@ -134,7 +125,6 @@ class Randomization:
 
 
 def _check(size: dataclasses.Field, value: Any) -> None:
-    """Refuses a value that a size cannot have."""
     nominal, (least, most) = size.default, size.metadata["limits"]
     ranged = isinstance(nominal, tuple)
     numbers = value if isinstance(value, tuple) else (value,)

@@ -31,11 +31,8 @@ class RandomizedEnv(GoalEnv):
     in the episode's desired goal, since the same camera measures both. Reward, success and distances are of the true
     positions.
 
-    An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers.
-
-    Raises:
-      ValueError: the task does not implement `add_sensor_noise`, `vary_model` or `vary_start`, which a size needs.
-
+    An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers. A
+    task that lacks `add_sensor_noise`, `vary_model` or `vary_start`, which a size needs, is a ValueError.
     """
 
     action_size = 0  # brax.Env declares it a property, which an instance could not set
@@ -177,12 +174,10 @@ class RandomizedEnv(GoalEnv):
     def training_start(
         self, rng: jax.Array, physics: RandomizedPhysics, training_goals: jax.Array | bool
     ) -> RandomizedPhysics:
-        """Returns the task's own start, randomised; see `GoalEnv`."""
         true = self.task.training_start(rng, physics.true, training_goals)
         return self._with_first_history(physics.replace(true=true))
 
     def plan_goals(self, rng: jax.Array, physics: RandomizedPhysics, training_goals: jax.Array | bool) -> Any:
-        """Draws the plan of the true goals; see `GoalEnv`."""
         return self.task.plan_goals(rng, physics.true, training_goals)
 
     def current_goal(self, plan: Any, physics: RandomizedPhysics, step: jax.Array | int) -> jax.Array:
@@ -228,7 +223,6 @@ class RandomizedEnv(GoalEnv):
         return self.task.outcome(self._true_state(end), self._true_state(lifted))
 
     def _true_state(self, state: State) -> State:
-        """Returns the task's own state, without errors."""
         plan, step = state.info["plan"], state.info["step"]
         return self.task._make_state(state.pipeline_state.true, plan, step, state.metrics)
 
@@ -270,12 +264,7 @@ class RandomizedEnv(GoalEnv):
 
 
 def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
-    """Returns a task under a randomisation, or a level of `LEVELS`; the task itself if that is nominal.
-
-    Raises:
-      ValueError: there is no such level, or the task does not implement a method that it needs.
-
-    """
+    """Returns a task under a randomisation, or a level of `LEVELS`; the task itself if that is nominal."""
     if isinstance(randomization, str):
         if randomization not in LEVELS:
             raise ValueError(f"unknown randomize {randomization!r}; choose from {', '.join(LEVELS)}")

@@ -22,10 +22,7 @@ def assets_directory() -> Path:
 
 
 def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
-    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`; `visual` keeps geoms that are only for pictures.
-
-    The dynamics are the same without them, and the model is smaller.
-    """
+    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`; `visual` keeps geoms without an effect."""
     spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))
     if not visual:
         for geom in [geom for geom in spec.geoms if geom.group == _VISUAL_GROUP]:
@@ -42,12 +39,7 @@ def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
 
 
 class SceneView:
-    """Pictures of a task's scene in given poses, with the `render_mode` `"rgb_array"`, or None for none.
-
-    Raises:
-      ValueError: another mode, or a task without a scene.
-
-    """
+    """Pictures of a task's scene, if it has one, in given poses, with the `render_mode` `"rgb_array"`, or None."""
 
     def __init__(self, env: GoalEnv, render_mode: str | None) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -58,12 +50,7 @@ class SceneView:
         self._renderer: mujoco.Renderer | None = None
 
     def picture(self, qpos: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Returns the scene with joints at `qpos` and the target at `goal`, `[480, 640, 3]`, uint8.
-
-        Raises:
-          RenderingError: MuJoCo cannot render here.
-
-        """
+        """Returns the scene with joints at `qpos` and the target at `goal`, `[480, 640, 3]`, uint8."""
         if self._renderer is None:
             self.model, self.data = open_scene(self._env)
             self._renderer, self._camera = open_renderer(self.model, *_SIZE), free_camera(self.model)
@@ -72,7 +59,6 @@ class SceneView:
         return self._renderer.render()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles and copies a view without its renderer, which is opened again when it is asked for a picture."""
         return SceneView, (self._env, None)
 
     def close(self) -> None:
@@ -83,12 +69,7 @@ class SceneView:
 
 
 def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Returns a task's scene with its visual geoms; the target's marker is hidden where a body is the target.
-
-    Raises:
-      ValueError: the task has no scene.
-
-    """
+    """Returns a task's scene with its visual geoms; the target's marker is hidden where a body is the target."""
     if env.scene is None:
         raise ValueError("the task has no scene to show")
     model = load_scene(env.scene, visual=True)

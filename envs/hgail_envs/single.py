@@ -15,11 +15,8 @@ class GoalSingleEnv(gymnasium.Env):
 
     It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
     episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its name, made
-    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture.
-
-    Raises:
-      ValueError: no such task, an unknown mode, or pictures of a task without a scene.
-
+    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture, if the
+    task has a scene.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  (as Gymnasium has it)
@@ -62,5 +59,4 @@ class GoalSingleEnv(gymnasium.Env):
 
 
 def _only(observation: dict[str, np.ndarray], info: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Returns the observation and the info of the only environment."""
     return {name: value[0] for name, value in observation.items()}, {"is_success": bool(info["is_success"][0])}

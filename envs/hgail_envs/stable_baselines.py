@@ -13,11 +13,8 @@ class GoalVecEnv(VecEnv):
     """A `GoalVectorEnv` as a `stable_baselines3.common.vec_env.VecEnv`, e.g. for SAC with `HerReplayBuffer`.
 
     Each environment's `info` has `is_success`, and at an episode's end `terminal_observation` and
-    `TimeLimit.truncated`, as stable-baselines3 wants them.
-
-    Raises:
-      ValueError: the environment was not made with `autoreset_mode="SameStep"`.
-
+    `TimeLimit.truncated`, as stable-baselines3 wants them. A ValueError says that the environment was not made with
+    `autoreset_mode="SameStep"`.
     """
 
     def __init__(self, env: GoalVectorEnv) -> None:
@@ -34,11 +31,9 @@ class GoalVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keeps the actions, `[num_envs, action_size]`, for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Takes the actions of `step_async`."""
         observation, reward, _, over, info = self.env.step(self._actions)
         success = info.get("final_info", info)["is_success"]
         infos: list[dict[str, Any]] = [{"is_success": bool(one)} for one in success]
@@ -51,11 +46,9 @@ class GoalVecEnv(VecEnv):
         return [getattr(self.env, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Returns an attribute of the vector environment for each of `indices`."""
         return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the vector environment."""
         setattr(self.env, attr_name, value)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
@@ -63,5 +56,4 @@ class GoalVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def close(self) -> None:
-        """Frees the renderer."""
         self.env.close()

@@ -21,10 +21,7 @@ _MOST_KEY = 2**32 - 1  # the largest seed of a JAX key
 
 
 def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, **options: Any) -> "GoalVectorEnv":
-    """Makes a vector environment from a task's name, for `gymnasium.make_vec`; see `GoalVectorEnv`.
-
-    The options are `render_mode`, `autoreset_mode` and those of the task, see `hgail_envs.make`.
-    """
+    """Makes a vector environment from a task's name and options, for `gymnasium.make_vec`; see `GoalVectorEnv`."""
     own = {name: options.pop(name) for name in ("render_mode", "autoreset_mode") if name in options}
     return GoalVectorEnv(make_task(task, num_envs, **options), num_envs, max_episode_steps=max_episode_steps, **own)
 
@@ -203,7 +200,6 @@ class GoalVectorEnv(VectorEnv):
         return tuple(self._view.picture(pose, goal) for pose, goal in zip(poses, goals, strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees the renderer."""
         self._view.close()
 
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
@@ -216,7 +212,6 @@ class GoalVectorEnv(VectorEnv):
         return self._seen(self._state)
 
     def _seen(self, state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Returns the observation and the info of a state."""
         parts = {"observation": "features", "achieved_goal": "achieved_goal", "desired_goal": "desired_goal"}
         observation = {name: np.array(state.info[part], np.float32) for name, part in parts.items()}
         return observation, _marked({"is_success": np.asarray(state.reward) == 0.0}, self.num_envs)

@@ -80,10 +80,7 @@ def _in_one_line(box: str) -> str:
 
 
 def open_standard_streams() -> None:
-    """Opens the null device for standard streams that are closed, as by `2>&-`.
-
-    Otherwise the next file that is opened, e.g. a checkpoint, is the stream to which libraries write their messages.
-    """
+    """Opens the null device for standard streams that are closed, as by `2>&-`: a checkpoint would take their place."""
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STDERR:  # the lowest that is free
         os.set_inheritable(descriptor, True)
     os.close(descriptor)
@@ -146,10 +143,7 @@ def fail(program: str, message: object, code: int) -> NoReturn:
 
 
 def user_cache() -> Path:
-    """Returns the folder of the user's caches; one for this process alone, and a line, if there is none to write to.
-
-    Libraries then have their caches in that one, too.
-    """
+    """Returns the folder of the user's caches; one for this process alone, and a line, if there is none to write to."""
     try:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         folder.mkdir(parents=True, exist_ok=True)

@@ -75,7 +75,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _check(options: Options) -> None:
-    """Refuses numbers out of range, and options that do not go together."""
     options.check(options.episodes)
     if options.impl is not None:
         check_name("impl", options.impl, ["auto", *ENGINES])
@@ -123,7 +122,6 @@ def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Op
 
 
 def _row(path: Path, outcome: EpisodeMetrics, episodes: int) -> dict[str, Any]:
-    """Returns what was measured of a policy."""
     rates = {
         name: round(getattr(outcome, name) * episodes) / episodes for name in ("success", "achieved", "success_l1")
     }
@@ -147,7 +145,6 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the content of the JSON object."""
     sizes = randomization(policy, "none" if options.reference else options.randomize)
     return {
         "task": task,

@@ -78,7 +78,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _check(options: Options) -> None:
-    """Refuses numbers out of range, and options that do not go together."""
     check_count("episodes", options.episodes, least=0)
     if options.randomize is not None:
         check_name("randomize", options.randomize, LEVELS)

@@ -68,7 +68,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _check(options: Options) -> None:
-    """Refuses numbers out of range, and options that do not go together."""
     options.check(options.episodes)
     if options.port is not None:
         check_count("port", options.port, most=_MOST_PORT)

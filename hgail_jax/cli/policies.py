@@ -142,10 +142,7 @@ def describe_policy(path: Path, policy: MeanPolicy, level: str | None) -> str:
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:
-    """Names the `level` asked for, and says if the policy is shown another past; for None names that of its training.
-
-    A ramp is of the training alone.
-    """
+    """Names the `level`, or for None that of the training, and says if the policy is shown another past."""
     if sizes == sizes.nominal():
         return "nominal"
     if level is None:

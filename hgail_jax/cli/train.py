@@ -150,7 +150,6 @@ def _film(run: Run, folder: RunFolder) -> None:
 
 
 def _report(summary: dict[str, Any], folder: Path) -> None:
-    """Prints the outcome."""
     success, distance, seconds = summary["success_rate"], summary["distance_l1"], summary["wall_seconds"]
     worst = f" (worst seed {min(success['per_seed']):.3f})" if summary["seeds"] > 1 else ""
     print(

@@ -8,7 +8,7 @@ import jax
 
 
 def compile_program(jitted: Any, *arguments: Any) -> Any:
-    """Returns a jitted function compiled, as programs with physics in them are, for arguments of these shapes."""
+    """Returns a jitted function compiled for arguments of these shapes."""
     return compile_lowered(lower_program(jitted, *arguments))
 
 

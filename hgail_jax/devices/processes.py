@@ -87,9 +87,7 @@ def _wait_for(host: str, port: int) -> None:
 def choose_mesh(seeds: int, num_envs: int, devices: int | None) -> Mesh:
     """Returns the mesh over `devices` devices; by default one, or all that several processes have.
 
-    Raises:
-      ValueError: there are not so many, or they do not divide, or some process would be left without.
-
+    A ValueError says that there are not so many, or do not divide, or that some process would be left without.
     """
     available = jax.devices()
     if devices is None:

@@ -42,13 +42,10 @@ def make_mesh(seeds: int, num_envs: int, devices: Sequence[jax.Device]) -> Mesh:
     """Returns a mesh over `devices`: along seeds as far as they divide, along environments for the rest.
 
     With jaxlib 0.11 a mesh of several devices turns JAX's partitioner Shardy off for the process, which crashes there.
-
-    Raises:
-      ValueError: the environments of a seed do not divide over the devices that are left to them.
+    A ValueError says that the environments of a seed do not divide over the devices that are left to them.
 
     >>> dict(make_mesh(8, 64, jax.devices()[:1]).shape)
     {'seeds': 1, 'envs': 1}
-
     """
     along_seeds = math.gcd(seeds, len(devices))
     along_envs = len(devices) // along_seeds
@@ -73,10 +70,7 @@ def most_devices(seeds: int, num_envs: int, available: int) -> int:
 
 
 def local_shard(array: jax.Array, axis: str | None) -> jax.Array:
-    """Returns a device's own part of an array that each of them has whole, along its first axis.
-
-    `axis` names the mesh axis, within a `jax.shard_map`; with None the whole is returned.
-    """
+    """Returns a device's own part, along the first axis, of an array; the whole where no mesh `axis` is named."""
     if axis is None:
         return array
     size = len(array) // jax.lax.axis_size(axis)
@@ -112,14 +106,10 @@ def replicate(tree: Any) -> Any:
 
 
 def check_replicas(tree: Any) -> None:
-    """Checks that the devices that hold one part of an array hold the same numbers.
+    """Raises a ReplicaError if devices that hold one part of an array differ by more than rounding.
 
     Devices with the same seeds make the same update of the same trajectories. Nothing else keeps them alike: a program
     per device is compiled without a check of values that vary between devices.
-
-    Raises:
-      ReplicaError: they differ by more than rounding; the message names the array.
-
     """
     for path, leaf in jax.tree_util.tree_flatten_with_path(without_keys(tree))[0]:
         first: dict[str, np.ndarray] = {}

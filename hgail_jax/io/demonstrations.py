@@ -28,12 +28,7 @@ _EPISODES = ("success", "returns", "distance_l1")
 
 @dataclasses.dataclass(frozen=True)
 class Demonstrations:
-    """`K` episodes of `T` steps; see the module for the arrays.
-
-    Raises:
-      ValueError: the shapes do not fit together, or a number is not finite.
-
-    """
+    """`K` episodes of `T` steps; see the module for the arrays, which must fit together and be finite."""
 
     task: str
     features: np.ndarray
@@ -69,24 +64,14 @@ class Demonstrations:
         return hashlib.sha256(b"".join(str(array.shape).encode() + array.tobytes() for array in arrays)).hexdigest()
 
     def first(self, episodes: int) -> "Demonstrations":
-        """Returns the first so many episodes.
-
-        Raises:
-          ValueError: there are not as many.
-
-        """
+        """Returns the first so many episodes; a ValueError says that there are not as many."""
         if not 0 < episodes <= self.episodes:
             raise ValueError(f"there are {self.episodes} demonstrations; {episodes} are asked for")
         arrays = {name: getattr(self, name)[:episodes] for name in _STEPS + _EPISODES}
         return dataclasses.replace(self, **arrays)
 
     def validate(self, env: GoalEnv) -> "Demonstrations":
-        """Returns itself.
-
-        Raises:
-          ValueError: the sizes are not the task's.
-
-        """
+        """Returns itself; a ValueError says that the sizes are not the task's."""
         sizes = (env.feature_size, env.goal_size, env.action_size)
         found = tuple(getattr(self, name).shape[-1] for name in _STEPS)
         if found != sizes:
@@ -94,12 +79,7 @@ class Demonstrations:
         return self
 
     def samples(self, env: GoalEnv) -> Samples:
-        """Returns all steps as expert samples of equal weight, leaves `[K * T, ...]`.
-
-        Raises:
-          ValueError: see `validate`.
-
-        """
+        """Returns all steps as expert samples of equal weight, leaves `[K * T, ...]`; see `validate`."""
         self.validate(env)
         arrays = (jnp.asarray(getattr(self, name)) for name in _STEPS)
         features, goal, action = (array.reshape(-1, array.shape[-1]) for array in arrays)

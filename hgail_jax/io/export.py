@@ -111,13 +111,9 @@ def _operations(policy: MeanPolicy) -> tuple[list[Any], list[Any]]:
 
 
 def check_described(policy: MeanPolicy, trusted: bool = False) -> Description:
-    """Returns the description of the numbers that a policy reads and commands.
+    """Returns the description of the numbers that a policy reads and commands, if it reads those of its task.
 
     Unless `trusted`, the class of a task that is not of this package is not imported, and its numbers are numbered.
-
-    Raises:
-      ValueError: the policy reads other numbers than its task has.
-
     """
     history, known = policy.randomization.history, policy.randomization.known_delay
     past = policy.action_size * history + (1 + policy.action_size) * known

@@ -39,12 +39,7 @@ def replace_path(path: Path | str) -> Iterator[Path]:
 
 
 def check_writable(path: Path) -> None:
-    """Refuses a file that could not be written later, with the folders that are missing.
-
-    Raises:
-      OSError: it is a folder, or the nearest folder above it that exists is none, or cannot be written to.
-
-    """
+    """Refuses, with an OSError, a file that could not be written later, with the folders that are missing."""
     nearest = next(folder for folder in path.absolute().parents if folder.exists())
     for place, refused, number in (
         (path, path.is_dir(), errno.EISDIR),
@@ -56,13 +51,7 @@ def check_writable(path: Path) -> None:
 
 
 def check_new_file(path: Path, endings: Collection[str] = ()) -> None:
-    """Refuses a file that is there already, that could not be written later, or that ends in none of `endings`, if any.
-
-    Raises:
-      ValueError: it is there, or has another ending.
-      OSError: see `check_writable`.
-
-    """
+    """Refuses a file that is there already, or ends in none of `endings`, if any, with a ValueError."""
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path} has an unknown format; it must end in {', '.join(endings)}")
     if os.path.lexists(path):

@@ -18,12 +18,8 @@ _MOST_AT_ONCE = 512  # episodes side by side
 class Evaluation:
     """Evaluates mean actions in a task's most accurate physics, as a run evaluates its seeds at its end.
 
-    Policies of one shape, as the seeds of a run are, share a compiled program. Each has `num_episodes` at least: whole
-    roll-outs of equal size.
-
-    Raises:
-      ValueError: `num_episodes` is no count from 1.
-
+    Policies of one shape, as the seeds of a run are, share a compiled program. Each has `num_episodes` at least, a
+    count from 1: whole roll-outs of equal size.
     """
 
     def __init__(self, env: GoalEnv, seed: int, num_episodes: int) -> None:
@@ -35,12 +31,7 @@ class Evaluation:
         self._programs: dict[Any, Any] = {}
 
     def __call__(self, policy: MeanPolicy) -> EpisodeMetrics:
-        """Returns the means over the episodes of a policy, plain numbers.
-
-        Raises:
-          OverflowError: the simulation ran out of room for contacts.
-
-        """
+        """Returns the means over the episodes, plain numbers; an OverflowError if contacts ran out of room."""
         arrays = (policy.mean, policy.std, policy.layers)
         shape = policy.squash, str(jax.tree.map(np.shape, arrays))
         if shape not in self._programs:

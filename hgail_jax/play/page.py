@@ -160,13 +160,11 @@ class Page:
         self._show_scene()
 
     def _drag(self, phase: str, position: np.ndarray) -> None:
-        """Follows a drag of the handle, which starts, continues or ends."""
         self._dragged = phase != "end"
         if phase == "update":
             self.session.move_target(position)
 
     def _show_scene(self) -> None:
-        """Fills the page with the session's scene."""
         scene, session = self.server.scene, self.session
         scene.reset()
         model = session.model
@@ -197,7 +195,6 @@ class Page:
         self._show_status()
 
     def _light(self) -> None:
-        """Lights the scene and lays a floor."""
         scene = self.server.scene
         # mjviser's meshes are of metal, which reflects its surroundings.
         scene.configure_environment_map("warehouse", environment_intensity=0.65)
@@ -229,7 +226,6 @@ def _status_html(status: Status, paused: bool) -> str:
 
 
 def _standing(status: Status) -> tuple[str, str]:
-    """Returns the colour and the words of the status badge."""
     return {
         Phase.ACTING: ("green", "At the target") if status.reached else ("blue", "On its way"),
         Phase.LIFT_TEST: ("green", "Holding on") if status.success else ("blue", "Put to the test"),

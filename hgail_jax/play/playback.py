@@ -1,4 +1,7 @@
-"""Plays a policy on a task that has a scene: as a film, or in MuJoCo's viewer."""
+"""Plays a policy on a task that has a scene: as a film, or in MuJoCo's viewer.
+
+A `RenderingError` says that MuJoCo cannot render here, or that no display answers.
+"""
 
 import contextlib
 import os
@@ -45,14 +48,7 @@ def play(session: Session, episodes: int) -> Iterator[bool]:
 
 
 def frames(session: Session, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
-    """Renders every `every`-th frame of some episodes as a picture, `[height, width, 3]`, uint8.
-
-    One episode fades into the next, so that nothing jumps.
-
-    Raises:
-      RenderingError: MuJoCo cannot render here.
-
-    """
+    """Renders every `every`-th frame as a picture, `[height, width, 3]`, uint8; one episode fades into the next."""
     camera = free_camera(session.model)
     with open_renderer(session.model, height, width) as renderer:
         picture: np.ndarray | None = None
@@ -72,10 +68,6 @@ def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: 
 
     The target is a red ball, or the body that the task names. The last pose of an episode has a green edge where it
     succeeded, a red one where it did not.
-
-    Raises:
-      RenderingError: MuJoCo cannot render here.
-
     """
     pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD) + (episodes - 1) * _FADE
     with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
@@ -95,12 +87,7 @@ def _edged(picture: np.ndarray, success: bool) -> np.ndarray:
 
 
 def show(env: GoalEnv, policy: MeanPolicy, episodes: int, seed: int) -> list[bool]:
-    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed.
-
-    Raises:
-      RenderingError: there is no display that answers.
-
-    """
+    """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed."""
     _check_display()
     import mujoco.viewer  # needs a display
 
@@ -142,10 +129,7 @@ FORMATS = tuple(_ENCODERS)
 
 @contextlib.contextmanager
 def open_film(path: Path, frame_period: float) -> Iterator[Append]:
-    """Opens a film in one of `FORMATS`, with its folder; it takes its name once it is whole, a failure leaves no file.
-
-    `frame_period` are the seconds between two pictures.
-    """
+    """Opens a film in one of `FORMATS`, and its folder; `frame_period` is in seconds. A failure leaves no file."""
     encoders: list[Generator[None, np.ndarray | None, None]] = []
 
     def append(frame: np.ndarray) -> None:

@@ -37,7 +37,6 @@ def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
 
 
 def _attempts(episodes: int) -> int:
-    """Returns the number of episodes to run for so many successes."""
     return episodes + episodes // 4 + 4
 
 

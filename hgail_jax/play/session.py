@@ -56,10 +56,6 @@ class Session:
     a failure, or in a task that ends with a lift test, the next episode starts with the target in that place.
 
     For use in one thread. The seed is that of the starts.
-
-    Raises:
-      ValueError: the task has no scene.
-
     """
 
     def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int = 0) -> None:
@@ -166,7 +162,6 @@ class Session:
             self._begin()
 
     def _conclude(self) -> None:
-        """Counts the episode, and stays or rests."""
         self.outcomes.append(self.status.success)
         stays = self.outcomes[-1] and self._held is not None and not self.env.lift_test_steps
         self._enter(Phase.STAYING if stays else Phase.RESTING)

@@ -1,8 +1,7 @@
 """Checkpoints: the whole state of a run on disk, written beside the training and checked when read.
 
-A checkpoint is a folder, `<rounds done>/state`, with `arrays.npz`, the leaves of the state, and `record.json`. Arrays
-are stored whole, each with a hash, so that a state can be restored onto any number of devices and damage is noticed.
-Nothing in them is code. Orbax writes in the background, renames what is whole and removes what is old.
+A checkpoint is a folder, `<rounds done>/state`, with `arrays.npz`, the leaves of the state, whole, and `record.json`,
+with a hash. Nothing in them is code. Orbax writes in the background, renames what is whole and removes what is old.
 """
 
 import contextlib
@@ -210,10 +209,7 @@ class _Content(ocp.args.CheckpointArgs):
 
 
 class _Handler(ocp.AsyncCheckpointHandler):
-    """Writes a checkpoint's two files.
-
-    Orbax's handlers of arrays write each by tensorstore, which on a full disk prints a traceback for each array.
-    """
+    """Writes a checkpoint's two files; orbax's own prints a traceback for each array on a full disk."""
 
     async def async_save(self, directory: Path, args: _Content) -> list[ocp.future.Future]:
         async def write() -> None:
@@ -235,7 +231,6 @@ class _Handler(ocp.AsyncCheckpointHandler):
 
 
 def _digest(directory: Path, body: dict) -> str:
-    """Returns the hash of a checkpoint's arrays and record."""
     with open(Path(directory) / _ARRAYS, "rb") as file:
         digest = hashlib.file_digest(file, "sha256")
     digest.update(json.dumps(body, sort_keys=True).encode())
@@ -265,7 +260,6 @@ def _describe(arrays: dict[str, Any]) -> dict:
 
 
 def _reason(error: BaseException) -> str:
-    """Returns an error's message in one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return next(iter(str(error).splitlines()), type(error).__name__)[:200]

@@ -124,12 +124,7 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
     """Makes the folder of a run, or opens the one to resume. If one of several processes cannot, none continues.
 
     It makes `out`, or where that is None numbers a folder in `runs/`; to `resume` `"auto"` takes the newest there, if
-    there is one.
-
-    Raises:
-      ValueError: the folder, or its checkpoints, cannot be used.
-      OSError: the folder cannot be written to.
-
+    there is one. A folder that cannot be written to is an OSError.
     """
     with contextlib.ExitStack() as held:
         unwanted = held.enter_context(silent_but_first())

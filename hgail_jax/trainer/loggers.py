@@ -1,6 +1,5 @@
 """Loggers of a run's measurements: a table, TensorBoard, Weights & Biases; each is a class in `LOGGERS`."""
 
-import abc
 import importlib
 import itertools
 import json
@@ -25,14 +24,11 @@ Record = dict[str, Any]
 """Measurements of a round, see `hgail_jax.trainer.loop.round_record`."""
 
 
-class Logger(abc.ABC):
+class Logger:
     """Writes a run's measurements to one place.
 
-    It is given the settings as config.json has them, and the records of the rounds done before a resumed checkpoint.
-
-    Raises:
-      OSError: it cannot be opened.
-
+    It is given the settings as config.json has them, and the records of the rounds done before a resumed checkpoint. An
+    OSError says that it cannot be opened.
     """
 
     library: ClassVar[str | None] = None
@@ -40,23 +36,28 @@ class Logger(abc.ABC):
 
     def __init__(self, folder: Path, run: Run, settings: dict[str, Any], history: list[Record]) -> None:
         del settings, history
-        self.folder, self.run = folder, run
+        self.folder, self.run, self._done = folder, run, 0
 
-    @classmethod  # noqa: B027  (not all have something to do, here and below)
+    @classmethod
     def check(cls) -> None:
         """Raises a ValueError if it cannot be used here although its library is installed."""
 
-    @abc.abstractmethod
     def rounds(self, history: list[Record]) -> None:
-        """Writes the records of all rounds so far; called after each round."""
+        """Writes the records of all rounds so far, those that are new by `log`; called after each round."""
+        for record in history[self._done :]:
+            self.log(record)
+        self._done = len(history)
 
-    def finish(self, summary: dict[str, Any], curves: Path) -> None:  # noqa: B027
+    def log(self, record: Record) -> None:
+        """Writes the record of a round."""
+
+    def finish(self, summary: dict[str, Any], curves: Path) -> None:
         """Writes the results: summary.json's content and the picture of the learning curves."""
 
-    def film(self, path: Path) -> None:  # noqa: B027
+    def film(self, path: Path) -> None:
         """Adds a film of the trained policy."""
 
-    def close(self) -> None:  # noqa: B027
+    def close(self) -> None:
         """Ends the log, for this process."""
 
 
@@ -93,11 +94,9 @@ class TensorboardLogger(Logger):
         if not resumes:
             self._writer.add_text("settings", f"```json\n{json.dumps(settings, indent=2, default=str)}\n```")
 
-    def rounds(self, history: list[Record]) -> None:
-        for record in history[self._done :]:
-            for name, value in scalars(record, self.run.first_seed).items():
-                self._writer.add_scalar(name, value, record["env_steps"])
-        self._done = len(history)
+    def log(self, record: Record) -> None:
+        for name, value in scalars(record, self.run.first_seed).items():
+            self._writer.add_scalar(name, value, record["env_steps"])
         self._writer.flush()
 
     def finish(self, summary: dict[str, Any], curves: Path) -> None:
@@ -166,10 +165,8 @@ class WandbLogger(Logger):
         if wandb.setup().settings.mode == "online" and not wandb.login(prompt=False):
             raise ValueError("the logger wandb has no account here; call wandb login, or set WANDB_MODE=offline")
 
-    def rounds(self, history: list[Record]) -> None:
-        for record in history[self._done :]:
-            self._run.log(scalars(record, self.run.first_seed))
-        self._done = len(history)
+    def log(self, record: Record) -> None:
+        self._run.log(scalars(record, self.run.first_seed))
 
     def finish(self, summary: dict[str, Any], curves: Path) -> None:
         import wandb
@@ -191,12 +188,7 @@ LOGGERS: dict[str, type[Logger]] = {"csv": CsvLogger, "tensorboard": Tensorboard
 
 
 def check_loggers(names: str) -> tuple[str, ...]:
-    """Returns the loggers in a list of names with commas between them.
-
-    Raises:
-      ValueError: there is no such logger, or it cannot be used here.
-
-    """
+    """Returns the loggers in a list of names with commas between them, if they can be used here."""
     chosen = tuple(dict.fromkeys(names.split(",")))
     for name in chosen:
         check_name("logger", name, LOGGERS)
@@ -233,6 +225,5 @@ def scalars(record: Record, first_seed: int) -> dict[str, float]:
 
 
 def _final(summary: dict[str, Any]) -> dict[str, float]:
-    """Returns the means over the seeds in the final evaluation."""
     measured = {name: value["mean"] for name, value in summary.items() if isinstance(value, dict) and "mean" in value}
     return {f"final/{name}": float(value) for name, value in measured.items() if np.isfinite(value)}

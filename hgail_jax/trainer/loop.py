@@ -158,10 +158,7 @@ def train(
 
 
 def begin(program: Program, untrained: TrainState, restored: Checkpoint | None = None) -> Progress:
-    """Returns the progress that a training starts from, on its devices: `untrained` states, or a checkpoint's.
-
-    The first of several processes has the checkpoint for all.
-    """
+    """Returns the progress to start from, on its devices; the first of several processes has `restored` for all."""
     progress = Progress(untrained)
     if restored is not None:
         progress = Progress(restored.state, restored.record["history"], restored.record["seconds"])

@@ -105,12 +105,7 @@ class TrainOptions:
 def choose(
     task: str, platform: str, method: str | None, preset: str, learner: str | None, randomize: str = "none"
 ) -> Preset:
-    """Returns the settings of a task under a method and a learner, which are the task's where they are None.
-
-    Raises:
-      ValueError: there is no such task, method, learner or preset, or they do not go together.
-
-    """
+    """Returns a task's settings under a method and a learner, None for its own; a ValueError if they do not fit."""
     check_name("randomize", randomize, LEVELS)
     with _one_error(f"cannot load task {task!r}"):
         task_class = hgail_envs.find_class(task)
@@ -150,12 +145,7 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
-    """Returns the run that the options ask for on `platform`, `"cpu"` or `"gpu"`.
-
-    Raises:
-      ValueError: an option has a value that it cannot have.
-
-    """
+    """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`; a ValueError names what it cannot."""
     started = time.perf_counter()
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")

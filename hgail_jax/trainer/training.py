@@ -65,21 +65,11 @@ class Trainer:
         return self._folder
 
     def policy(self, seed: int) -> MeanPolicy:
-        """Returns the trained policy of a seed.
-
-        Raises:
-          FileNotFoundError: it is not trained yet, or not by this run.
-
-        """
+        """Returns the trained policy of a seed."""
         return load_policy(self.folder / "policies" / f"seed-{seed}.npz")
 
     def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
-        """Trains and evaluates all seeds, and writes everything into the folder; see `train_run`.
-
-        Raises:
-          ValueError: the folder, or its checkpoints, cannot be used.
-
-        """
+        """Trains and evaluates all seeds, and writes everything into the folder; see `open_run_folder`, `train_run`."""
         with open_run_folder(self.run, self.options.out, self.options.resume) as folder:
             self._folder = folder.path
             return train_run(self.run, folder, stop)
@@ -89,11 +79,8 @@ def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) 
     """Trains and evaluates all seeds of a run, and writes everything into its folder, from `open_run_folder`.
 
     Once `stop` is set, the training ends with the round that it is in, and a checkpoint. Returns the content of
-    summary.json, or None if it was stopped; a run that was finished before is left as it is.
-
-    Raises:
-      Exception: see `hgail_jax.trainer.loop.train`; and an OSError where a file cannot be written.
-
+    summary.json, or None if it was stopped; a run that was finished before is left as it is. See
+    `hgail_jax.trainer.loop.train` for errors; a file that cannot be written is an OSError.
     """
     finished = _finished(run, folder)
     if any_process(finished is not None):
@@ -158,10 +145,7 @@ def _train(run: Run, folder: RunFolder, stop: threading.Event) -> dict[str, Any]
 
 
 def trace_evaluations(run: Run) -> dict[str, Callable[[], SeedsEvaluation]]:
-    """Traces the final evaluations; returns a function for each that compiles it.
-
-    They are of the task as it was trained and, if that is randomised, of the nominal task too.
-    """
+    """Traces the final evaluations, of a randomised task the nominal one too; returns functions that compile them."""
     states = jax.eval_shape(run.init)
     tasks: dict[str, GoalEnv] = {"final": run.env}
     if isinstance(run.env, RandomizedEnv):
@@ -192,7 +176,6 @@ def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progres
 
 @contextlib.contextmanager
 def _timed(timing: dict[str, float], name: str) -> Iterator[None]:
-    """Adds the seconds that a block takes to `timing`."""
     started = time.perf_counter()
     yield
     timing[name] = time.perf_counter() - started

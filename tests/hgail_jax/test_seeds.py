@@ -43,7 +43,7 @@ def test_more_environments_than_the_physics_has_room_for_are_refused(monkeypatch
     """Those of all seeds together, on each of the devices; before anything is compiled."""
     few, states = Point(), jax.eval_shape(lambda: init_seeds(ENV, TINY, HYPER, seed_keys(0, 3)))
     monkeypatch.setattr(seeds_module, "compile_program", lambda *arguments: "compiled")
-    monkeypatch.setattr(seeds_module, "_jit_train_step", lambda *arguments: None)
+    monkeypatch.setattr(seeds_module, "jit_per_device", lambda *arguments, **options: None)
     few.max_worlds = 12
     assert compile_train_step(few, TINY, states, phase_table(TINY)[0]) == "compiled"
     few.max_worlds = 11
