@@ -73,6 +73,16 @@ def tracking_policy():
 
 
 @pytest.fixture(scope="session")
+def forks(tmp_path_factory):
+    """Runs scripts in processes of their own, without the seconds that importing the package takes."""
+    from tests.forks import Forks
+
+    started = Forks(tmp_path_factory.mktemp("forks"))
+    yield started
+    started.close()
+
+
+@pytest.fixture(scope="session")
 def rendering():
     """Skips where MuJoCo cannot render."""
     try:

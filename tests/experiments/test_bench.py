@@ -88,15 +88,14 @@ def test_what_made_a_row_has_the_commit_of_the_checkout():
     assert commit is None if found.returncode else found.stdout.startswith(commit.removesuffix("-dirty"))
 
 
-def test_reading_options_starts_no_backend():
+def test_reading_options_starts_no_backend(forks):
     """Runs in processes of their own would find the GPU's memory taken."""
     program = (
         "from experiments.bench import __main__ as bench; from jax._src import xla_bridge\n"
         "bench.measure_compilation = lambda *arguments: print(xla_bridge.backends_are_initialized()) or ({}, {})\n"
         "next(bench.measure(bench.Options(section=('compile',))))"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False"]
+    assert forks.run(program).stdout.split() == ["False"]
 
 
 @pytest.mark.slow

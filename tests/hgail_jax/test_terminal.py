@@ -25,7 +25,6 @@ from hgail_jax.cli.command_line import one_line_errors
 from hgail_jax.terminal import StatusLine, progress_bar
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, train
-from tests.hgail_jax.forks import run_scripts
 from tests.hgail_jax.trainer.test_loop import measured, start, steps_of
 from tests.support import SOURCES, TINY
 
@@ -306,8 +305,8 @@ SCRIPTS = {
 
 
 @pytest.fixture(scope="module")
-def ended(tmp_path_factory):
-    return run_scripts(tmp_path_factory.mktemp("scripts"), {name: BEGIN + code for name, code in SCRIPTS.items()})
+def ended(forks):
+    return {name: forks.run(BEGIN + code) for name, code in SCRIPTS.items()}
 
 
 @pytest.mark.parametrize("name", ["writing", "terminated", "callback", "complaint", "end"])

@@ -1,8 +1,6 @@
 """C MuJoCo as an engine, against `mujoco.mj_step` called by hand on the same scene."""
 
 import os
-import subprocess
-import sys
 import threading
 
 import jax
@@ -21,7 +19,6 @@ from tests.hgail_envs.engines.scene import (
     random_states,
     step_by_hand,
 )
-from tests.support import SOURCES
 
 SUBSTEPS = 10
 
@@ -239,28 +236,15 @@ assert_same_bits(rollout(*states), before)
 """
 
 
-def run_script(script, folder):
-    """Runs a script in another folder, and returns what it printed, to either stream."""
-    process = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", script],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": SOURCES},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=60,
-    )
-    assert process.returncode == 0, process.stdout
-    return process.stdout
+def test_a_breakdown_says_and_writes_nothing(forks):
+    ended = forks.run(BREAKS_DOWN)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+    assert not list(ended.folder.iterdir())  # MuJoCo's own handler writes MUJOCO_LOG.TXT
 
 
-def test_a_breakdown_says_and_writes_nothing(tmp_path):
-    assert run_script(BREAKS_DOWN, tmp_path) == ""
-    assert not list(tmp_path.iterdir())  # MuJoCo's own handler writes MUJOCO_LOG.TXT
-
-
-def test_a_process_that_was_forked_after_the_first_call_steps_too(tmp_path):
-    run_script(FORKS, tmp_path)
+def test_a_process_that_was_forked_after_the_first_call_steps_too(forks):
+    ended = forks.run(FORKS)
+    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,6 @@
 """Functions of NumPy arrays within compiled programs, against the same functions called by hand."""
 
 import ctypes
-import os
-import subprocess
 import sys
 import threading
 
@@ -16,7 +14,7 @@ from hgail_envs.engines import host_call as module
 from hgail_envs.engines.host_call import host_call
 from hgail_jax import Hyperparameters, phase_table
 from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
-from tests.support import ROOT, TINY
+from tests.support import TINY
 
 VECTOR = jax.ShapeDtypeStruct((3,), jnp.float32)
 SCALAR = jax.ShapeDtypeStruct((1,), jnp.float32)
@@ -117,18 +115,9 @@ print(len(hits), *call(jnp.ones(3)), len(hits))
 """
 
 
-def test_another_process_takes_the_program_from_the_cache(tmp_path):
-    outputs = [
-        subprocess.run(
-            [sys.executable, "-c", CACHED],
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        for _ in range(2)
-    ]
+def test_another_process_takes_the_program_from_the_cache(forks, tmp_path):
+    script = f"import os\nos.chdir({str(tmp_path)!r})\n{CACHED}"
+    outputs = [forks.run(script).stdout.split() for _ in range(2)]
     assert [output[1:4] for output in outputs] == [["0.5"] * 3] * 2
     assert int(outputs[1][-1]) > int(outputs[0][-1])
 
@@ -172,18 +161,11 @@ for length in (1_000_000, 2):
 """
 
 
-def test_an_interrupt_that_comes_between_two_calls_ends_the_program(tmp_path):
+def test_an_interrupt_that_comes_between_two_calls_ends_the_program(forks):
     """Python raises it on the way into the next call; nothing of it stays behind."""
-    process = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert process.stdout.split() == ["True", "2.0", "2.0", "2.0"]
-    assert process.stderr == ""
+    ended = forks.run(INTERRUPTED)
+    assert ended.stdout.split() == ["True", "2.0", "2.0", "2.0"]
+    assert ended.stderr == ""
 
 
 def test_what_is_not_in_single_precision_is_refused():

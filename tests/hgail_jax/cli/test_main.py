@@ -4,7 +4,6 @@ import importlib.metadata
 import json
 import os
 import runpy
-import shlex
 import subprocess
 import sys
 
@@ -99,6 +98,7 @@ class Near(Point):
 
 
 def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the_cache(tmp_path):
+    """The whole command, in a process of its own from the start."""
     (tmp_path / "test.py").write_text(TASK_OF_ONE_S_OWN)
     kept = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     environment = kept | {
@@ -126,49 +126,41 @@ def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the
     ("platform", "words"),
     [("cuda", ["train", "--task", "point"]), ("bogus", ["demos", "--task", "point"]), ("cuda", ["train", "--help"])],
 )
-def test_a_platform_that_is_not_there_is_named_in_one_line_and_help_needs_none(platform, words, tmp_path):
-    command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"
-    done = subprocess.run(
-        [sys.executable, "-c", command, *words],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": SOURCES, "JAX_PLATFORMS": platform, "CUDA_VISIBLE_DEVICES": ""},
-        capture_output=True,
-        text=True,
+def test_a_platform_that_is_not_there_is_named_in_one_line_and_help_needs_none(platform, words, forks):
+    # JAX has read JAX_PLATFORMS already, into this.
+    script = (
+        f"import jax; jax.config.update('jax_platforms', {platform!r}); from hgail_jax.cli import main; main({words})"
     )
+    done = forks.run(script, {"CUDA_VISIBLE_DEVICES": ""})
     line = f"hgail {words[0]}: JAX_PLATFORMS is '{platform}', and JAX finds no such device here;"
     line += " unset it, or set it to cpu\n"
     assert (done.returncode, done.stderr) == ((0, "") if "--help" in words else (2, line))
-    assert not list(tmp_path.iterdir())
+    assert not list(done.folder.iterdir())
 
 
-A_COMMAND = """
-import sys
+A_TRAINING = """
 from hgail_jax.cli import main
 from tests.support import make_runs_tiny
 make_runs_tiny()
-main(sys.argv[1:])
+main(["train", "--task", "point", "--method", "ppo", "--seeds", "1", "--rounds", "1"])
 """
 
 
 @pytest.mark.parametrize(
-    ("closed", "out", "err"),
-    [("2>&-", "success ", ""), (">&-", "", "compiling "), ("<&- >&- 2>&-", "", "")],
+    ("closed", "out", "err"), [((2,), "success ", ""), ((1,), "", "compiling "), ((0, 1, 2), "", "")]
 )
-def test_a_training_needs_no_standard_streams(tmp_path, closed, out, err):
-    words = [sys.executable, "-c", A_COMMAND, "train", "--task", "point", "--seeds", "1", "--rounds", "1"]
-    environment = os.environ | {"PYTHONPATH": SOURCES}
-    line = f"{shlex.join(words)} {closed}"
-    done = subprocess.run(line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0
-    assert out in done.stdout and (out or not done.stdout)
-    assert err in done.stderr and (err or not done.stderr)
-    folder = tmp_path / "runs" / "point-hgail-1"
+def test_a_training_needs_no_standard_streams(forks, closed, out, err):
+    ended = forks.run(A_TRAINING, closed=closed)
+    assert ended.returncode == 0
+    assert out in ended.stdout and (out or not ended.stdout)
+    assert err in ended.stderr and (err or not ended.stderr)
+    folder = ended.folder / "runs" / "point-ppo-1"
     names = {".lock", "config.json", "metrics.csv", "summary.json", "curves.png", "policies", "checkpoints"}
     assert {path.name for path in folder.iterdir()} == names
     assert json.loads((folder / "summary.json").read_text())["seeds"] == 1
 
 
-def test_a_file_does_not_take_the_place_of_a_closed_stream(tmp_path):
+def test_a_file_does_not_take_the_place_of_a_closed_stream(forks):
     """Else the messages that libraries write to descriptor 2 would go into it."""
     script = """
 import os
@@ -177,9 +169,9 @@ open_standard_streams()
 with open("file", "w"):
     os.write(2, b"a message")
 """
-    line = f"{shlex.join([sys.executable, '-c', script])} <&- >&- 2>&-"
-    subprocess.run(line, shell=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": SOURCES}, check=True)
-    assert (tmp_path / "file").read_text() == ""
+    ended = forks.run(script, closed=(0, 1, 2))
+    assert ended.returncode == 0
+    assert (ended.folder / "file").read_text() == ""
 
 
 A_USER_WITHOUT_AN_ENTRY = """
@@ -190,12 +182,10 @@ pwd.getpwuid = unknown
 """
 
 
-def test_a_user_without_a_home_folder_has_help(tmp_path):
-    kept = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
-    environment = kept | {"PYTHONPATH": SOURCES, "TMPDIR": str(tmp_path)}
-    environment.pop("JAX_COMPILATION_CACHE_DIR")
-    words = [sys.executable, "-c", A_USER_WITHOUT_AN_ENTRY + A_COMMAND, "train", "--help"]
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+def test_a_user_without_a_home_folder_has_help(forks, tmp_path):
+    script = A_USER_WITHOUT_AN_ENTRY + "from hgail_jax.cli import main\nmain(['train', '--help'])"
+    gone = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"))
+    done = forks.run(script, gone | {"TMPDIR": str(tmp_path)})
     assert done.returncode == 0
     assert done.stdout.startswith("usage: hgail train")
     assert done.stderr.count("\n") == 1 and "no home folder" in done.stderr

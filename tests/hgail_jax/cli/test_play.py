@@ -1,7 +1,6 @@
 import contextlib
 import dataclasses
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from hgail_jax.play.playback import film
 from hgail_jax.play.playback import play as play_episodes
 from hgail_jax.play.session import Session
 from tests.hgail_jax.test_terminal import Terminal
-from tests.support import ROOT, SOURCES
+from tests.support import ROOT
 
 REACH = "hgail_envs.fetch.reach:Reach"
 
@@ -181,9 +180,6 @@ def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):
         refused(["--policy", name], f"{name} does not hold a policy: it is no regular file", capsys)
 
 
-PLAY = "from hgail_jax.cli import main; import sys; main(['play', *sys.argv[1:]])"
-
-
 @pytest.mark.parametrize(
     ("environment", "options", "message"),
     [
@@ -198,20 +194,14 @@ PLAY = "from hgail_jax.cli import main; import sys; main(['play', *sys.argv[1:]]
     ],
 )
 @pytest.mark.skipif(sys.platform != "linux", reason="DISPLAY and MUJOCO_GL are of Linux")
-def test_where_nothing_can_be_shown_one_line_says_why(environment, options, message, tmp_path):
-    kept = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
-    done = subprocess.run(
-        [sys.executable, "-c", PLAY, "--task", "reach", "--episodes", "1", *options],
-        cwd=tmp_path,
-        env=kept | {"PYTHONPATH": SOURCES} | environment,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 1
-    (line,) = [line for line in done.stderr.splitlines() if line != "compiling and filming ..."]
+def test_where_nothing_can_be_shown_one_line_says_why(environment, options, message, forks):
+    words = ["play", "--task", "reach", "--episodes", "1", *options]
+    ended = forks.run(f"from hgail_jax.cli import main; main({words})", {"MUJOCO_GL": None} | environment)
+    assert ended.returncode == 1
+    (line,) = [line for line in ended.stderr.splitlines() if line != "compiling and filming ..."]
     assert line.startswith("hgail play: ")
     assert message in line
-    assert not list(tmp_path.iterdir())
+    assert not list(ended.folder.iterdir())
 
 
 REACH_OF_ONE_S_OWN = """

@@ -1,8 +1,5 @@
 """Training over several devices: four that XLA makes of one processor."""
 
-import subprocess
-import sys
-
 import jax
 import numpy as np
 import pytest
@@ -85,9 +82,9 @@ print("done")
 """
 
 
-def test_devices_that_should_hold_the_same_are_compared():
-    process = subprocess.run([sys.executable, "-c", REPLICAS], env=four_devices(), capture_output=True, text=True)
-    assert process.stdout.strip() == "done", process.stderr
+def test_devices_that_should_hold_the_same_are_compared(forks):
+    ended = forks.run(REPLICAS, four_devices())
+    assert ended.stdout.strip() == "done", ended.stderr
 
 
 def test_a_mesh_takes_seeds_first_and_then_environments():

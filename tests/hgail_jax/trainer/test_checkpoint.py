@@ -1,7 +1,5 @@
 import os
 import shutil
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ import pytest
 
 from hgail_jax import Checkpoints
 from hgail_jax.trainer.checkpoint import KEPT, SCHEMA
-from tests.support import SOURCES, four_devices, small_files_only
+from tests.support import four_devices, small_files_only
 
 RUN = {"task": "point", "config": {"num_envs": 4, "hidden": (8, 8)}}
 
@@ -208,20 +206,17 @@ import jax
 from hgail_jax import Checkpoints
 from tests.support import small_files_only
 state = {name: jax.random.normal(jax.random.key(0), (100, 100)) for name in "abcdefgh"}
-with small_files_only(8192), Checkpoints(sys.argv[1], {}) as checkpoints:
+with small_files_only(8192), Checkpoints("checkpoints", {}) as checkpoints:
     checkpoints.save(1, state, {}, None)
 """
 
 
-def test_a_full_disk_is_an_error_in_one_line_and_leaves_nothing(tmp_path):
-    environment = os.environ | {"PYTHONPATH": SOURCES}
-    process = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, tmp_path], env=environment, capture_output=True, text=True
-    )
-    *_, last = process.stderr.splitlines()
-    assert last == f"OSError: cannot write a checkpoint to {tmp_path}: File too large"
-    assert process.stderr.count("OSError: cannot write") == 1 and "Event loop" not in process.stderr
-    assert not list(tmp_path.iterdir())
+def test_a_full_disk_is_an_error_in_one_line_and_leaves_nothing(forks):
+    ended = forks.run(FULL_DISK)
+    *_, last = ended.stderr.splitlines()
+    assert last == f"OSError: cannot write a checkpoint to {ended.folder}/checkpoints: File too large"
+    assert ended.stderr.count("OSError: cannot write") == 1 and "Event loop" not in ended.stderr
+    assert not list((ended.folder / "checkpoints").iterdir())
 
 
 def test_a_run_goes_on_once_a_full_disk_has_room(tmp_path):
@@ -248,31 +243,24 @@ def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
 
 
 ON_FOUR_DEVICES = """
-import sys, json
 import jax, jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from hgail_jax import Checkpoints
 mesh = Mesh(jax.devices(), "seeds")
-template = {"values": jax.device_put(jnp.zeros((8, 3)), NamedSharding(mesh, PartitionSpec("seeds")))}
-with Checkpoints(sys.argv[1], {}) as checkpoints:
+template = {{"values": jax.device_put(jnp.zeros((8, 3)), NamedSharding(mesh, PartitionSpec("seeds")))}}
+with Checkpoints({!r}, {{}}) as checkpoints:
     state = checkpoints.restore(template).state
     print(len(state["values"].sharding.device_set), float(state["values"].sum()))
-    checkpoints.save(2, jax.jit(lambda state: jax.tree.map(lambda leaf: leaf + 1, state))(state), {}, (0.0,))
+    checkpoints.save(2, jax.jit(lambda state: jax.tree.map(lambda leaf: leaf + 1, state))(state), {{}}, (0.0,))
 """
 
 
-def test_a_state_is_restored_onto_more_devices_and_onto_fewer(tmp_path):
+def test_a_state_is_restored_onto_more_devices_and_onto_fewer(forks, tmp_path):
     values = jnp.arange(24.0).reshape(8, 3)
     with Checkpoints(tmp_path, {}) as checkpoints:
         checkpoints.save(1, {"values": values}, {}, (0.0,))
-    process = subprocess.run(
-        [sys.executable, "-c", ON_FOUR_DEVICES, tmp_path],
-        env=four_devices(),
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert process.stdout.split() == ["4", "276.0"]
+    ended = forks.run(ON_FOUR_DEVICES.format(str(tmp_path)), four_devices())
+    assert ended.stdout.split() == ["4", "276.0"], ended.stderr
     read = Checkpoints(tmp_path, {}).restore({"values": values})
     np.testing.assert_array_equal(read.state["values"], values + 1)
     assert len(read.state["values"].sharding.device_set) == 1
