@@ -20,7 +20,7 @@ from hgail_envs.workarounds import configure_xla  # noqa: E402
 
 configure_xla()  # as the command does, before JAX starts
 
-_MUCH_MEMORY = 1e9  # bytes; freeing it takes most of a second
+_MUCH_MEMORY = 1.6e9  # bytes; freeing it takes most of a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 
 

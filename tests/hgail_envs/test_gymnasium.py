@@ -59,11 +59,11 @@ vector.close()
 """
 
 
-@pytest.mark.parametrize(("name", "impl"), [(POINT, None), (REACH, "auto"), (REACH, "c"), (REACH, "jax")])
-def test_processes_that_are_forked_have_an_environment_each(name, impl):
-    done = subprocess.run(
-        [sys.executable, "-c", FORK.format(name=name, impl=impl)], capture_output=True, text=True, timeout=180
-    )
+@pytest.mark.parametrize(
+    ("name", "impl"), [(POINT, None), (REACH, "auto"), pytest.param(REACH, "jax", marks=pytest.mark.slow)]
+)
+def test_processes_that_are_forked_have_an_environment_each(name, impl, forks):
+    done = forks.run(FORK.format(name=name, impl=impl))
     assert done.stdout == "2 -1.0 -1.0\n", done.stderr
 
 

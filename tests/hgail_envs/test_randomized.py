@@ -23,11 +23,10 @@ ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 3)).astype(np.float32
 
 
 def follow(env, actions=ACTIONS, key=0, reset=None):
-    """Returns the states of an episode under some actions, the start first."""
-    step = jax.jit(env.step)
-    states = [(reset or jax.jit(env.reset))(jax.random.key(key))]
+    """Returns the states of an episode under some actions, the start first. To compile its programs takes longer."""
+    states = [(reset or env.reset)(jax.random.key(key))]
     for action in actions:
-        states.append(step(states[-1], action))
+        states.append(env.step(states[-1], action))
     return states
 
 
@@ -36,7 +35,7 @@ def truth(states):
 
 
 def starts(**sizes):
-    return jax.jit(jax.vmap(RandomizedEnv(Point(), Randomization(**sizes)).reset))(KEYS)
+    return jax.vmap(RandomizedEnv(Point(), Randomization(**sizes)).reset)(KEYS)
 
 
 def test_training_episodes_start_where_the_task_s_own_do():
@@ -73,7 +72,7 @@ def test_each_delay_is_as_frequent_and_differs_between_episodes():
 
 def test_displacements_are_scaled_and_sink():
     env = RandomizedEnv(Point(), Randomization(step_size=(0.6, 1.4), z_bias=(0.02, 0.05)))
-    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn
+    drawn = jax.vmap(env.reset)(KEYS).pipeline_state.drawn
     for values, (low, high) in ((drawn.step_size, (0.6, 1.4)), (drawn.z_bias, (0.02, 0.05))):
         assert stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-4
     states = follow(env)
@@ -90,7 +89,7 @@ def test_noises_and_offsets_have_their_deviations(source, part):
     noise, offset = 0.01, 0.03
     states = [starts(**{f"{source}_noise": noise, f"{source}_offset": offset})]
     env = RandomizedEnv(Point(), Randomization(**{f"{source}_noise": noise, f"{source}_offset": offset}))
-    states.append(jax.jit(jax.vmap(env.step))(states[0], jnp.zeros((MANY, 3))))
+    states.append(jax.vmap(env.step)(states[0], jnp.zeros((MANY, 3))))
     errors = np.array([state.info[part] for state in states])  # the point stays at 0
     for values, deviation in ((errors[0], np.hypot(noise, offset)), (errors[1] - errors[0], np.sqrt(2) * noise)):
         assert stats.kstest(values.ravel(), stats.norm(0.0, deviation).cdf).pvalue > 1e-4
@@ -137,14 +136,14 @@ def test_success_and_reward_are_of_the_true_positions():
     states = follow(env)
     goal = states[-1].info["plan"]
     at = states[-1].replace(pipeline_state=states[-1].pipeline_state.replace(true=goal + 0.03))
-    seen = jax.jit(env.step)(at, jnp.zeros(3))
+    seen = env.step(at, jnp.zeros(3))
     assert np.linalg.norm(seen.info["desired_goal"] - goal) > 0.5
     assert seen.reward == (0.0 if np.linalg.norm(seen.pipeline_state.true - goal) <= 0.05 else -1.0)
-    outcome = jax.jit(env.outcome)(at, at)
+    outcome = env.outcome(at, at)
     np.testing.assert_allclose(outcome.distance_l1, 0.09, atol=1e-6)
     assert outcome.success == float(np.sqrt(3) * 0.03 <= 0.05)
     far = states[-1].replace(pipeline_state=states[-1].pipeline_state.replace(true=goal + 0.03001))
-    assert jax.jit(env.outcome)(far, far).success == 0.0
+    assert env.outcome(far, far).success == 0.0
 
 
 def test_the_history_is_what_was_done_and_observed():
@@ -354,7 +353,7 @@ def test_a_delay_ramps_by_whole_steps(progress, delays):
 
 def test_a_known_delay_is_whole_from_the_start_while_the_rest_ramps():
     env = RandomizedEnv(Point(), dataclasses.replace(RAMPS, known_delay=3)).curriculum(0.25)
-    drawn = jax.jit(jax.vmap(env.reset))(KEYS).pipeline_state.drawn
+    drawn = jax.vmap(env.reset)(KEYS).pipeline_state.drawn
     assert set(np.asarray(drawn.delay).tolist()) == {1, 2, 3}
     assert np.abs(np.asarray(drawn.step_size) - 1.0).max() <= 0.2  # half of what is drawn once the ramp is over
     assert np.abs(np.asarray(drawn.step_size) - 1.0).max() > 0.1

@@ -1,4 +1,5 @@
 import copy
+import functools
 import pickle
 
 import jax
@@ -93,8 +94,13 @@ def test_pictures_change_no_dynamics(scene):
     assert physics.npair == pictures.npair
 
 
+@functools.cache
 def tasks_on_all_engines():
-    """Yields each task on each engine that there is here, and randomised."""
+    """Returns each task on each engine that there is here, and randomised."""
+    return list(_tasks_on_all_engines())
+
+
+def _tasks_on_all_engines():
     for task in hgail_envs.TASKS:
         for impl in ENGINES if hgail_envs.accepted_options(task) else (None,):
             try:

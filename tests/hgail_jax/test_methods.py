@@ -58,7 +58,7 @@ def train(config, states):
 @pytest.mark.parametrize(
     "method",
     [
-        pytest.param(name, marks=() if name in ("gasil", "ppo", "gcsl") else pytest.mark.slow)
+        pytest.param(name, marks=() if name == "gcsl" else pytest.mark.slow)
         for name, method in METHODS.items()
         if "ppo" in method.learners
     ],
@@ -169,6 +169,32 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         assert applied.config == preset.config.replace(**sizes)
         assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)
         assert applied.task_options == preset.task_options
+
+
+def test_on_policy_methods_change_what_they_differ_in_and_nothing_else():
+    """A method that clones has a batch to clone, of the preset's size or its own if that is less."""
+    preset = Preset(Config(PPO(bc_batch=8)), Hyperparameters(p_ht=0.7, bc_weight=0.5, environment_reward=0.25))
+    expected = {
+        "hgail": ({}, {}),
+        "hgail-no": ({}, {"p_ht": 0.0}),
+        "gail-demo": (
+            {"expert_source": "demonstrations", "training_goals": False, "bc_batch": 512},
+            {"bc_weight": 1.0},
+        ),
+        "gasil": ({"expert_source": "best", "training_goals": False}, {}),
+        "ppo": (
+            {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
+            {"environment_reward": 1.0, "ppo_weight": 1.0},
+        ),
+        "gcsl": ({"discriminator_phases": 0, "bc_batch": 512}, {"ppo_weight": 0.0, "environment_reward": 1.0}),
+    }
+    assert set(expected) == {name for name, method in METHODS.items() if "ppo" in method.learners}
+    more = dataclasses.replace(preset, config=preset.config.replace(bc_batch=1024))
+    assert METHODS["gcsl"].apply(more).config.learner.bc_batch == 1024
+    for name, (sizes, scalars) in expected.items():
+        applied = METHODS[name].apply(preset)
+        assert applied.config == preset.config.replace(**sizes)
+        assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)
 
 
 class HeavyPush(Push):

@@ -283,8 +283,17 @@ def two_rollouts():
     return [jax.jit(lambda key: rollout(ENV, policy, key, 8))(jax.random.key(seed)) for seed in (3, 4)]
 
 
-@pytest.mark.parametrize("update", TINY.learner.phase_updates().values())
-@pytest.mark.parametrize("source", [RELABELLED, BEST])
+UPDATES = TINY.learner.phase_updates()
+
+
+@pytest.mark.parametrize(
+    ("source", "update"),
+    [
+        *((RELABELLED, update) for update in UPDATES.values()),
+        (BEST, UPDATES[POLICY]),
+        *(pytest.param(BEST, UPDATES[phase], marks=pytest.mark.slow) for phase in (PRETRAIN, DISCRIMINATOR)),
+    ],
+)
 def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source):
     """Not even where it is not blank: whatever is put there, all that is learnt is the same to the bit."""
     config = EIGHT.replace(expert_source=source)

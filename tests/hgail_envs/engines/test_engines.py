@@ -14,6 +14,8 @@ PERIOD = 0.04
 TOLERANCES = {"c": (1e-6, 1e-6, 1e-6), "jax": (3e-4, 1e-2, 1e-4)}
 """By engine that runs here: of positions, velocities and sensors. MJX leaves out how a weld's Jacobian changes."""
 
+ENGINES = ["c", pytest.param("jax", marks=pytest.mark.slow)]
+
 # A motor turns a pendulum, whose tip a weld pulls to a mocap body; and a sensor. Small enough to compile in a second.
 MODEL = mujoco.MjModel.from_xml_string(
     """<mujoco><option timestep=".002"/><worldbody><body name="hand" mocap="true" pos="0 0 .5"/>
@@ -45,7 +47,7 @@ def by_hand(substeps, qpos, qvel, mocap_pos, mocap_quat, ctrl):
     return data.qpos.copy(), data.qvel.copy(), data.sensordata.copy()
 
 
-@pytest.mark.parametrize("impl", TOLERANCES)
+@pytest.mark.parametrize("impl", ENGINES)
 def test_a_batch_of_actions_is_mujoco_s_own_and_so_with_more_steps(impl):
     count = 8
     qpos, qvel, mocap_pos, mocap_quat, ctrl = random_actions(count)
@@ -70,7 +72,7 @@ def test_a_batch_of_actions_is_mujoco_s_own_and_so_with_more_steps(impl):
     assert np.abs(ends[5][0] - ends[20][0]).max() > 2e-3  # so that the two can be told apart
 
 
-@pytest.mark.parametrize("impl", TOLERANCES)
+@pytest.mark.parametrize("impl", ENGINES)
 def test_each_environment_has_its_own_model(impl):
     """Damping, gear and masses of each against a model in which they are set by hand."""
     count, substeps = 4, 5

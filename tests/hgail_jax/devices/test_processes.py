@@ -57,15 +57,21 @@ def rows(folder):
         return [[float(cell or 0) for name, cell in row.items() if name != "seconds"] for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("learner", ["ppo", pytest.param("td3", marks=pytest.mark.slow)])
-def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch, learner):
+@pytest.mark.parametrize(
+    "method",
+    [
+        ("--method", "ppo"),
+        *(pytest.param(("--method", "hgail", "--learner", name), marks=pytest.mark.slow) for name in ("ppo", "td3")),
+    ],
+)
+def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch, method):
     """The environments of one seed are split between them, so they exchange every trajectory."""
-    pair = start_pair(tmp_path / "pair", "--learner", learner)
+    pair = start_pair(tmp_path / "pair", *method)
     output = [process.communicate(timeout=300)[0] for process in pair]
     assert [process.returncode for process in pair] == [0, 0]
     assert b"success" in output[0] and b"success" not in output[1]
     make_runs_tiny(monkeypatch)
-    options = ["--task", "point", "--learner", learner, *SIZES, "--rounds", "1"]
+    options = ["--task", "point", *method, *SIZES, "--rounds", "1"]
     train.main([*options, "--out", str(tmp_path / "single")])
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)
@@ -107,9 +113,8 @@ def test_where_a_process_of_slurm_s_is_killed_the_other_ends_and_the_run_goes_on
     assert (folder / "summary.json").exists()
 
 
-def test_without_a_cluster_auto_says_so(tmp_path):
-    process = start(tmp_path / "run", "--distributed", "auto")
-    error = process.communicate(timeout=300)[1].decode()
-    assert process.returncode == 2
-    assert "cannot join the processes that Slurm, Open MPI or Kubernetes started" in error.splitlines()[-1]
-    assert not list(tmp_path.iterdir())
+def test_without_a_cluster_auto_says_so(forks):
+    ended = forks.run("from hgail_jax.cli.train import main; main(['--task', 'point', '--distributed', 'auto'])")
+    assert ended.returncode == 2
+    assert "cannot join the processes that Slurm, Open MPI or Kubernetes started" in ended.stderr.splitlines()[-1]
+    assert not list(ended.folder.iterdir())

@@ -42,7 +42,14 @@ def test_the_model_computes_the_policy(path, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["p.onnx"]
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+DIFFERENT = ("grasp-full-known-delay", "reach-robust", "push", "tower")  # the others have no layout of their own
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=() if path.stem in DIFFERENT else pytest.mark.slow) for path in SHIPPED],
+    ids=lambda path: path.stem,
+)
 def test_the_metadata_describe_each_number(path, tmp_path):
     policy = load_policy(path)
     _, told = exported(policy, tmp_path / "p.onnx")
@@ -58,7 +65,7 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     assert told["history"] == told["randomization"]["history"] == policy.randomization.history
     assert told["versions"]["jax"]
     assert "success" not in told
-    state = jax.jit(env.reset)(jax.random.key(0))
+    state = env.reset(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
 

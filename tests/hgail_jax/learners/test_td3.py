@@ -315,7 +315,9 @@ OTHER_SOURCES = {
         ("relabelled", {}),
         ("relabelled", {"p_ht": 0.0, "environment_reward": 0.0}),
         ("relabelled", {"environment_reward": 1.0}),
-        *((source, {}) for source in OTHER_SOURCES),
+        pytest.param("demonstrations", {}, marks=pytest.mark.slow),
+        ("best", {}),
+        ("no discriminator", {}),
     ],
 )
 def test_an_update_is_that_of_td3_with_hindsight(source, changes):

@@ -18,7 +18,7 @@ from hgail_jax.settings.defaults import DEFAULTS
 from tests.support import compile_once, make_runs_tiny
 
 SMALL = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
-SIZES = ["--task", "point", "--seeds", "2", "--num-envs", "4", "--rounds", "1", "--out", "run"]
+SIZES = ["--task", "point", "--method", "ppo", "--seeds", "2", "--num-envs", "4", "--rounds", "1", "--out", "run"]
 
 
 @pytest.fixture(autouse=True)
