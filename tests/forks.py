@@ -28,7 +28,8 @@ class Forks:
     def __init__(self, folder):
         self.folder, self.count = Path(folder), 0
         environment = os.environ | {"PYTHONPATH": SOURCES, "XDG_CACHE_HOME": str(self.folder / "cache")}
-        environment.pop("DISPLAY", None)
+        for chosen in ("DISPLAY", "MUJOCO_GL"):  # which MuJoCo reads when it is imported
+            environment.pop(chosen, None)
         command = [sys.executable, "-m", "tests.forks"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self.process = subprocess.Popen(command, env=environment, cwd=ROOT, **pipes)
