@@ -34,7 +34,7 @@ def starts(tasks):
     """Starts of episodes to be measured and of episodes to learn from, by task."""
 
     def start(env):
-        reset = jax.vmap(env.reset, in_axes=(0, None))
+        reset = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))
         return [jax.tree.map(np.asarray, reset(KEYS, training_goals)) for training_goals in (False, True)]
 
     return {name: start(env) for name, env in tasks.items()}

@@ -67,7 +67,7 @@ def test_each_number_is_what_its_name_says(task, observation):
     env = hgail_envs.make(task, impl="c", substeps=4, **options)
     described = describe(task, **options)
     step = jax.jit(env.step)
-    state = env.reset(jax.random.key(1))
+    state = jax.jit(env.reset)(jax.random.key(1))
     for action in ([0.9, -0.5, -1.0, 0.3], [0.2, 0.7, -0.4, 0.6], [-1.0, 0.1, 0.8, -0.2]):
         state = step(state, jnp.array(action))
     physics = state.pipeline_state
@@ -132,7 +132,7 @@ def test_a_history_is_named_in_its_order():
 def test_the_command_of_the_hand_opens_it_where_the_table_says_so():
     for task in ("grasp", "push"):
         env = hgail_envs.make(task, impl="c", substeps=4)
-        state, step = env.reset(jax.random.key(0)), jax.jit(env.step)
+        state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
         for _ in range(3):
             state = step(state, jnp.array([0.0, 0.0, 1.0, 1.0]))
         blocked = "no effect" in describe(task).action.numbers[3].name

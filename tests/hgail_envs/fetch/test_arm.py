@@ -18,7 +18,7 @@ def test_random_steps_stay_within_bounds(task):
         state = jax.vmap(env.step)(state, action)
         return state, (abs(state.obs) < env.observation_limit).all()
 
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 32))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 32))
     scan = jax.jit(lambda state, rngs: jax.lax.scan(step, state, rngs)[1])
     assert scan(state, jax.random.split(jax.random.key(1), 200)).all()
 
@@ -35,7 +35,7 @@ def test_accurate_physics_is_the_default_and_can_be_asked_for(impl):
 
 def test_accurate_physics_is_that_of_a_task_made_with_it():
     fast, made = hgail_envs.make("grasp", substeps=4), hgail_envs.make("grasp")
-    state, action = made.reset(jax.random.key(0)), np.array([1.0, -0.5, 0.2, 1.0])
+    state, action = jax.jit(made.reset)(jax.random.key(0)), np.array([1.0, -0.5, 0.2, 1.0])
     ends = [jax.jit(env.step)(state, action).obs for env in (fast.reference_physics(), made, fast)]
     np.testing.assert_array_equal(ends[0], ends[1])
     assert np.abs(ends[0] - ends[2]).max() > 1e-4

@@ -29,7 +29,7 @@ def env(task):
 def test_the_hand_keeps_still_and_open_while_the_tower_is_tested(env):
     for action in ([1.0, -1.0, 1.0, -1.0], [0.0, 0.0, 0.0, 0.3]):
         np.testing.assert_array_equal(env.lift_test_action(jnp.array(action)), [0, 0, 0, 1])
-    step, start = jax.jit(env.step), env.reset(jax.random.key(0))
+    step, start = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     state, action = start, jnp.zeros(4)
     for _ in range(env.lift_test_steps):
         action = env.lift_test_action(action)
@@ -52,7 +52,7 @@ def test_success_of_goals_is_by_whose_they_are(task, env):
 
 
 def test_cubes_that_start_stay_where_they_are(task, env):
-    start = jax.vmap(env.reset, in_axes=(0, None))(jax.random.split(jax.random.key(0), 16), True)
+    start = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(jax.random.split(jax.random.key(0), 16), True)
     still = jnp.zeros((16, 4))
     end = jax.jit(lambda state: jax.lax.fori_loop(0, 50, lambda _, now: jax.vmap(env.step)(now, still), state))(start)
     first = env._scene_model.object_qpos[:, :1]

@@ -42,7 +42,7 @@ def play(kind, state):
 
 @pytest.fixture(scope="module")
 def start():
-    return jax.vmap(ENV.reset)(jax.random.split(jax.random.key(0), BATCH))
+    return jax.jit(jax.vmap(ENV.reset))(jax.random.split(jax.random.key(0), BATCH))
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_touch_with_a_wrong_gap_is_not_holding(above):
 
 
 def test_starts_are_the_reference_s(reference):
-    ours = cube(jax.vmap(ENV.reset)(jax.random.split(jax.random.key(1), 2000)))
+    ours = cube(jax.jit(jax.vmap(ENV.reset))(jax.random.split(jax.random.key(1), 2000)))
     theirs = np.stack([reference.reset(seed=seed)[0]["observation"][3:6] for seed in range(300)])
     offsets = [cubes[:, :2] - ENV.initial_gripper_position[:2] for cubes in (ours, theirs)]
     for offset in offsets:
@@ -135,7 +135,7 @@ def test_starts_are_the_reference_s(reference):
 def test_moving_the_target_puts_the_cube_down():
     """Out of the hand and thrown about, in MuJoCo's own kinematics; the arm and its motion are left as they are."""
     env, place = hgail_envs.make("grasp"), np.array([1.4, 0.7, 0.425])
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     data = mujoco.MjData(env.model)
     cube = env.model.body("cube").dofadr[0]
     physics = state.pipeline_state

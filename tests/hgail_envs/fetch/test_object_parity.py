@@ -104,7 +104,7 @@ def test_one_step_displacements(env, placed, transitions):
 
 
 def test_starts_and_goals_are_distributed_as_the_reference_s(env, reference):
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), RESETS))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), RESETS))
     ours = np.concatenate(
         [state.pipeline_state.qpos[:, env.qpos_of(env.object_name)], state.info["desired_goal"][:, :3]], axis=1
     )

@@ -26,7 +26,7 @@ PLACE = np.array([1.3, 0.7, 0.425])  # where cube B started, centre
 GOAL = np.array([*PLACE[:2], 0.475, 1, 0, 1], np.float32)
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 STEP, OUTCOME, PUT = jax.jit(ENV.step), jax.jit(ENV.outcome), jax.jit(ENV.place)
-START = ENV.reset(jax.random.key(0))
+START = jax.jit(ENV.reset)(jax.random.key(0))
 ADVANCE = jax.jit(lambda physics, plan: ENV._advance(START, physics, plan, START.info["step"]))
 
 
@@ -65,7 +65,7 @@ def outcome_of(state):
 
 @pytest.fixture(scope="module")
 def starts():
-    reset = jax.vmap(ENV.reset, in_axes=(0, None))
+    reset = jax.jit(jax.vmap(ENV.reset, in_axes=(0, None)))
     keys = jax.random.split(jax.random.key(0), MANY)
     return [jax.tree.map(np.asarray, reset(keys, training_goals)) for training_goals in (False, True)]
 
@@ -199,7 +199,7 @@ def test_starts_are_those_of_a_loop(starts):
 
 def test_cubes_of_other_sizes_start_on_the_table():
     env = RandomizedEnv(ENV, Randomization(object_size=(1.2, 1.4)))
-    physics = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 20)).pipeline_state.true
+    physics = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 20)).pipeline_state.true
     height = 0.4 + 0.025 * np.asarray(physics.factors.object_size)
     for first, start in ((A, physics.object_start), (B, physics.b_start)):
         np.testing.assert_array_equal(start, physics.qpos[:, first : first + 3])

@@ -31,7 +31,7 @@ STARTS = np.array([[1.2, 0.9, 0.425], [1.45, 0.85, 0.425], TOWER[BASE]])
 NOWHERE, STILL = np.zeros((3, 3)), np.zeros((3, 6))
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 STEP, OUTCOME, PUT, ACHIEVED = (jax.jit(each) for each in (ENV.step, ENV.outcome, ENV.place, ENV.achieved_goal))
-START = ENV.reset(jax.random.key(0))
+START = jax.jit(ENV.reset)(jax.random.key(0))
 ADVANCE = jax.jit(lambda physics: ENV._advance(START, physics, START.info["plan"], START.info["step"]))
 
 
@@ -104,7 +104,7 @@ def scripted(count, training_goals, noise):
 
 @pytest.fixture(scope="module")
 def starts():
-    reset = jax.vmap(ENV.reset, in_axes=(0, None))
+    reset = jax.jit(jax.vmap(ENV.reset, in_axes=(0, None)))
     keys = jax.random.split(jax.random.key(0), MANY)
     return [jax.tree.map(np.asarray, reset(keys, training_goals)) for training_goals in (False, True)]
 
@@ -295,7 +295,7 @@ def test_half_the_training_episodes_start_with_the_middle_on_the_base(starts):
 
 def test_a_start_of_other_sizes_has_the_middle_on_the_base_too():
     env = RandomizedEnv(ENV, Randomization(object_size=(0.8, 0.9), history=1, robot_offset=0.01))
-    state = jax.vmap(env.reset, in_axes=(0, None))(jax.random.split(jax.random.key(0), 20), True)
+    state = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(jax.random.split(jax.random.key(0), 20), True)
     physics = state.pipeline_state.true
     cubes, width = by_role(physics, "qpos"), 0.05 * np.asarray(physics.factors.object_size)
     rise = (cubes[:, MIDDLE] - cubes[:, BASE])[np.asarray(physics.placed)]

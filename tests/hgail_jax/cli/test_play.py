@@ -35,7 +35,7 @@ def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
     assert len(heights) == env.episode_length + env.lift_test_steps + 10
     assert heights[0] == pytest.approx(0.425, abs=1e-3)
     assert heights[-1] > 0.6
-    start = env.reset(jax.random.split(jax.random.key(0))[1])
+    start = jax.jit(env.reset)(jax.random.split(jax.random.key(0))[1])
     np.testing.assert_allclose(session.model.site("target").pos, start.info["desired_goal"][:3], atol=1e-6)
 
 

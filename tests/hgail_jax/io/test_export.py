@@ -65,7 +65,7 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     assert told["history"] == told["randomization"]["history"] == policy.randomization.history
     assert told["versions"]["jax"]
     assert "success" not in told
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
 
