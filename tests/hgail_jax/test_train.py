@@ -125,7 +125,11 @@ def test_a_scan_over_the_phases_is_the_loop_over_them():
     assert np.isfinite(metrics.update["reward"][1:]).all()
 
 
-@pytest.mark.parametrize("config", [ONE, ONE.replace(training_goals=False, pretrain=False)], ids=["all", "fewer"])
+@pytest.mark.parametrize(
+    "config",
+    [ONE, pytest.param(ONE.replace(training_goals=False, pretrain=False), marks=pytest.mark.slow)],
+    ids=["all", "fewer"],
+)
 def test_learning_has_the_goals_and_the_progress_that_it_should_and_evaluations_are_of_the_task_itself(config):
     metrics = scanned(config)[1]
     np.testing.assert_array_equal(metrics.evaluation.success, np.full(5, Telling.MEASURED))

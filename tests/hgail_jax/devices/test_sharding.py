@@ -13,7 +13,7 @@ from tests.support import four_devices
 
 @pytest.fixture(scope="module", params=["ppo", pytest.param("td3", marks=pytest.mark.slow)])
 def trained(request, tmp_path_factory):
-    shared = {"task": "point", "learner": request.param}
+    shared = {"task": "point", "learner": request.param, "final": request.param != "ppo"}  # two processes evaluate, too
     return train_on_four_devices(
         tmp_path_factory.mktemp("sharded") / "point.npz",
         alone=shared | {"groups": [[0], [1], [2], [3]], "devices": 1},
