@@ -74,7 +74,7 @@ def grasp_policy():
 
 @pytest.fixture(scope="session")
 def tracking_policy():
-    """A policy of grasp that is told where the cube is at each step: it goes there, and opens the hand."""
+    """A policy of grasp that is given where the cube is at each step: it goes there, and opens the hand."""
     from hgail_jax.policy import MeanPolicy  # here, so that JAX starts with the tests that need it
 
     weights, bias = np.zeros((15, 4), np.float32), np.array([0, 0, 0, 1], np.float32)

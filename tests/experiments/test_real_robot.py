@@ -1,4 +1,4 @@
-"""The loop of a real robot, on the simulated UR5e and on a point that moves as it is told."""
+"""The loop of a real robot, on the simulated UR5e and on a point that moves as commanded."""
 
 import numpy as np
 import pytest

@@ -117,7 +117,7 @@ def timed(monkeypatch):
     return times
 
 
-def test_the_time_left_is_told_by_the_rounds_that_are_alike(timed, capsys):
+def test_the_time_left_is_estimated_from_the_rounds_that_are_alike(timed, capsys):
     """Round 0 only fills a buffer, which here takes a second."""
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
     train(program, timed(steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 4), first=1.0), start(program))
@@ -125,7 +125,7 @@ def test_the_time_left_is_told_by_the_rounds_that_are_alike(timed, capsys):
     assert [line.partition("elapsed")[2] for line in lines] == ["", ", 00:20 left", ", 00:10 left", ", 00:00 left"]
 
 
-def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(timed, capsys):
+def test_the_time_left_of_a_training_that_goes_on_is_estimated_from_its_first_round(timed, capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
     progress, step = start(program), timed(steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
     stop = threading.Event()
@@ -136,7 +136,7 @@ def test_the_time_left_of_a_training_that_goes_on_is_told_by_its_first_round(tim
     assert [line.partition("elapsed")[2] for line in lines] == [", 00:20 left", ", 00:10 left", ", 00:00 left"]
 
 
-def test_a_round_without_steps_tells_no_rate_and_no_time(capsys):
+def test_a_round_without_steps_shows_no_rate_and_no_time(capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=1, pretrain=False), (Hyperparameters(),), 2)
     train(program, steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 2), start(program))
     _, zero, one = capsys.readouterr().err.splitlines()

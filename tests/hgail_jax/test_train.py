@@ -63,6 +63,12 @@ def test_one_seed_is_bit_equal_twice_and_two_seeds_differ():
     assert not np.allclose(first.statistics.mean, other.statistics.mean)
 
 
+def test_no_number_is_none():
+    """What a round does not measure is infinite, so that JAX_DEBUG_NANS finds only what is wrong."""
+    state, metrics = train(tiny_step, start(0))
+    assert not any(np.isnan(leaf).any() for leaf in jax.tree.leaves((without_key(state), metrics)))
+
+
 def test_a_key_that_is_used_twice_is_noticed():
     with jax.debug_key_reuse(True), pytest.raises(jax.errors.KeyReuseError):
         jax.jit(lambda key: jax.random.normal(key) + jax.random.normal(key))(jax.random.key(0))
@@ -247,9 +253,9 @@ class Fragile(Telling):
         return env
 
     def outcome(self, end, lifted):
-        told = super().outcome(end, lifted)
-        broken = jnp.where(told.distance_l2 > 0.5, jnp.nan, 1.0)
-        return told.replace(success=1.0, distance_l1=told.distance_l1 + self.shift, distance_l2=broken)
+        outcome = super().outcome(end, lifted)
+        broken = jnp.where(outcome.distance_l2 > 0.5, jnp.nan, 1.0)
+        return outcome.replace(success=1.0, distance_l1=outcome.distance_l1 + self.shift, distance_l2=broken)
 
 
 def test_seeds_are_evaluated_in_whole_roll_outs_one_after_another_in_the_accurate_physics():

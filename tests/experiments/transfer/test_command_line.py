@@ -153,8 +153,8 @@ def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatc
 
 def test_one_run_tells_the_error_of_the_goal(capsys):
     transfer.main(["--episodes", "1", "--noise", "0.25", "--offset", "0.5", "0", "0"])
-    told = "goal off by 0.25 m (σ), goal off by (0.5, 0.0, 0.0) m"
-    assert f", 40 ms an action, {told}: success" in capsys.readouterr().out
+    named = "goal off by 0.25 m (σ), goal off by (0.5, 0.0, 0.0) m"
+    assert f", 40 ms an action, {named}: success" in capsys.readouterr().out
 
 
 def test_one_run_with_options_of_the_robot(monkeypatch, capsys):

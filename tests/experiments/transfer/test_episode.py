@@ -11,12 +11,12 @@ from hgail_envs.randomization import Randomization
 
 
 class Dot:
-    """Moves by 0.03 m for a unit action; notes what it is told. A cube that it holds rises with it."""
+    """Moves by 0.03 m for a unit action; notes its commands. A cube that it holds rises with it."""
 
     offset = np.zeros(3)
 
     def __init__(self, task="reach", holds=True):
-        self.task, self.holds, self.told = task, holds, []
+        self.task, self.holds, self.commands = task, holds, []
         self.position, self.goal = np.zeros(3), np.array([0.1, -0.05, 0.0])
 
     def reset(self, rng):
@@ -36,7 +36,7 @@ class Dot:
         return np.linalg.norm(self.position - self.goal) <= 0.05
 
     def step(self, action):
-        self.told.append(np.array(action))
+        self.commands.append(np.array(action))
         self.position = self.position + 0.03 * action[:3]
         if self.task == "grasp" and self.holds:
             self.goal = self.goal + np.array([0.0, 0.0, 0.03 * action[2]])
@@ -47,7 +47,7 @@ def to_the_goal(observation):
 
 
 class Watcher:
-    """Stands still, or rises with `up`; notes what it is shown. It was trained with a cube that is told so."""
+    """Stands still, or rises with `up`; notes what it is shown. It was trained with a tracked cube."""
 
     def __init__(self, cube, history=0, up=0.0):
         self.task_options, self.randomization = {"cube": cube}, Randomization(history=history)
@@ -65,11 +65,11 @@ def run(robot, policy=to_the_goal, **conditions):
 def test_an_episode_has_the_task_s_steps_and_is_measured_at_its_end():
     robot, seen = Dot(), []
     outcome = run_episode(robot, to_the_goal, np.random.default_rng(0), watch=lambda: seen.append(robot.position))
-    assert len(robot.told) == 50
+    assert len(robot.commands) == 50
     assert len(seen) == 51
     assert outcome.success == outcome.success_l1 == 1.0
     assert outcome.distance_l2 == pytest.approx(0.0, abs=1e-6)
-    assert np.max(np.abs(robot.told)) <= 1.0
+    assert np.max(np.abs(robot.commands)) <= 1.0
 
 
 @pytest.mark.parametrize("offset", [(0.04, 0.0, 0.0), (0.0, -0.06, 0.0)])
@@ -109,15 +109,15 @@ def test_actions_come_late(delay):
         return np.full(4, decided[-1])
 
     run(robot, count, delay=delay)
-    told = np.array(robot.told)[:, 0]
-    np.testing.assert_array_equal(told[:delay], 0.0)
-    np.testing.assert_allclose(told[delay:], decided[: 50 - delay], atol=1e-6)
+    commands = np.array(robot.commands)[:, 0]
+    np.testing.assert_array_equal(commands[:delay], 0.0)
+    np.testing.assert_allclose(commands[delay:], decided[: 50 - delay], atol=1e-6)
 
 
 def test_the_stride_changes_displacements_alone():
     robot = Dot()
     run(robot, lambda observation: np.array([2.0, 0.5, -0.5, 0.7]), stride=1.5)
-    np.testing.assert_allclose(robot.told[0], [1.5, 0.75, -0.75, 0.7])
+    np.testing.assert_allclose(robot.commands[0], [1.5, 0.75, -0.75, 0.7])
 
 
 def test_grasping_takes_a_lift():
@@ -125,12 +125,12 @@ def test_grasping_takes_a_lift():
     robot = Dot("grasp")
     outcome = run(robot, lambda observation: np.array([0.0, 0.0, 0.0, -0.3]) * observation[-1])
     assert outcome.achieved == outcome.success == 1.0
-    assert len(robot.told) == 50 + 12
-    np.testing.assert_allclose(robot.told[-12:], np.tile([0.0, 0.0, 1.0, -0.3], (12, 1)), atol=1e-6)
+    assert len(robot.commands) == 50 + 12
+    np.testing.assert_allclose(robot.commands[-12:], np.tile([0.0, 0.0, 1.0, -0.3], (12, 1)), atol=1e-6)
     assert LEAST_RISE < 12 * 0.03
     assert run(Dot("grasp", holds=False), lambda observation: np.zeros(4)).success == 0.0
     dropped = Dot("grasp")
-    dropped.step = lambda action: dropped.told.append(action)
+    dropped.step = lambda action: dropped.commands.append(action)
     outcome = run(dropped, lambda observation: np.zeros(4))
     assert (outcome.achieved, outcome.success) == (1.0, 0.0)
 

@@ -69,7 +69,7 @@ def test_a_tracked_cube_is_seen_with_the_goal_s_error():
 
 
 @pytest.mark.slow
-def test_a_policy_that_knows_its_delay_is_told_it():
+def test_a_policy_that_knows_its_delay_is_given_it():
     """The hand moves if an action is on its way, which the first number says."""
     weights = np.zeros((5 + 12, 4))
     weights[0, 0] = 1.0

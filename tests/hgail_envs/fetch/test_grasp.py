@@ -170,11 +170,11 @@ def test_a_tracked_cube_is_the_goal_wherever_it_is(start):
     elsewhere = jnp.array([1.0, 0.7, 0.6, 0.0])
     for index in range(3):
         state = at(after, index)
-        told, plan = state.info["desired_goal"], at(start, index).info["plan"]
-        np.testing.assert_array_equal(told, plan)
+        goal, plan = state.info["desired_goal"], at(start, index).info["plan"]
+        np.testing.assert_array_equal(goal, plan)
         np.testing.assert_array_equal(tracked.current_goal(plan, state.pipeline_state, 1), [*cube(state), 1.0])
         np.testing.assert_array_equal(tracked.current_goal(elsewhere, state.pipeline_state, 1), elsewhere)
-        assert cube(state)[0] > told[0] + 0.07
+        assert cube(state)[0] > goal[0] + 0.07
 
 
 def test_a_tracked_cube_is_observed_whatever_the_goal_is(start):
@@ -201,20 +201,20 @@ def test_a_hand_that_tracks_the_cube_tries_again(start):
 
 
 def test_the_reference_tells_where_a_tracked_cube_is():
-    """A closed hand pushes the cube away; what it is told follows, and agrees with the environment's own state."""
-    reference, told = ReferenceFetch("grasp", cube="tracked"), []
+    """A closed hand pushes the cube away; what it observes follows, and agrees with the environment's own state."""
+    reference, seen = ReferenceFetch("grasp", cube="tracked"), []
 
     def policy(observation):
-        told.append(observation)
+        seen.append(observation)
         cubes.append(reference.data.body("object0").xpos.copy())
         return np.asarray(Grasp.controllers["closed"](np.delete(observation, slice(8, 11))))
 
     cubes = []
     reference_episode(reference, policy, Past(Randomization()), seed=1, index=0)
-    told = np.array(told)
-    assert told.shape[1] == 15 and np.linalg.norm(cubes[-1] - cubes[0]) > 0.02
-    np.testing.assert_allclose(told[:, 11:14], cubes, atol=1e-6)
-    np.testing.assert_allclose(told[:, 8:11], told[:, 11:14] - told[:, :3], atol=1e-6)
+    seen = np.array(seen)
+    assert seen.shape[1] == 15 and np.linalg.norm(cubes[-1] - cubes[0]) > 0.02
+    np.testing.assert_allclose(seen[:, 11:14], cubes, atol=1e-6)
+    np.testing.assert_allclose(seen[:, 8:11], seen[:, 11:14] - seen[:, :3], atol=1e-6)
     with pytest.raises(ValueError, match="cube is 'tracked'; choose from at-start"):
         ReferenceFetch("push", cube="tracked")
 

@@ -333,7 +333,7 @@ def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
 
 
 @pytest.mark.parametrize("task", ["pick-and-place", SLOW_STACK, "tower"])
-def test_sensors_err_by_what_they_are_told(task):
+def test_sensors_err_by_the_sizes_given(task):
     env = compiled(task).env
     randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
 

@@ -42,8 +42,8 @@ def test_the_interval_is_wilson_s(hits, episodes):
 
 
 def test_what_is_printed_is_what_a_roll_out_of_the_policy_gives(capsys, shipped_policy):
-    told = report(["--task", "reach", "--episodes", "6", "--seed", "3"], capsys)
-    (row,) = told["policies"]
+    shown = report(["--task", "reach", "--episodes", "6", "--seed", "3"], capsys)
+    (row,) = shown["policies"]
     policy = load_policy(shipped_policy)
     env = hgail_envs.make("reach")
     step, reset = jax.jit(env.step), jax.jit(env.reset)
@@ -56,15 +56,15 @@ def test_what_is_printed_is_what_a_roll_out_of_the_policy_gives(capsys, shipped_
         distances.append(np.linalg.norm(state.info["achieved_goal"] - state.info["desired_goal"]))
     assert row["distance_l2"] == pytest.approx(np.mean(distances), abs=1e-4)
     assert row["success"] == np.mean(np.array(distances) <= 0.05)
-    assert (told["task"], told["engine"], row["episodes"]) == ("reach", env.impl, 6)
+    assert (shown["task"], shown["engine"], row["episodes"]) == ("reach", env.impl, 6)
 
 
 def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder, tmp_path):
-    told = report(["--policy", str(run_folder), "--episodes", "3"], capsys)
-    assert [row["policy"].split("/")[-1] for row in told["policies"]] == ["seed-9.npz", "seed-10.npz"]
-    success = told["policies"][0]["success"]
-    assert success == told["policies"][1]["success"]
-    assert told["mean"] == {"success": success}  # two have no interval
+    shown = report(["--policy", str(run_folder), "--episodes", "3"], capsys)
+    assert [row["policy"].split("/")[-1] for row in shown["policies"]] == ["seed-9.npz", "seed-10.npz"]
+    success = shown["policies"][0]["success"]
+    assert success == shown["policies"][1]["success"]
+    assert shown["mean"] == {"success": success}  # two have no interval
     for seed in (1, 2, 3):
         shutil.copy(run_folder / "policies" / "seed-9.npz", tmp_path / f"seed-{seed}.npz")
     evaluate.main(["--policy", str(tmp_path), "--episodes", "3", "--randomize", "mild"])
@@ -81,11 +81,11 @@ def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_p
     still = dataclasses.replace(good, layers=(*hidden, (0 * weights, 0 * biases)))
     for name, policy in {"seed-0": good, "seed-1": still, "seed-2": good}.items():
         save_policy(tmp_path / f"{name}.npz", policy)
-    told = report(["--policy", str(tmp_path), "--episodes", "20"], capsys)
-    success = [row["success"] for row in told["policies"]]
+    shown = report(["--policy", str(tmp_path), "--episodes", "20"], capsys)
+    success = [row["success"] for row in shown["policies"]]
     assert success[0] == success[2] == 1.0
     assert success[1] < 0.3  # of a target that is at the gripper already
-    assert 0.0 <= told["mean"]["low"] < told["mean"]["success"] < told["mean"]["high"] == 1.0  # Student's is beyond
+    assert 0.0 <= shown["mean"]["low"] < shown["mean"]["success"] < shown["mean"]["high"] == 1.0  # Student's is beyond
 
 
 def test_distances_that_no_episode_has_are_null():
@@ -219,9 +219,9 @@ def test_a_policy_is_exported_in_each_format(capsys, tmp_path, monkeypatch, run_
     np.testing.assert_array_equal(load_policy("p.npz")(observation), shipped(observation))
     onnx = pytest.importorskip("onnx")
     export.main(["--policy", "run/policies/seed-10.npz"])
-    told = {each.key: each.value for each in onnx.load("reach.onnx").metadata_props}
-    assert float(told["success"]) == 0.75  # of the second seed, as the run measured it
+    metadata = {each.key: each.value for each in onnx.load("reach.onnx").metadata_props}
+    assert float(metadata["success"]) == 0.75  # of the second seed, as the run measured it
     for episodes, success in (("3", "1.0"), ("0", None)):
         export.main(["--task", "reach", "--out", f"{episodes}.onnx", "--episodes", episodes])
-        told = {each.key: each.value for each in onnx.load(f"{episodes}.onnx").metadata_props}
-        assert told.get("success") == success
+        metadata = {each.key: each.value for each in onnx.load(f"{episodes}.onnx").metadata_props}
+        assert metadata.get("success") == success

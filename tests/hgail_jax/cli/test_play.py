@@ -73,7 +73,7 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
 
 
 @pytest.mark.parametrize(
-    ("trained", "level", "told"),
+    ("trained", "level", "printed"),
     [
         (LEVELS["none"], None, "nominal"),
         (LEVELS["none"], "mild", "randomised: mild (trained without)"),
@@ -86,7 +86,9 @@ OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
         (OF_ITS_OWN, "full", "randomised: full, shown the past as in its training"),
     ],
 )
-def test_the_policy_s_file_and_the_randomisation_are_told(trained, level, told, in_folder, shipped_policy, capsys):
+def test_the_policy_s_file_and_the_randomisation_are_printed(
+    trained, level, printed, in_folder, shipped_policy, capsys
+):
     policy, size = load_policy(shipped_policy), randomize(hgail_envs.make("reach"), trained).observation_size
     first, *others = policy.layers
     layers = ((np.zeros((size, first[1].size), np.float32), first[1]), *others)
@@ -94,10 +96,10 @@ def test_the_policy_s_file_and_the_randomisation_are_told(trained, level, told, 
     save_policy("mine.npz", dataclasses.replace(policy, layers=layers, randomization=trained, **normalisation))
     path = Path("mine.npz") if level else in_folder / "mine.npz"
     play._load("reach", path, level)
-    assert capsys.readouterr().out == f"policy mine.npz, {told}\n"
+    assert capsys.readouterr().out == f"policy mine.npz, {printed}\n"
 
 
-def test_the_file_of_a_policy_from_elsewhere_is_told_as_it_is(in_folder, shipped_policy, capsys):
+def test_the_file_of_a_policy_from_elsewhere_is_printed_as_it_is(in_folder, shipped_policy, capsys):
     play._load("reach", None, None)
     assert capsys.readouterr().out == f"policy {shipped_policy}, nominal\n"
 
@@ -235,7 +237,7 @@ class BlackPictures:
         return np.zeros((48, 64, 3), np.uint8)
 
 
-def test_a_terminal_is_told_how_far_the_film_is(in_folder, shipped_policy, monkeypatch):
+def test_a_terminal_shows_how_far_the_film_is(in_folder, shipped_policy, monkeypatch):
     monkeypatch.syspath_prepend(in_folder)
     (in_folder / "one_more_reach.py").write_text(REACH_OF_ONE_S_OWN)
     monkeypatch.setattr("hgail_jax.play.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
@@ -243,8 +245,8 @@ def test_a_terminal_is_told_how_far_the_film_is(in_folder, shipped_policy, monke
     film(in_folder / "near.gif", hgail_envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
     frames = sys.stderr.frames()
     pictures = 2 * (3 + 10) + 8  # episodes with their ends held, and a fade between them
-    told = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]
-    assert list(dict.fromkeys(told)) == [f"picture {number} of {pictures}" for number in range(1, pictures + 1)]
+    filmed = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]
+    assert list(dict.fromkeys(filmed)) == [f"picture {number} of {pictures}" for number in range(1, pictures + 1)]
     assert frames[0].startswith("compiling and filming, 00:00 elapsed")
     assert frames[-1].startswith("writing near.gif")
     assert max(map(len, frames)) < 80

@@ -52,19 +52,19 @@ DIFFERENT = ("grasp-full-known-delay", "reach-robust", "push", "tower")  # the o
 )
 def test_the_metadata_describe_each_number(path, tmp_path):
     policy = load_policy(path)
-    _, told = exported(policy, tmp_path / "p.onnx")
+    _, metadata = exported(policy, tmp_path / "p.onnx")
     options = {"impl": "c", "substeps": 4}
     env = randomize(hgail_envs.make(policy.task, **policy.task_options | options), policy.randomization)
-    rows = told["observation"]
+    rows = metadata["observation"]
     assert [row["index"] for row in rows] == list(range(env.observation_size))
     assert len({row["name"] for row in rows}) == len(rows)
-    assert told["goal"] == rows[-env.goal_size :]
-    assert [(row["low"], row["high"]) for row in told["action"]] == [(-1.0, 1.0)] * env.action_size
-    assert {row["frame"] for row in rows} - {""} <= set(told["frames"])
-    assert (told["task"], told["control_period"]) == (policy.task, env.control_period)
-    assert told["history"] == told["randomization"]["history"] == policy.randomization.history
-    assert told["versions"]["jax"]
-    assert "success" not in told
+    assert metadata["goal"] == rows[-env.goal_size :]
+    assert [(row["low"], row["high"]) for row in metadata["action"]] == [(-1.0, 1.0)] * env.action_size
+    assert {row["frame"] for row in rows} - {""} <= set(metadata["frames"])
+    assert (metadata["task"], metadata["control_period"]) == (policy.task, env.control_period)
+    assert metadata["history"] == metadata["randomization"]["history"] == policy.randomization.history
+    assert metadata["versions"]["jax"]
+    assert "success" not in metadata
     state = jax.jit(env.reset)(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
@@ -79,9 +79,9 @@ def knowing(task):
 
 @pytest.mark.parametrize("task", ["reach", "no_such_module:Task"])
 def test_the_actions_on_their_way_are_described(task, tmp_path):
-    _, told = exported(knowing(task), tmp_path / "p.onnx")
-    assert (told["known_delay"], told["history"]) == (2, 1)
-    names = [row["name"] for row in told["observation"]]
+    _, metadata = exported(knowing(task), tmp_path / "p.onnx")
+    assert (metadata["known_delay"], metadata["history"]) == (2, 1)
+    names = [row["name"] for row in metadata["observation"]]
     assert len(names) == len(set(names)) == 2 * (1 + 4) + (4 + 6) + 6 + 3
     assert [name.endswith("on its way") for name in names] == [True] * 10 + [False] * 19
 
@@ -91,24 +91,24 @@ def test_a_tracked_cube_s_place_is_named(tracking_policy):
     assert names[8:] == [f"cube position less gripper position {axis}" for axis in "xyz"]
 
 
-def test_success_is_told_if_it_is_known(shipped_policy, tmp_path):
-    _, told = exported(load_policy(shipped_policy), tmp_path / "p.onnx", success=0.75)
-    assert told["success"] == 0.75
+def test_success_is_written_if_it_is_known(shipped_policy, tmp_path):
+    _, metadata = exported(load_policy(shipped_policy), tmp_path / "p.onnx", success=0.75)
+    assert metadata["success"] == 0.75
 
 
 def test_a_policy_of_another_task_is_written_without_its_code(shipped_policy, tmp_path):
     policy = dataclasses.replace(load_policy(shipped_policy), task="no_such_module:Task")
-    _, told = exported(policy, tmp_path / "p.onnx")
-    assert [row["name"] for row in told["goal"]] == ["goal 0", "goal 1", "goal 2"]
-    assert "control_period" not in told
+    _, metadata = exported(policy, tmp_path / "p.onnx")
+    assert [row["name"] for row in metadata["goal"]] == ["goal 0", "goal 1", "goal 2"]
+    assert "control_period" not in metadata
 
 
 def test_a_task_of_one_s_own_names_its_numbers_if_its_code_may_be_run(shipped_policy, tmp_path):
     policy = dataclasses.replace(load_policy(shipped_policy), task="hgail_envs.fetch.reach:Reach")
     for trusted, name in ((False, "goal 0"), (True, "target position x")):
-        _, told = exported(policy, tmp_path / f"{trusted}.onnx", trusted=trusted)
-        assert told["goal"][0]["name"] == name
-        assert ("control_period" in told) == trusted
+        _, metadata = exported(policy, tmp_path / f"{trusted}.onnx", trusted=trusted)
+        assert metadata["goal"][0]["name"] == name
+        assert ("control_period" in metadata) == trusted
 
 
 def test_a_policy_that_does_not_fit_its_task_writes_nothing(shipped_policy, tmp_path):

@@ -1,4 +1,4 @@
-"""What loggers were told, read back from their files without them."""
+"""What loggers were given, read back from their files without them."""
 
 import csv
 import dataclasses

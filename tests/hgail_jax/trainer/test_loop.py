@@ -1,4 +1,4 @@
-"""The training loop, with steps that return what they are told to."""
+"""The training loop, with steps that return what they are given."""
 
 import dataclasses
 import json
@@ -90,7 +90,7 @@ def test_success_comes_before_distance(tmp_path):
     assert saved(tmp_path / "checkpoints") == [3, 6, 7, 8]
 
 
-def test_a_round_is_recorded_and_told_before_it_is_saved(tmp_path):
+def test_a_round_is_recorded_and_shown_before_it_is_saved(tmp_path):
     seen, given = [], []
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
         rounds = [measured([0.0, 0.25 * index], [0.1, 0.2]) for index in range(3)]

@@ -81,7 +81,7 @@ def test_a_plain_run_is_what_it_was():
 
 
 @pytest.mark.parametrize(("level", "expected"), [(None, LEVELS["mild-history"]), ("full", LEVELS["full-history"])])
-def test_a_policy_is_played_as_it_was_trained_unless_told_otherwise(tmp_path, shipped_policy, level, expected):
+def test_a_policy_is_played_as_it_was_trained_unless_a_level_is_given(tmp_path, shipped_policy, level, expected):
     plain, more = load_policy(shipped_policy), 3 * (4 + 6)
     layers = ((np.concatenate([np.zeros((more, 64), np.float32), plain.layers[0][0]]), plain.layers[0][1]),)
     policy = dataclasses.replace(

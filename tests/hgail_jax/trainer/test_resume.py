@@ -316,7 +316,7 @@ def test_divergence_of_all_seeds_stops_the_run_at_the_last_good_checkpoint(tmp_p
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
-def test_divergence_of_one_seed_is_counted_and_told(tmp_path, monkeypatch, capsys):
+def test_divergence_of_one_seed_is_counted_and_shown(tmp_path, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         fail_in_round(patch, 3, diverge(0.0, 0.5))
         start("--out", "run")

@@ -47,9 +47,10 @@ class After(threading.Event):
         return super().is_set()
 
 
-@pytest.mark.parametrize("learner", ["ppo", pytest.param("td3", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", ["ppo", "td3"])
 def test_a_run_has_no_number_that_is_none(monkeypatch, learner):
-    """What a round does not measure is infinite, so that JAX finds only what is wrong."""
+    """Of a round alone `test_train` has it."""
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8)
     preset = Preset(Config(num_envs=4, rounds=1, learner=few, policy_hidden=(8,), discriminator_minibatches=1))
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": preset})
