@@ -97,23 +97,24 @@ def test_a_single_environment_has_the_episodes_of_the_task():
     assert env.unwrapped.compute_reward(achieved[1], goals[1], {}) == -1.0
 
 
-@pytest.mark.parametrize("length", [None, 7])
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(
+    ("mode", "length"), [(AutoresetMode.NEXT_STEP, 7), (AutoresetMode.SAME_STEP, 7), (AutoresetMode.NEXT_STEP, None)]
+)
 def test_make_vec_steps_as_gymnasium_s_own_vectorisation(mode, length):
     """Observations, rewards, truncations and infos agree over more than two episodes, with the resets between them."""
     limit = {} if length is None else {"max_episode_steps": length}
-    ours = gymnasium.make_vec(POINT, num_envs=3, autoreset_mode=mode.value, **limit)
-    theirs = SyncVectorEnv([lambda: gymnasium.make(POINT, **limit)] * 3, autoreset_mode=mode)
+    ours = gymnasium.make_vec(POINT, num_envs=2, autoreset_mode=mode.value, **limit)
+    theirs = SyncVectorEnv([lambda: gymnasium.make(POINT, **limit)] * 2, autoreset_mode=mode)
     assert isinstance(ours, GoalVectorEnv)
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == mode
     same(ours.reset(seed=7), theirs.reset(seed=7))
     rng, truncations = np.random.default_rng(0), 0
     for _ in range(2 * (length or LENGTH) + 5):
-        actions = rng.uniform(-1, 1, (3, 3)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (2, 3)).astype(np.float32)
         mine, other = ours.step(actions), theirs.step(actions)
         same(mine, other)
         truncations += mine[3].sum()
-    assert truncations == 6
+    assert truncations == 4
 
 
 def same(left, right):

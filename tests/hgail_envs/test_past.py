@@ -18,13 +18,13 @@ def test_it_is_what_the_policy_read_in_training(known, history, delay):
     delay = min(delay, known or delay)
     sizes = Randomization(delay=(delay, delay), robot_noise=0.01, history=history, known_delay=known)
     env, past = RandomizedEnv(Point(), sizes), Past(sizes, delay, action_size=3)
-    step, state = jax.jit(env.step), env.reset(jax.random.key(0))
+    state = env.reset(jax.random.key(0))
     for action in ACTIONS:
         features = np.asarray(state.info["features"])
         seen = features[-3:]
         np.testing.assert_array_equal(np.append(past.before(seen), seen), features)
         past.add(action, seen)
-        state = step(state, action)
+        state = env.step(state, action)
 
 
 @pytest.mark.parametrize("delay", [-1, 3])

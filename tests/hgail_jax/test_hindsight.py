@@ -28,6 +28,9 @@ def draw(p_ht, strategy=FUTURE, include_current=False, kind=None, kind_share=Non
     )
 
 
+draw_one, relabelled = jax.jit(draw_source), jax.jit(relabel)
+
+
 def law(step, strategy, include_current, kind, share):
     """Returns the probability of each state to be the source of a step's goal, `[T + 1]`."""
     probability = np.zeros(LENGTH + 1)
@@ -90,8 +93,8 @@ def test_sources_of_two_steps_are_drawn_apart():
 
 def test_a_goal_pursued_all_along_may_be_given_once():
     rng, goal = jax.random.key(3), jnp.array([7.0, 8.0])
-    once = relabel(rng, ACHIEVED, goal, 0.5)
-    for_each_step = relabel(rng, ACHIEVED, jnp.tile(goal, (LENGTH, 1)), 0.5)
+    once = relabelled(rng, ACHIEVED, goal, 0.5)
+    for_each_step = relabelled(rng, ACHIEVED, jnp.tile(goal, (LENGTH, 1)), 0.5)
     jax.tree.map(np.testing.assert_array_equal, once, for_each_step)
     assert 0 < once.chosen.sum() < LENGTH
 
@@ -102,10 +105,10 @@ def test_hyperparameters_may_be_traced_and_swept():
         jnp.array([FUTURE, FUTURE, FINAL]),
         jnp.array([0, 1, 0], bool),
     )
-    sweep = jax.vmap(lambda *one: relabel(jax.random.key(0), ACHIEVED, DESIRED, *one))
+    sweep = jax.vmap(lambda *one: relabelled(jax.random.key(0), ACHIEVED, DESIRED, *one))
     swept = sweep(p_ht, strategies, current)
     for index in range(3):
-        alone = relabel(jax.random.key(0), ACHIEVED, DESIRED, p_ht[index], strategies[index], current[index])
+        alone = relabelled(jax.random.key(0), ACHIEVED, DESIRED, p_ht[index], strategies[index], current[index])
         jax.tree.map(
             lambda ours, all_of_them, i=index: np.testing.assert_array_equal(ours, all_of_them[i]), alone, swept
         )
@@ -127,12 +130,12 @@ def test_single_steps_are_drawn_by_the_law_of_whole_episodes(kinds):
         same = jnp.ones(DRAWS, jnp.int32)
         arguments = (counts, same, same * (step + 1), same * LENGTH, jnp.array(share))
         expected = DRAWS * law(step, FUTURE, False, KINDS[kinds], share)
-        found = np.bincount(draw_source(jax.random.key(step), *arguments), minlength=LENGTH + 1)
+        found = np.bincount(draw_one(jax.random.key(step), *arguments), minlength=LENGTH + 1)
         possible = expected > 0
         assert found[~possible].sum() == 0
         if possible.sum() > 1:
             assert chisquare(found[possible], expected[possible]).pvalue > UNLIKELY
-        assert (draw_source(jax.random.key(step), *arguments, FINAL) == LENGTH).all()
+        assert (draw_one(jax.random.key(step), *arguments, FINAL) == LENGTH).all()
 
 
 @pytest.mark.parametrize("kinds", KINDS)
@@ -140,8 +143,9 @@ def test_a_number_that_rounding_brings_to_the_end_draws_the_last_state_of_the_la
     share = SHARES[kinds]
     kind = np.array(KINDS[kinds]) % len(share)
     monkeypatch.setattr(jax.random, "uniform", lambda rng, shape: jnp.ones(shape))
+    draw_last = jax.jit(lambda *given: draw_source(*given))  # compiled with the ones
     for first in range(1, LENGTH + 1):
-        drawn = draw_source(
+        drawn = draw_last(
             jax.random.key(0),
             count_kinds(jnp.array([kind]), len(share)),
             jnp.zeros(1, jnp.int32),

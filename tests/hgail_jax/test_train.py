@@ -281,6 +281,7 @@ STEPS = ("features", "achieved", "desired", "action", "log_prob", "reward")
 EIGHT = TINY.replace(num_envs=8, bc_batch=16, best_episodes=12)
 
 
+@functools.cache
 def start_wide(config):
     return jax.jit(functools.partial(init_state, ENV, config))(
         Hyperparameters(exploration_noise=1.0), jax.random.key(0)
