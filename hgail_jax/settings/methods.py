@@ -45,9 +45,16 @@ class Method:
         )
 
 
+PAPER_SAMPLES = {"goal_jitter": 0.0, "shuffled_goals": 0.0, "negative_p_ht": 0.0, "negative_weight": 1.0}
+"""Hyperparameters with which TD3's discriminator has the paper's samples: goals achieved against goals pursued."""
+
 METHODS = {
     "hgail": Method("hindsight supplies the expert samples of a discriminator"),
-    "hgail-no": Method("HGAIL without hindsight: no goal is ever replaced", hyperparameters={"p_ht": 0.0}),
+    "hgail-no": Method(
+        "HGAIL without hindsight: no goal is ever replaced",
+        hyperparameters={"p_ht": 0.0},
+        with_learner={"td3": PAPER_SAMPLES},
+    ),
     "gail-demo": Method(
         "demonstrations supply the expert samples (Ho & Ermon 2016), with a BC loss (after Jena et al. 2020)",
         {"expert_source": DEMONSTRATIONS, "training_goals": False},
@@ -55,7 +62,7 @@ METHODS = {
         {"bc_batch": BC_BATCH},
         without_effect=("p_ht", "strategy"),
         # with TD3 it is the discriminator-actor-critic (Kostrikov et al. 2019), which relabels nothing
-        with_learner={"td3": {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0}},
+        with_learner={"td3": {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0} | PAPER_SAMPLES},
     ),
     # As in Guo et al.'s Algorithm 1, and in the paper's comparison, the environment's reward ranks the episodes and is
     # not seen by the policy; `environment_reward` mixes it in, as they do to shape the reward of a policy gradient.
@@ -63,7 +70,7 @@ METHODS = {
         "the best episodes so far supply the expert samples (Guo et al. 2018)",
         {"expert_source": BEST, "training_goals": False},
         without_effect=("p_ht", "strategy"),
-        with_learner={"td3": {"p_ht": 0.0, "environment_reward": 0.0}},
+        with_learner={"td3": {"p_ht": 0.0, "environment_reward": 0.0} | PAPER_SAMPLES},
     ),
     "ppo": Method(
         "PPO on the environment's sparse reward alone",

@@ -117,7 +117,7 @@ _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
         TD3(),
     ),
     "cpu": (
-        {"num_envs": 64, "discriminator_minibatches": 16, "discriminator_batch": 256} | wide(128, layers=2),
+        {"num_envs": 64, "discriminator_minibatches": 64, "discriminator_batch": 256} | wide(128, layers=2),
         TD3(rollouts=10, batch=256),
     ),
 }
@@ -152,6 +152,11 @@ def td3(
         "tau": 0.02,  # at .01 push learns later, at .05 picking does not learn sooner
         "discriminator_learning_rate": 1e-3,  # at 3e-4 picking without the goal test has .81 for .93
         "discriminator_horizon": 1,  # a learned goal test, to which the critics add the horizon; see docs/off-policy.md
+        # The adversary's samples (docs/adversary.md): negatives are drawn as the critics' samples are, and all but a
+        # twentieth then get the goal of another; a positive's goal is anywhere within half of what counts as reached.
+        "shuffled_goals": 0.95,
+        "goal_jitter": 0.5,
+        "negative_p_ht": 0.8,
     }
     presets = {}
     for platform, (usual, learner) in _TD3_SIZES.items():

@@ -1,6 +1,7 @@
 """The replay buffer against loops: what is kept, and what is drawn how often."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -261,9 +262,12 @@ class Corners(Line):
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
 
+_AHEAD = math.lcm(*range(1, LENGTH + 1))  # so that every step counts as often, however many lie ahead of it
+
+
 @pytest.fixture(scope="module")
 def corners():
-    """A buffer of random episodes, and the state, the goal achieved next and the goal pursued in each of its steps."""
+    """A buffer of random episodes; the states, goals achieved next, goals pursued of its steps, and all goals later."""
     rng = np.random.default_rng(0)
     state = (rng.uniform(size=(LENGTH + 1, HELD)) < 0.4).astype(np.float32)
     wanted = (rng.uniform(size=(LENGTH + 1, HELD)) < 0.3 + 0.4 * state).astype(np.float32)  # depends on the state
@@ -280,7 +284,13 @@ def corners():
         outcome=EpisodeMetrics(),
     )
     buffer = add_episodes(init_buffer(Corners(), HELD), jax.tree.map(jnp.asarray, episodes))
-    return buffer, state[:-1].ravel(), state[1:].ravel(), wanted[:-1].ravel()
+    later = [
+        (state[step, episode], goal)
+        for step in range(LENGTH)
+        for episode in range(HELD)
+        for goal in np.repeat(state[step + 1 :, episode], _AHEAD // (LENGTH - step))
+    ]
+    return buffer, state[:-1].ravel(), state[1:].ravel(), wanted[:-1].ravel(), np.array(later).T
 
 
 def joint(states, goals):
@@ -290,24 +300,37 @@ def joint(states, goals):
     return counts / counts.sum()
 
 
+def product(density):
+    """Returns the density of pairs whose parts are drawn independently."""
+    return density.sum(axis=1, keepdims=True) * density.sum(axis=0, keepdims=True)
+
+
 @pytest.mark.parametrize(
     ("changes", "negative"),
     [
         ({}, "pursued"),
         ({"shuffled_goals": 1.0}, "any"),
         ({"shuffled_goals": 0.5}, "half"),
+        ({"negative_p_ht": 1.0}, "later"),
+        ({"shuffled_goals": 0.5, "negative_p_ht": 0.6}, "mixed"),
         ({"shuffled_goals": 1.0, "goal_jitter": 1.0, "negative_weight": 3.0}, "any"),
     ],
 )
 def test_the_best_logit_is_the_log_ratio_of_the_densities(corners, changes, negative):
-    """log p(state, goal achieved next) - log w q(state, goal), where q is of the goals pursued or of any."""
-    buffer, state, achieved, pursued = corners
+    """log p(state, goal achieved next) - log w q(state, goal), with q of goals pursued, achieved later, or of any."""
+    buffer, state, achieved, pursued, later = corners
     hyper, keys = Hyperparameters(discriminator_horizon=1, **changes), jax.random.split(jax.random.key(1), 4)
     expert = jax.jit(draw_positives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[:2])
     policy = jax.jit(draw_negatives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[2:])
-    together = joint(state, pursued)
-    apart = together.sum(axis=1, keepdims=True) * together.sum(axis=0, keepdims=True)
-    density = {"pursued": together, "any": apart, "half": 0.5 * (together + apart)}[negative]
+    together, hindsight = joint(state, pursued), joint(*later)
+    mixed = 0.4 * together + 0.6 * hindsight
+    density = {
+        "pursued": together,
+        "later": hindsight,
+        "any": product(together),
+        "half": 0.5 * (together + product(together)),
+        "mixed": 0.5 * (mixed + product(mixed)),
+    }[negative]
     weight = changes.get("negative_weight", 1.0)
     best = np.log(joint(state, achieved)) - np.log(weight * density)
 

@@ -150,16 +150,17 @@ def test_a_learner_that_a_method_does_not_have_is_refused(method, learner, messa
 
 def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
     preset = DEFAULTS["slide"]["td3"]["gpu"]
+    papers = {"goal_jitter": 0.0, "shuffled_goals": 0.0, "negative_p_ht": 0.0, "negative_weight": 1.0}
     expected = {
         "hgail": ({}, {}),
-        "hgail-no": ({}, {"p_ht": 0.0}),
+        "hgail-no": ({}, {"p_ht": 0.0} | papers),
         "gail-demo": (
             {"expert_source": "demonstrations", "training_goals": False},
-            {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0},
+            {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0} | papers,
         ),
         "gasil": (
             {"expert_source": "best", "training_goals": False},
-            {"p_ht": 0.0, "environment_reward": 0.0},  # else slide's default would leave its expert unheard
+            {"p_ht": 0.0, "environment_reward": 0.0} | papers,
         ),
         "her": ({"discriminator_minibatches": 0}, {"environment_reward": 1.0}),
     }
@@ -234,13 +235,15 @@ def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, m
         ("push", "gpu", None, "none", "hgail"),
         ("push", "gpu", None, "full", "her"),
         ("slide", "cpu", None, "none", "her"),
+        ("slide", "gpu", None, "none", "hgail"),
         ("slide", "cpu", "ppo", "none", "hgail"),
         ("grasp", "cpu", "td3", "none", "her"),
         ("grasp", "gpu", "td3", "none", "hgail"),
-        ("stack", "gpu", None, "none", "her"),
-        ("tower", "gpu", None, "none", "her"),
+        ("stack", "gpu", None, "none", "hgail"),
+        ("tower", "gpu", None, "none", "hgail"),
         ("reach", "gpu", None, "none", "hgail"),
-        ("reach", "gpu", "td3", "none", "her"),
+        ("reach", "gpu", "td3", "none", "hgail"),
+        ("reach", "gpu", "td3", "full", "hgail"),
     ],
 )
 def test_a_task_s_default_method_is_the_one_that_trains_it(task, platform, learner, randomize, method):
@@ -258,9 +261,9 @@ def test_an_unknown_learner_is_refused():
 @pytest.mark.parametrize(
     ("task", "changes", "trained"),
     [
-        ("slide", {}, False),
-        ("slide", {"method": "hgail"}, True),
-        ("slide", {"method": "hgail", "environment_reward": 0.5}, True),
+        ("slide", {}, True),
+        ("slide", {"environment_reward": 0.5}, True),
+        ("slide", {"method": "her"}, False),
         ("push", {}, True),
         ("push", {"method": "her"}, False),
         ("push", {"method": "gasil"}, True),
