@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
+from hgail_jax.settings.methods import PAPER_SAMPLES
 
 
 def _change(name: str, config: dict[str, Any] | None = None, **hyperparameters: Any) -> Setting:
@@ -20,13 +21,26 @@ _NUMBERS = Study(
     "TD3, parts left out or changed",
     (
         _change("as it is"),
-        _change("no reward: the discriminator alone", environment_reward=0.0),
         *(_change(f"goal test × {weight:g}", environment_reward=weight) for weight in (0.25, 0.5)),
         _HER,
         *(_change(f"p_ht {p_ht:g}", p_ht=p_ht) for p_ht in (0.5, 1.0)),
         _change("BC weight 0.1", bc_weight=0.1),
         _change("solved samples × 0.3", solved_weight=0.3),
         _change("discriminator's goals any number of steps ahead", discriminator_horizon=2**30),
+    ),
+    curves=True,
+)
+_SAMPLES = Study(
+    "off-policy-samples",
+    "TD3, other samples of the discriminator",
+    (
+        _change("as it is"),
+        _change("the paper's: goals achieved against goals pursued", **PAPER_SAMPLES),
+        *(_change(f"{share:.0%} of the negatives shuffled", shuffled_goals=share) for share in (0.5, 0.9, 1.0)),
+        *(_change(f"positives jittered by {size:g} of the tolerance", goal_jitter=size) for size in (0.0, 1.0)),
+        _change("negatives under the goals pursued", negative_p_ht=0.0),
+        *(_change(f"negatives × {weight:g}", negative_weight=weight) for weight in (1.0, 2.0)),
+        _HER,
     ),
     curves=True,
 )
@@ -72,4 +86,4 @@ _METHODS = Study(
     ),
     curves=True,
 )
-OFF_POLICY_STUDIES = (_NUMBERS, _SIZES, _REWARDS, _METHODS)
+OFF_POLICY_STUDIES = (_NUMBERS, _SAMPLES, _SIZES, _REWARDS, _METHODS)

@@ -386,7 +386,22 @@ def test_settings_that_differ_in_numbers_alone_share_a_program():
     assert studies_of("push") == (BY_NAME["parts"],)
 
 
-@pytest.mark.parametrize("task", ["push", "grasp"])  # slide's default is HER, with which the study is refused
+def test_of_a_discriminator_s_samples_one_choice_is_changed_or_all_are_the_paper_s():
+    preset = DEFAULTS["grasp"]["td3"]["gpu"].hyperparameters
+    trials = trials_of(BY_NAME["off-policy-samples"], "grasp", "gpu")
+    changes = [
+        {name: value for name, value in vars(trial.hyperparameters).items() if value != getattr(preset, name)}
+        for trial in trials
+    ]
+    choices = {"shuffled_goals", "goal_jitter", "negative_p_ht", "negative_weight"}
+    papers = {"shuffled_goals": 0.0, "goal_jitter": 0.0, "negative_weight": 1.0}  # p_ht of grasp's is 0 already
+    assert papers in changes and {"environment_reward": 1.0} in changes
+    assert all(
+        len(change) == 1 and set(change) <= choices for change in changes if change not in (papers, {}, changes[-1])
+    )
+
+
+@pytest.mark.parametrize("task", ["push", "grasp"])
 def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
     numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
     assert [trial.setting.name for trial in numbers if trial.method == "her"] == ["HER"]
