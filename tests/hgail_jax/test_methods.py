@@ -243,7 +243,7 @@ def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, m
         ("tower", "gpu", None, "none", "hgail"),
         ("reach", "gpu", None, "none", "hgail"),
         ("reach", "gpu", "td3", "none", "hgail"),
-        ("reach", "gpu", "td3", "full", "hgail"),
+        ("reach", "cpu", "td3", "none", "her"),
     ],
 )
 def test_a_task_s_default_method_is_the_one_that_trains_it(task, platform, learner, randomize, method):
