@@ -1,6 +1,7 @@
 """The methods, those of the paper among them, as data: the few choices in which they differ."""
 
 import dataclasses
+from typing import Any
 
 from hgail_jax.config import BEST, DEMONSTRATIONS
 from hgail_jax.learners import LEARNERS
@@ -45,7 +46,7 @@ class Method:
         )
 
 
-PAPER_SAMPLES = {"goal_jitter": 0.0, "shuffled_goals": 0.0, "negative_p_ht": 0.0, "negative_weight": 1.0}
+PAPER_SAMPLES: dict[str, Any] = {"goal_jitter": 0.0, "shuffled_goals": 0.0, "negative_p_ht": 0.0, "negative_weight": 1.0}
 """Hyperparameters with which TD3's discriminator has the paper's samples: goals achieved against goals pursued."""
 
 METHODS = {
