@@ -46,7 +46,12 @@ class Method:
         )
 
 
-PAPER_SAMPLES: dict[str, Any] = {"goal_jitter": 0.0, "shuffled_goals": 0.0, "negative_p_ht": 0.0, "negative_weight": 1.0}
+PAPER_SAMPLES: dict[str, Any] = {
+    "goal_jitter": 0.0,
+    "shuffled_goals": 0.0,
+    "negative_p_ht": 0.0,
+    "negative_weight": 1.0,
+}
 """Hyperparameters with which TD3's discriminator has the paper's samples: goals achieved against goals pursued."""
 
 METHODS = {
