@@ -3,7 +3,6 @@
 import dataclasses
 import importlib.util
 import json
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,7 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.registry import TASKS
 from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
-from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task
+from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task, policy_files
 from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.policy import save_policy
@@ -33,7 +32,7 @@ class Options:
     """A task's name, or 'module:Class' of your own."""
     policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
     """The policy's file, or the folder of a run of one seed. Of those that come with the package the plain one, or with
-    --randomize the one trained under that level, else the robust one."""
+    --randomize the one trained under that level, for mild and full levels else the robust one."""
     randomize: Annotated[str | None, unless_given("the plain policy", "|".join(LEVELS))] = None
     """Level of the training of the policy, of those that come with the package."""
     out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
@@ -50,7 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
         _check(options)
         # The task's own code is not needed, so that a file's task may be any.
         task = options.task or (DEFAULT_TASK if options.policy is None else None)
-        found = find_policies(task, options.policy, options.randomize, robust=True)
+        found = find_policies(task, options.policy, options.randomize, exact=True)
         if len(found) > 1:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]
@@ -101,10 +100,12 @@ def _success(path: Path, policy: MeanPolicy, episodes: int, trusted: bool) -> fl
 
 
 def _success_in_run(path: Path) -> float | None:
-    folder, seed = path.parent.parent, re.fullmatch(r"seed-(\d+)", path.stem)
+    folder = path.parent.parent
     try:
-        rates = json.loads((folder / "summary.json").read_text())["success_rate"]["per_seed"]
-        seeds = sorted(int(file.stem.removeprefix("seed-")) for file in path.parent.glob("seed-*.npz"))
-        return float(rates[seeds.index(int(seed[1]))]) if seed and len(rates) == len(seeds) else None
+        rates, files = (
+            json.loads((folder / "summary.json").read_text())["success_rate"]["per_seed"],
+            policy_files(folder),
+        )
+        return float(rates[files.index(path)]) if len(rates) == len(files) else None
     except (OSError, ValueError, LookupError, TypeError):
         return None

@@ -4,6 +4,8 @@ What cannot be found, read or used together is a ValueError or an OSError, whose
 """
 
 import dataclasses
+import re
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +21,12 @@ from hgail_jax.trainer.options import unless_given
 
 DEFAULT_TASK = "grasp"
 """Task of a command that is given neither a task nor a policy."""
+_OF_ROBUST = ("mild", "full", "mild-history", "full-history")  # levels that full-history, the robust one's, covers
+_SIZES = (
+    ("observation_size", "reads", "an observation"),
+    ("goal_size", "has goals of", "a goal"),
+    ("action_size", "commands", "an action"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +62,8 @@ def policy_files(path: Path) -> list[Path]:
         raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} resumes it")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
-    return sorted(found, key=lambda file: (len(file.name), file.name))  # seed 2 before seed 10
+    seeds = [file for file in found if re.fullmatch(r"seed-\d+\.npz", file.name)]  # no copies of theirs
+    return sorted(seeds or found, key=lambda file: (len(file.name), file.name))  # seed 2 before seed 10
 
 
 def find_task(task: str | None, path: Path | None) -> str:
@@ -74,32 +83,43 @@ def find_task(task: str | None, path: Path | None) -> str:
 
 
 def find_policies(
-    task: str | None, path: Path | None, level: str | None = None, robust: bool = False
+    task: str | None, path: Path | None, level: str | None = None, exact: bool = False
 ) -> list[tuple[Path, MeanPolicy]]:
     """Returns the policies of a file or a run's folder `path`, and their files; for None, see `shipped`.
 
-    Where `task` is None it is the policy's own, whose code is not loaded.
+    Where `task` is None it is the policy's own, whose code is not loaded. A policy of another task becomes one of
+    `task`, with a line, if it fits: a user's task may have got another name.
     """
     if path is None and task is not None:
         hgail_envs.find_class(task)
-        path = shipped(task, level, robust)
+        path = shipped(task, level, exact)
     if path is None:
         raise ValueError(_none_is_shipped(task, level))
     loaded = [(file, load_policy(file)) for file in policy_files(path)]
-    for _, policy in loaded:
-        if task not in (None, policy.task):
-            raise ValueError(f"the policy is for {policy.task!r}, not for {task!r}")
-    return loaded
+    trained_on = {policy.task for _, policy in loaded} - {task}
+    if task is None or not trained_on:
+        return loaded
+    fitted = [(file, dataclasses.replace(policy, task=task)) for file, policy in loaded]
+    try:
+        for _, policy in fitted:
+            make_task(policy, task, None)
+    except ValueError as error:
+        raise ValueError(f"the policy is for {min(trained_on)!r}, not for {task!r}: {error}") from None
+    print(f"{path} was trained on {', '.join(sorted(trained_on))}; --task makes it {task}", file=sys.stderr)
+    return fitted
 
 
-def shipped(task: str, level: str | None = None, robust: bool = False) -> Path | None:
+def shipped(task: str, level: str | None = None, exact: bool = False) -> Path | None:
     """Returns the file of the policy that comes with the package, or None.
 
-    For a level of randomisation it is the one trained under it, else the robust one, else, unless `robust` is set, the
-    plain one.
+    For a level of randomisation it is the one trained under it, else the robust one, else the plain one; if `exact` is
+    set, none that was trained under less.
     """
-    for_level = [] if level in (None, "none") else [f"{task}-{level}", f"{task}-robust"]
-    names = for_level + ([] if for_level and robust else [task])
+    if level in (None, "none"):
+        names = [task]
+    else:
+        names = [f"{task}-{level}", *([] if exact and level not in _OF_ROBUST else [f"{task}-robust"])]
+        names += [] if exact else [task]
     paths = (assets_directory() / "policies" / f"{name}.npz" for name in names)
     return next((path for path in paths if path.exists()), None)
 
@@ -118,11 +138,10 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
     """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
     taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
-    if policy.observation_size != env.observation_size:
-        raise ValueError(
-            f"the policy reads {policy.observation_size} numbers, but an observation of {task} has "
-            f"{env.observation_size}"
-        )
+    for size, verb, vector in _SIZES:
+        given, needed = getattr(policy, size), getattr(env, size)
+        if given != needed:
+            raise ValueError(f"the policy {verb} {given} numbers, but {vector} of {task} has {needed}")
     return env
 
 

@@ -163,6 +163,11 @@ def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path,
             ["--task", "push", "--randomize", "full"],
             "no policy of push for --randomize full comes with the package; name one",
         ),
+        *(
+            (["--task", "reach", "--randomize", level], f"no policy of reach for --randomize {level} comes with")
+            for level in ("other-arms", "full-known-delay")  # which the robust policy was not trained under
+        ),
+        (["--task", "push", "--policy", "run/policies/seed-9.npz", "--out", "p.npz"], "for 'reach', not for 'push'"),
         (["--episodes", "-1"], "episodes is -1"),
         (["--policy", "odd.npz", "--out", "new/folder/p.onnx"], "which is no observation of push"),
         (

@@ -289,7 +289,25 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
     with pytest.raises(SystemExit) as exit_info:
         play.main(["--task", "grasp", "--policy", str(shipped_policy)])
     assert exit_info.value.code == 2
-    assert "the policy is for 'reach', not for 'grasp'" in capsys.readouterr().err
+    numbers = "the policy reads 9 numbers, but an observation of grasp has 12"
+    assert capsys.readouterr().err == f"hgail play: the policy is for 'reach', not for 'grasp': {numbers}\n"
+
+
+def test_a_policy_of_a_task_that_got_another_name_is_played(shipped_policy, in_folder, capsys):
+    save_policy("old.npz", dataclasses.replace(load_policy(shipped_policy), task="old_file:Near"))
+    env, policy = play._load(REACH, Path("old.npz"), None)
+    assert (type(env).__name__, policy.task) == ("Reach", REACH)
+    assert capsys.readouterr().err == f"old.npz was trained on old_file:Near; --task makes it {REACH}\n"
+    play._load(REACH, shipped_policy, None)
+    capsys.readouterr()
+    save_policy("goal.npz", dataclasses.replace(load_policy(shipped_policy), goal_size=4))
+    refused(["--policy", "goal.npz"], "the policy has goals of 4 numbers, but a goal of reach has 3", capsys)
+
+
+def test_copies_of_a_run_s_policies_are_no_seeds(in_folder):
+    for name in ("seed-10", "seed-2", "seed-2 copy", "best"):
+        (in_folder / f"{name}.npz").touch()
+    assert [path.stem for path in policies.policy_files(in_folder)] == ["seed-2", "seed-10"]
 
 
 def official_policy(path, **task_options):
