@@ -1,60 +1,96 @@
-"""A policy in a robot's control loop; the simulated UR5e stands for the robot, behind `read` and `command`."""
+"""A policy in a robot's control loop; the simulated UR5e stands for the robot, behind `read` and `command`.
 
+`python -m experiments.real_robot` reaches a point, `python -m experiments.real_robot grasp` grasps a cube.
+"""
+
+import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from experiments.transfer.robots import make_robot
+from hgail_envs.fetch.arm import CONTROL_PERIOD
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
+from hgail_envs.validation import check_name
 from hgail_jax.io.policy import load_policy
 
 STEPS, MOST_LATE = 50, 3
 MOTION = 0.033  # metres by which a displacement of 1 moves the tool
+MOST_SPEED = 0.25  # metres per second of the tool, as ISO 10218 has it for work beside a robot
+
+
+def limited(action: np.ndarray, position: np.ndarray, workspace: np.ndarray, period: float) -> np.ndarray:
+    """Returns an action, `[4]`, that stays in the workspace and below `MOST_SPEED`, or leads back at that speed."""
+    action = np.clip(action, -1.0, 1.0)
+    action[:3] = np.clip(action[:3], *np.clip((workspace - position) / MOTION, -1.0, 1.0))
+    speed = float(np.linalg.norm(action[:3])) * MOTION / period
+    action[:3] *= min(1.0, MOST_SPEED / max(speed, MOST_SPEED))
+    return action
 
 
 def run(
     policy: Callable[[np.ndarray], np.ndarray],
-    read: Callable[[], np.ndarray | None],  # the tool's position in the robot's frame, metres; None if it is late
+    read: Callable[[], np.ndarray | None],  # tool's position, robot's frame, metres, and the hand's numbers; None: late
     command: Callable[[np.ndarray], None],  # takes an action and returns when its period is over
     offset: np.ndarray,  # from the robot's frame to the policy's
-    goal: np.ndarray,  # in the robot's frame, as a camera gives it
+    goal: np.ndarray,  # `[goal_size]`, its position in the robot's frame, as a camera gives it
     workspace: np.ndarray,  # lowest and highest position, `[2, 3]`, in the robot's frame
     past: Past | None = None,  # that the policy reads before the present observation
+    period: float = CONTROL_PERIOD,  # seconds
 ) -> bool:
-    """Runs an episode, and returns whether it went to its end; it stops if several observations in a row are late."""
+    """Runs an episode, and returns whether it went to its end; it stops if several observations in a row are late.
+
+    An observation or an action that is not finite counts as late; a goal or a limit that is not is a ValueError.
+    """
+    goal = np.concatenate([goal[:3] + offset, goal[3:]])
+    if not (np.isfinite(goal).all() and np.isfinite(workspace).all()):
+        raise ValueError("goal, offset and workspace must be finite")
     before, late, past = None, 0, past or Past(Randomization())
     for _ in range(STEPS):
-        position = read()
-        if position is None or not np.isfinite(position).all():
+        reading, action = read(), np.full(4, np.nan)
+        if reading is not None and np.isfinite(reading).all():
+            position, hand = reading[:3], reading[3:]
+            moved = np.zeros(3) if before is None else position - before  # metres per action
+            seen = np.concatenate([position + offset, moved, hand])
+            action = policy(np.concatenate([past.before(seen), seen, goal]).astype(np.float32))
+        if not np.isfinite(action).all():
             late, before = late + 1, None  # a difference over two periods would be twice the velocity
             command(np.zeros(4))  # stand still: the last action was for another place
             past.send(np.zeros(4))
             if late == MOST_LATE:
                 return False
             continue
-        late, moved = 0, np.zeros(3) if before is None else position - before  # metres per action
-        seen = np.concatenate([position + offset, moved])
-        action = np.clip(policy(np.concatenate([past.before(seen), seen, goal + offset]).astype(np.float32)), -1.0, 1.0)
-        action[:3] = np.clip(action[:3], *np.clip((workspace - position) / MOTION, -1.0, 1.0))  # within the workspace
+        late, before = 0, position
+        action = limited(action, position, workspace, period)
         command(action)
         past.add(action, seen)
-        before = position
     return True
 
 
-if __name__ == "__main__":
-    robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / "reach-robust.npz")
+def main(task: str = "reach") -> None:
+    """Runs the robust policy of a task, and prints how its episode ended."""
+    check_name("task", task, ("reach", "grasp"))
+    robot: Any = make_robot("ur5e", task)
+    policy = load_policy(assets_directory() / "policies" / f"{task}-robust.npz")
     robot.reset(np.random.default_rng(0))
     start, target = (place - robot.offset for place in (robot.features()[:3], robot.target()))
-    run(
-        policy,
-        lambda: robot.features()[:3] - robot.offset,
-        robot.step,
-        robot.offset,
-        target,
-        start + np.array([[-0.2], [0.2]]),
-        Past(policy.randomization),
-    )
-    print(f"{np.linalg.norm(robot.features()[:3] - robot.target()) * 1000:.1f} mm from the target")
+    workspace = start + np.array([[-0.2], [0.2]])
+    workspace[0, 2] = max(workspace[0, 2], robot.arm.hand.below_tool)  # above its table: the pads reach below the tool
+    goal = np.append(target, np.ones(policy.goal_size - 3))  # 1: the cube is to be held there
+
+    def read() -> np.ndarray:
+        features = robot.features()
+        return np.concatenate([features[:3] - robot.offset, features[6:]])  # without the velocity, which `run` takes
+
+    past = Past(policy.randomization)
+    run(policy, read, robot.step, robot.offset, goal, workspace, past, robot.slowdown * CONTROL_PERIOD)
+    distance = np.linalg.norm(robot.features()[:3] - robot.target()) * 1000
+    held = f", the cube is {'' if robot.features()[7] else 'not '}held" if task == "grasp" else ""
+    print(f"{distance:.1f} mm from the target, where 50 mm are near enough{held}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

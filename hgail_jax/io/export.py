@@ -10,9 +10,10 @@ import jax.export
 import jax.numpy as jnp
 import numpy as np
 
+from hgail_envs.fetch.arm import TABLE_HEIGHT, FetchEnv
 from hgail_envs.layout import FRAMES, Layout
 from hgail_envs.quantities import Description, describe
-from hgail_envs.registry import TASKS, find_class
+from hgail_envs.registry import TASKS, make
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, NORM_EPSILON, MeanPolicy
@@ -38,7 +39,8 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
 
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
     to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
-    frame of each number), `frames`, `control_period` in seconds, `known_delay`, `history`, `randomization` and
+    frame of each number, and mean and standard deviation in training), `frames`, `control_period` in seconds, of Fetch
+    tasks the gripper's `start` and the `table_height`, metres, `known_delay`, `history`, `randomization` and
     `task_options` of the training, `versions` and, if it is known, the rate of `success`.
 
     Only if `trusted` is the class of a task imported that is not of this package, to name its numbers.
@@ -130,14 +132,21 @@ def check_described(policy: MeanPolicy, trusted: bool = False) -> Description:
 def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[str, Any]:
     described = check_described(policy, trusted)
     of_class = trusted or policy.task in TASKS  # code that only the file chose is not run
-    period = {"control_period": find_class(policy.task).control_period} if of_class else {}
+    env = make(policy.task, **policy.task_options) if of_class else None
+    place = {} if env is None else {"control_period": env.control_period}
+    if isinstance(env, FetchEnv):
+        place |= {"start": env.initial_gripper_position.tolist(), "table_height": TABLE_HEIGHT}
+    seen = [
+        {**row, "mean": float(mean), "std": float(std)}
+        for row, mean, std in zip(_rows(described.observation), policy.mean, policy.std, strict=True)
+    ]
     return {
         "task": policy.task,
-        "observation": _rows(described.observation),
-        "goal": _rows(described.goal, first=described.features.size),
+        "observation": seen,
+        "goal": seen[described.features.size :],
         "action": [{**row, "low": -1.0, "high": 1.0} for row in _rows(described.action)],
         "frames": FRAMES,
-        **period,
+        **place,
         "normalization": f"in the graph: less mean, by standard deviation, clipped to ±{MAX_NORMALIZED:g}",
         "known_delay": policy.randomization.known_delay,
         "history": policy.randomization.history,
@@ -148,8 +157,8 @@ def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[
     }
 
 
-def _rows(layout: Layout, first: int = 0) -> list[dict[str, Any]]:
+def _rows(layout: Layout) -> list[dict[str, Any]]:
     return [
         {"index": index, "name": number.title, "unit": number.unit, "frame": number.frame}
-        for index, number in enumerate(layout.numbers, first)
+        for index, number in enumerate(layout.numbers)
     ]

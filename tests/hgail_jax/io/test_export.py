@@ -65,9 +65,14 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     assert metadata["history"] == metadata["randomization"]["history"] == policy.randomization.history
     assert metadata["versions"]["jax"]
     assert "success" not in metadata
+    assert [(row["mean"], row["std"]) for row in rows] == list(
+        zip(policy.mean.tolist(), policy.std.tolist(), strict=True)
+    )
     state = jax.jit(env.reset)(jax.random.key(0))
     position = [row["index"] for row in rows if row["name"] in [f"target position {axis}" for axis in "xyz"]]
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
+    start = (1.363, 0.749, 0.416) if policy.task == "push" else (1.342, 0.749, 0.535)  # as docs/real-robot.md has them
+    np.testing.assert_allclose(metadata["start"] + [metadata["table_height"]], [*start, 0.4], atol=6e-4)
 
 
 def knowing(task):
