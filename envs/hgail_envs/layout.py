@@ -120,10 +120,11 @@ class Layout:
         return near & jnp.all(one[..., flags] == other[..., flags], axis=-1)
 
     def metres(self, vector: jax.Array) -> jax.Array:
-        """Returns the metres of a vector, or all of one that is not `[size]`, or of a layout without metres."""
-        metres = self._where(lambda unit: unit == METRES)
-        there = isinstance(metres, slice) or len(metres)
-        return vector[metres] if there and vector.shape == (self.size,) else vector
+        """Returns the metres of a vector, or if there are none all but flags, or all of one that is not `[size]`."""
+        units = {number.unit for number in self.numbers}
+        if vector.shape != (self.size,) or units <= {FLAG}:
+            return vector
+        return vector[self._where(lambda unit: unit == METRES if METRES in units else unit != FLAG)]
 
     def split(self, vector: Any) -> dict[str, Any]:
         """Returns the values of all quantities of a vector, `[..., size]`, by their names; the inverse of `join`."""

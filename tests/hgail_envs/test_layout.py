@@ -65,6 +65,9 @@ def test_flags_are_equal_and_distances_are_of_metres():
     goal = jnp.array([1.0, 0.3, 0.0, 0.4, 1.0])
     np.testing.assert_allclose(GOAL.metres(goal), goal[1:4])
     np.testing.assert_array_equal(GOAL.metres(goal[1:4]), goal[1:4])
+    lid = Layout(Quantity("angle of the lid", 1, "rad"), flag("locked"))
+    np.testing.assert_array_equal(lid.metres(goal[1:3]), goal[1:2])  # a flag is no distance there either
+    np.testing.assert_array_equal(Layout(flag("locked")).metres(goal[:1]), goal[:1])
     others = goal + jnp.array([[0, 0.05, 0, 0.05, 0], [0, 0.2, 0, 0, 0], [-1, 0, 0, 0, 0], [0, 0, 0, 0, -1]])
     np.testing.assert_array_equal(GOAL.is_near(goal, others, 0.1), [True, False, False, False])
 
