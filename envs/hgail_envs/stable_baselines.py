@@ -23,6 +23,7 @@ class GoalVecEnv(VecEnv):
             raise ValueError(f"autoreset_mode is {mode.value!r}; stable-baselines3 needs 'SameStep'")
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.metadata |= {"render_fps": env.metadata["render_fps"]}  # of films
 
     def reset(self) -> dict[str, np.ndarray]:
         """Starts an episode in all environments, once with the seed that was last given to `seed`."""
@@ -54,6 +55,10 @@ class GoalVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Returns False for each of `indices`: nothing is wrapped."""
         return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> list[np.ndarray]:
+        """Returns a picture of each environment, of which `render` makes one."""
+        return list(self.env.render() or ())
 
     def close(self) -> None:
         self.env.close()

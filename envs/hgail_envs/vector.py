@@ -203,8 +203,20 @@ class GoalVectorEnv(VectorEnv):
         self._view.close()
 
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any = None) -> np.ndarray:
-        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for a trainer that relabels."""
-        return np.asarray(self._success(achieved, desired), np.float64) - 1.0
+        """Returns the rewards `[...]` of goals, `[..., goal_size]` each, for a trainer that relabels.
+
+        Goals of two shapes, or of another size than the task's, are a ValueError.
+        """
+        size, (one, other) = self.env.goal_size, (np.asarray(goal, np.float32) for goal in (achieved, desired))
+        if one.shape != other.shape or one.shape[-1:] != (size,):
+            raise ValueError(
+                f"achieved goals have the shape {one.shape}; desired ones {other.shape}, of {size} numbers"
+            )
+        rows = np.stack([one, other]).reshape(2, -1, size)
+        count = rows.shape[1]
+        # Whole powers of two, so that batches of many sizes share a few programs.
+        padded = np.pad(rows, ((0, 0), (0, (1 << max(count - 1, 0).bit_length()) - count), (0, 0)))
+        return np.asarray(self._success(*padded)[:count], np.float64).reshape(one.shape[:-1]) - 1.0
 
     def _start(self, keys: jax.Array) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         self._keys, episode_keys = self._split(keys)

@@ -42,3 +42,15 @@ def test_the_adapter_has_the_vector_environment_s_episodes(stable_baselines):
 def test_the_adapter_refuses_another_autoreset(stable_baselines):
     with pytest.raises(ValueError, match="needs 'SameStep'"):
         stable_baselines.GoalVecEnv(GoalVectorEnv(hgail_envs.make("point"), 1))
+
+
+def test_the_adapter_renders_the_vector_environment_s_pictures(stable_baselines, rendering):
+    vector = GoalVectorEnv(hgail_envs.make("reach", impl="c"), 2, autoreset_mode="SameStep", render_mode="rgb_array")
+    env = stable_baselines.GoalVecEnv(vector)
+    env.reset()
+    height, width, _ = vector.render()[0].shape
+    picture = env.render()
+    assert picture.shape in [(2 * height, width, 3), (height, 2 * width, 3)]
+    assert picture.std() > 10.0
+    assert env.metadata["render_fps"] == 25
+    env.close()

@@ -145,6 +145,15 @@ def test_rewards_of_relabelled_goals():
     achieved = np.zeros((2, 3), np.float32)
     desired = np.array([[0.0, 0.0, 0.049], [0.0, 0.0, 0.051]], np.float32)
     np.testing.assert_array_equal(vector.compute_reward(achieved, desired, {}), [0.0, -1.0])
+    np.testing.assert_array_equal(vector.compute_reward(achieved.tolist(), desired.tolist()), [0.0, -1.0])
+    for shape in ((), (1,), (5,), (2, 3), (7, 1), (0,)):  # of a batch; six, seven and eight share a program
+        goals = np.random.default_rng(0).uniform(-0.06, 0.06, (2, *shape, 3))
+        expected = np.where(np.linalg.norm(goals[0] - goals[1], axis=-1) <= TASK.success_threshold, 0.0, -1.0)
+        np.testing.assert_array_equal(vector.compute_reward(*goals), expected)
+    assert vector._success._cache_size() == 3  # of 1, 2 and 8
+    for achieved in (np.zeros(4), np.zeros((2, 4)), np.zeros((3, 3))):
+        with pytest.raises(ValueError, match=r"achieved goals have the shape .*; desired ones \(2, 3\), of 3 numbers"):
+            vector.compute_reward(achieved, desired)
 
 
 def test_misuse_is_refused():
