@@ -5,8 +5,11 @@ To import it changes nothing in the process, and to make a task does not start J
 
 import contextlib
 import io
+import warnings
 
-with contextlib.redirect_stdout(io.StringIO()):  # MJX, which brax imports, prints that Warp is missing
+with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+    # brax imports MJX, which prints that Warp is missing, and jaxopt, which warns that it is old
+    warnings.simplefilter("ignore", DeprecationWarning)
     from brax.envs.base import State
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv

@@ -7,8 +7,10 @@ import sys
 from tests.support import SOURCES
 
 IMPORT = """
-import os, sys
+import os, sys, warnings
 import jax
+
+warnings.simplefilter("error")
 
 def settings():
     return dict(os.environ), dict(jax.config.values), tuple(sys.flags), list(sys.path), sys.stdout, sys.excepthook
