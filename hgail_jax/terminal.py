@@ -41,7 +41,7 @@ class StatusLine:
         self._ticker = threading.Thread(target=self._tick, daemon=True)
 
     def __enter__(self) -> Self:
-        print(f"{self._text} ...", file=self._log, flush=True)
+        self._write(f"{self._text} ...")
         self._bar.set_description_str(self._line())
         self._ticker.start()
         return self
@@ -56,7 +56,13 @@ class StatusLine:
         self._text, self._left = text, "" if left is None else f", {tqdm.format_interval(left)} left"
         self._bar.set_description_str(self._line())
         if log:
-            print(self._line(), file=self._log, flush=True)
+            self._write(self._line())
+
+    def _write(self, line: str) -> None:
+        try:
+            print(line, file=self._log, flush=True)
+        except OSError:  # the reader of the log is gone, as `head` is
+            self._log = io.StringIO()
 
     def _tick(self) -> None:
         while not (self._bar.disable or self._over.wait(_TICK)):

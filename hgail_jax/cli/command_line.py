@@ -1,6 +1,7 @@
 """Command lines: options by tyro, mistakes in one line, compiled programs in a cache."""
 
 import atexit
+import codecs
 import contextlib
 import gc
 import io
@@ -26,6 +27,7 @@ RENAMED = {"--iterations": "--rounds", "--action-std": "--exploration-noise"}
 """New names of the options that still have their old name, for one release."""
 
 _STDERR = 2  # the last of the standard streams' descriptors
+_PLAIN = {"×": "x", "±": "+-", "…": "..."}  # where the output takes no more than ASCII
 
 
 def parse(options: type[OptionsT], program: str, description: str | None, arguments: list[str] | None) -> OptionsT:
@@ -54,10 +56,12 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
 def with_new_names(words: Iterable[str]) -> list[str]:
     """Returns a command line's words with the new names of renamed options.
 
+    A leading tilde, which a shell leaves in `--out=~/x`, is the home folder.
+
     >>> with_new_names(["--iterations=1", "--task", "reach"])
     ['--rounds=1', '--task', 'reach']
     """
-    options = (word.partition("=") for word in words)
+    options = ([os.path.expanduser(part) for part in word.partition("=")] for word in words)
     return ["".join((RENAMED.get(name, name), *value)) for name, *value in options]
 
 
@@ -79,13 +83,27 @@ def _in_one_line(box: str) -> str:
     return message
 
 
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return "".join(_PLAIN.get(one, "?") for one in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error("plain", _plainly)
+
+
 def open_standard_streams() -> None:
-    """Opens the null device for standard streams that are closed, as by `2>&-`: a checkpoint would take their place."""
+    """Opens the null device for standard streams that are closed, as by `2>&-`: a checkpoint would take their place.
+
+    What a stream's encoding lacks is written in plain characters.
+    """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STDERR:  # the lowest that is free
         os.set_inheritable(descriptor, True)
     os.close(descriptor)
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  (as long as the process)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="plain")
 
 
 @contextlib.contextmanager

@@ -142,9 +142,9 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
 
 def _open(run: Run, out: Path | str | None, resume: Path | str | None, held: contextlib.ExitStack) -> RunFolder:
     stem = f"{run.task.split(':')[-1]}-{run.method}"
-    path = newest_folder(_RUNS, stem) if resume == "auto" else resume and Path(resume)
+    path = newest_folder(_RUNS, stem) if resume == "auto" else resume and Path(resume).expanduser()
     if not path:
-        path = create_folder(Path(out)) if out else create_numbered_folder(_RUNS, stem)
+        path = create_folder(Path(out).expanduser()) if out else create_numbered_folder(_RUNS, stem)
         held.enter_context(sole_user(path))
         folder = RunFolder(path, Checkpoints(path / "checkpoints", run.identity()), None)
     else:

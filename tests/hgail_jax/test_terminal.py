@@ -54,6 +54,20 @@ def wait_for(terminal, frame):
     raise AssertionError(f"{frame!r} never came: {terminal.frames()[-3:]}")
 
 
+def test_a_run_goes_on_where_nobody_reads_its_log_any_more():
+    written = []
+
+    class Pipe(io.StringIO):
+        def write(self, text):
+            written.append(text)
+            raise BrokenPipeError
+
+    with StatusLine("round 0/2", Pipe()) as line:
+        line.show("round 1/2")
+        line.show("round 2/2")
+    assert written == ["round 0/2 ..."]
+
+
 def test_a_terminal_s_line_counts_the_seconds(terminal, monkeypatch):
     seconds = itertools.count()
     monkeypatch.setattr(module.time, "monotonic", lambda: float(next(seconds)))

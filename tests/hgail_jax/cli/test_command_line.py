@@ -16,7 +16,7 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.validation import MOST
 from hgail_jax.cli import command_line
 from hgail_jax.cli import train as run
-from hgail_jax.cli.command_line import parse, prepare_process, user_cache
+from hgail_jax.cli.command_line import parse, prepare_process, user_cache, with_new_names
 from hgail_jax.trainer.options import unless_given
 
 
@@ -220,3 +220,10 @@ def test_bad_arguments_are_one_line_and_write_nothing(closed_folder, good, broke
     assert len(said.splitlines()) == 1
     assert len(said) > len("hgail train: x")
     assert os.listdir(closed_folder) == ["file"]
+
+
+def test_a_tilde_that_a_shell_leaves_is_the_home_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    words = ["--out=~/runs/x", "--policy", "~/p.npz", "--settings", "a=~", "--demos", "x~/y", "--task=m:~"]
+    expected = [f"--out={tmp_path}/runs/x", "--policy", f"{tmp_path}/p.npz", "--settings", f"a={tmp_path}"]
+    assert with_new_names(words) == [*expected, "--demos", "x~/y", "--task=m:~"]

@@ -160,6 +160,17 @@ def test_a_training_needs_no_standard_streams(forks, closed, out, err):
     assert json.loads((folder / "summary.json").read_text())["seeds"] == 1
 
 
+def test_a_training_s_lines_are_plain_where_the_output_takes_ascii_alone(forks):
+    streams = (
+        "import sys\nfor one in (sys.stdout, sys.stderr):\n    one.reconfigure(encoding='ascii', errors='strict')\n"
+    )
+    ended = forks.run(streams + A_TRAINING.replace('"1", "--rounds"', '"3", "--rounds"'))
+    assert ended.returncode == 0
+    assert ended.stdout.startswith("ppo on point, 3 seeds x 4 envs ->")
+    assert " +- " in ended.stdout
+    assert (ended.folder / "runs" / "point-ppo-1" / "summary.json").exists()
+
+
 def test_a_file_does_not_take_the_place_of_a_closed_stream(forks):
     """Else the messages that libraries write to descriptor 2 would go into it."""
     script = """
