@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import errno
+import io
 import json
 import os
 import re
@@ -84,6 +85,19 @@ def write_csv(path: Path, rows: list[dict]) -> None:
         if rows:
             writer.writeheader()
         writer.writerows(rows)
+
+
+def append_csv(path: Path, rows: list[dict]) -> None:
+    """Adds rows to those of `write_csv`, in the same columns; a failure leaves the file as it was."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(row.values() for row in rows)
+    size = path.stat().st_size
+    try:
+        with path.open("a", newline="") as file:
+            file.write(text.getvalue())
+    except OSError:
+        os.truncate(path, size)
+        raise
 
 
 def _plain(value: Any) -> Any:

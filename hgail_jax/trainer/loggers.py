@@ -13,7 +13,7 @@ import numpy as np
 from flax.traverse_util import flatten_dict
 
 from hgail_envs.validation import check_name
-from hgail_jax.io.files import replace_file, write_csv
+from hgail_jax.io.files import append_csv, replace_file, write_csv
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
 
@@ -65,14 +65,15 @@ class CsvLogger(Logger):
     """metrics.csv, a row per round and seed; a cell is empty if the round did not measure it."""
 
     def rounds(self, history: list[Record]) -> None:
-        # the whole table, as a resumed run repeats the rounds after its checkpoint
         rows = [
             {"seed": self.run.first_seed + seed}
             | {name: values[seed] if isinstance(values, list) else values for name, values in record.items()}
-            for record in history
+            for record in history[self._done :]
             for seed in range(self.run.seeds)
         ]
-        write_csv(self.folder / "metrics.csv", rows)
+        # at first the whole table, as a resumed run repeats the rounds after its checkpoint
+        (append_csv if self._done else write_csv)(self.folder / "metrics.csv", rows)
+        self._done = len(history)
 
 
 class TensorboardLogger(Logger):

@@ -13,7 +13,8 @@ import pytest
 import hgail_jax
 from hgail_jax.io import provenance
 from hgail_jax.io import provenance as module
-from hgail_jax.io.files import check_writable, remove_partial_files, replace_file, write_csv, write_json
+from hgail_jax.io.files import append_csv, check_writable, remove_partial_files, replace_file, write_csv, write_json
+from tests.support import small_files_only
 
 
 def names(folder):
@@ -153,3 +154,16 @@ def test_the_driver_of_several_gpus_has_one_version(tmp_path, monkeypatch):
 def test_without_a_driver_there_is_none(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert module.driver_version() is None
+
+
+def test_rows_are_added_whole_or_not_at_all(tmp_path):
+    rows = [{"round": index, "loss": index / 3 if index % 2 else None} for index in range(4)]
+    write_csv(tmp_path / "whole.csv", rows)
+    write_csv(tmp_path / "a.csv", rows[:1])
+    append_csv(tmp_path / "a.csv", rows[1:2])
+    before = (tmp_path / "a.csv").read_bytes()
+    with small_files_only(len(before) + 3), pytest.raises(OSError):
+        append_csv(tmp_path / "a.csv", rows[2:])
+    assert (tmp_path / "a.csv").read_bytes() == before
+    append_csv(tmp_path / "a.csv", rows[2:])
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
