@@ -19,7 +19,10 @@ from hgail_jax.devices.sharding import is_first_process, make_mesh, most_devices
 
 _MOST_PORT = 65535
 _PATIENCE = 300.0  # seconds to wait for the first process
-_OF_A_CLUSTER = "that Slurm, Open MPI or Kubernetes started, if any did"
+_NO_CLUSTER = (
+    "--distributed auto finds no processes that Slurm, Open MPI or Kubernetes started, or not all of their variables;"
+    " start this one by srun or mpirun, or name the processes by --coordinator, --num-processes and --process-id"
+)
 
 HEARTBEAT_TIMEOUT = 100
 """Seconds after which a process that is silent counts as dead; JAX's own default."""
@@ -68,8 +71,10 @@ def _initialize(heartbeat_timeout: int, **numbers: Any) -> None:
     try:
         jax.distributed.initialize(**numbers, heartbeat_timeout_seconds=heartbeat_timeout)
     except (RuntimeError, ValueError) as error:
-        where = f"at {numbers['coordinator_address']}" if numbers else _OF_A_CLUSTER
-        raise ValueError(f"cannot join the processes {where}: {str(error).splitlines()[0]}") from None
+        reason = str(error).splitlines()[0]
+        if not numbers:
+            raise ValueError(f"{_NO_CLUSTER} ({reason})") from None
+        raise ValueError(f"cannot join the processes at {numbers['coordinator_address']}: {reason}") from None
 
 
 def _wait_for(host: str, port: int) -> None:

@@ -1,6 +1,7 @@
 """Shows a session in a browser, with a handle on the target and a panel of controls."""
 
 import contextlib
+import errno
 import io
 import queue
 import socket
@@ -40,11 +41,15 @@ def free_port(host: str, port: int | None, first: int) -> int:
     reason: OSError | None = None
     for candidate in tried:
         try:
-            with socket.create_server((host, candidate)):
+            family, *_, address = socket.getaddrinfo(host, candidate, type=socket.SOCK_STREAM)[0]
+            with socket.create_server(address, family=family):
                 return candidate
         except OSError as error:
             reason = error
-    raise ValueError(f"cannot serve on {host}:{tried[0]}: {reason and reason.strerror}; name another --port")
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                break
+    other = "port" if reason and reason.errno in (errno.EADDRINUSE, errno.EACCES) else "host"
+    raise ValueError(f"cannot serve on {host}:{tried[0]}: {reason and reason.strerror}; name another --{other}")
 
 
 class Page:

@@ -114,7 +114,10 @@ def test_where_a_process_of_slurm_s_is_killed_the_other_ends_and_the_run_goes_on
 
 
 def test_without_a_cluster_auto_says_so(forks):
-    ended = forks.run("from hgail_jax.cli.train import main; main(['--task', 'point', '--distributed', 'auto'])")
-    assert ended.returncode == 2
-    assert "cannot join the processes that Slurm, Open MPI or Kubernetes started" in ended.stderr.splitlines()[-1]
-    assert not list(ended.folder.iterdir())
+    for some in ({}, {"SLURM_JOB_ID": "1"}, {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost"}):
+        script = "from hgail_jax.cli.train import main; main(['--task', 'point', '--distributed', 'auto'])"
+        ended = forks.run(script, some)
+        last = ended.stderr.splitlines()[-1]
+        assert ended.returncode == 2
+        assert "--distributed auto finds no processes that Slurm, Open MPI or Kubernetes started, or not all" in last
+        assert not list(ended.folder.iterdir())

@@ -42,6 +42,23 @@ def page(shipped_policy, grasp_policy):
     page.server.stop()
 
 
+@pytest.mark.parametrize(
+    ("host", "port", "said"),
+    [("127.0.0.1", None, "name another --port"), ("no.such.host.invalid", 8080, "host"), ("192.0.2.1", None, "host")],
+)
+def test_a_place_that_cannot_be_served_on_names_what_to_change(host, port, said):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1] if "port" in said else port
+        with pytest.raises(ValueError, match=rf"cannot serve on {host}:\d+: .*{said}$"):
+            web.free_port(host, number, 8080)
+
+
+def test_a_page_may_be_served_on_ipv6():
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("no IPv6 here")
+    assert web.free_port("::1", None, 8080) >= 8080
+
+
 def test_time_passes_at_the_speed_that_is_chosen(page):
     period, clocks = page.session.env.control_period, []
     page.session.step = lambda: clocks.append(1)
