@@ -37,7 +37,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	if command -v nvidia-smi > /dev/null; then $(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		"jax[cuda13]==$$($(BIN)/python -c 'import jax; print(jax.__version__)')" warp-lang==1.14.0; fi
+		"jax[cuda13]==$$($(BIN)/python -c 'import jax; print(jax.__version__)')" warp-lang==1.18.0; fi
 	touch $@
 
 # Pins every dependency with its hashes for Python 3.11 and later; needs uv.

@@ -103,6 +103,10 @@ class WarpEngine(MjxEngine):
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
+        overflows = importlib.import_module(_MUJOCO_WARP).OverflowType
+        # The scenes have the solver stop at its limit of iterations; MuJoCo Warp flags that, and prints it in each step.
+        self._buffers = int(overflows.ALL & ~(overflows.ITERATIONS | overflows.LS_ITERATIONS))
+        self.mjx_model = self.mjx_model.tree_replace({"opt._impl.warn_overflow": self._buffers})
 
     def prepare(self) -> None:
         """Builds Warp's kernels, or finds them in its cache, by a step of one world outside of any program.
@@ -113,8 +117,10 @@ class WarpEngine(MjxEngine):
         warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_MUJOCO_WARP)
         with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
             data = mujoco_warp.make_data(self.model, nworld=1, **buffer_sizes(self.model, worlds=1))
-            mujoco_warp.step(mujoco_warp.put_model(self.model), data)
-            warp.load_module(_CALLED_BY_JAX, device)
+            model = mujoco_warp.put_model(self.model)
+            model.opt.warn_overflow = self._buffers  # compiled into the kernels
+            mujoco_warp.step(model, data)
+            warp.load_module(warp.get_module(_CALLED_BY_JAX), device)
             warp.synchronize_device(device)
 
     def _check_pairs(self) -> None:
@@ -124,7 +130,7 @@ class WarpEngine(MjxEngine):
         return buffer_sizes(self.model, worlds)
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
-        return data._impl.overflow != 0  # MJX passes Warp's count of overflows on in no public field
+        return data._impl.overflow & self._buffers != 0  # MJX passes Warp's flags on in no public field
 
 
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
