@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -71,7 +72,7 @@ def test_summary_says_what_was_reached_and_what_made_it(reach_run):
     assert summary["evaluation_episodes_per_seed"] == 8
     assert summary["device"]["platform"] == "cpu"
     assert summary["cpu_cores"] == usable_cores()
-    assert summary["versions"]["mujoco"] == summary["versions"]["mujoco-mjx"] == "3.11.0"
+    assert summary["versions"]["mujoco"] == summary["versions"]["mujoco-mjx"] == mujoco.__version__
 
 
 def test_metrics_have_a_row_per_seed_and_round(reach_run):
