@@ -104,7 +104,7 @@ class WarpEngine(MjxEngine):
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
         overflows = importlib.import_module(_MUJOCO_WARP).OverflowType
-        # The scenes have the solver stop at its limit of iterations; MuJoCo Warp flags that, and prints it in each step.
+        # The scenes have the solver stop at its limit of iterations, which MuJoCo Warp flags, and prints at each step.
         self._buffers = int(overflows.ALL & ~(overflows.ITERATIONS | overflows.LS_ITERATIONS))
         self.mjx_model = self.mjx_model.tree_replace({"opt._impl.warn_overflow": self._buffers})
 
@@ -158,12 +158,13 @@ def _as_constant(values: np.ndarray) -> jax.Array:
 def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
     """Returns the engine's default data as NumPy arrays; `sizes` is from `buffer_sizes`.
 
-    MJX-Warp leaves its fields of islands, and a count of the Hessian's blocks, uninitialised. Zeros there make two
+    MJX-Warp (to 3.17 at least) leaves its fields of islands, counts of the Hessian's blocks and numbers of contacts
+    uninitialised. Zeros there make two
     processes compile the same program, so that the second finds it in the cache.
     """
 
     def initialised(path: Any, values: Any) -> np.ndarray:
         name = jax.tree_util.keystr(path[-1:], simple=True)
-        return np.zeros_like(values) if re.search("island|idof|iefc|jtdaj", name) else np.asarray(values)
+        return np.zeros_like(values) if re.search("island|idof|iefc|jtdaj|geomcollision", name) else np.asarray(values)
 
     return jax.tree_util.tree_map_with_path(initialised, mjx.make_data(model, impl=impl, **sizes))
