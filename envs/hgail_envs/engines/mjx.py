@@ -159,8 +159,7 @@ def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) ->
     """Returns the engine's default data as NumPy arrays; `sizes` is from `buffer_sizes`.
 
     MJX-Warp (to 3.17 at least) leaves its fields of islands, counts of the Hessian's blocks and numbers of contacts
-    uninitialised. Zeros there make two
-    processes compile the same program, so that the second finds it in the cache.
+    uninitialised. Zeros there make two processes compile the same program, so that the second finds it in the cache.
     """
 
     def initialised(path: Any, values: Any) -> np.ndarray:
