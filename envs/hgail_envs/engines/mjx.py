@@ -104,21 +104,21 @@ class WarpEngine(MjxEngine):
         super().__init__(model, period, substeps, worlds)
         self.max_worlds = worlds
         overflows = importlib.import_module(_MUJOCO_WARP).OverflowType
-        # The scenes have the solver stop at its limit of iterations, which MuJoCo Warp flags, and prints at each step.
-        self._buffers = int(overflows.ALL & ~(overflows.ITERATIONS | overflows.LS_ITERATIONS))
-        self.mjx_model = self.mjx_model.tree_replace({"opt._impl.warn_overflow": self._buffers})
+        # Flags of full buffers. The solver stops at its limit of iterations by intent, which is flagged, and printed.
+        self._buffer_flags = int(overflows.ALL & ~(overflows.ITERATIONS | overflows.LS_ITERATIONS))
+        self.mjx_model = self.mjx_model.tree_replace({"opt._impl.warn_overflow": self._buffer_flags})
 
     def prepare(self) -> None:
         """Builds Warp's kernels, or finds them in its cache, by a step of one world outside of any program.
 
-        One thread builds them one after another: of two threads that build modules at once, Warp 1.14 now and then lets
-        one write code that does not compile (NVIDIA/warp#1474).
+        One thread builds them one after another: of two threads that build modules at once, Warp 1.14 now and then let
+        one write code that did not compile (NVIDIA/warp#1474, closed; untried without on 1.18).
         """
         warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_MUJOCO_WARP)
         with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
             data = mujoco_warp.make_data(self.model, nworld=1, **buffer_sizes(self.model, worlds=1))
             model = mujoco_warp.put_model(self.model)
-            model.opt.warn_overflow = self._buffers  # compiled into the kernels
+            model.opt.warn_overflow = self._buffer_flags  # compiled into the kernels
             mujoco_warp.step(model, data)
             warp.load_module(warp.get_module(_CALLED_BY_JAX), device)
             warp.synchronize_device(device)
@@ -130,7 +130,7 @@ class WarpEngine(MjxEngine):
         return buffer_sizes(self.model, worlds)
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
-        return data._impl.overflow & self._buffers != 0  # MJX passes Warp's flags on in no public field
+        return data._impl.overflow & self._buffer_flags != 0  # MJX passes Warp's flags on in no public field
 
 
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:

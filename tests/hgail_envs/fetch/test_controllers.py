@@ -46,7 +46,7 @@ def test_controllers_take_batches():
         ("grasp", "straight", 0.5, 0.9),  # Gymnasium-Robotics: 0.69 to 0.74
         ("push", "from-behind", 0.95, 1.0),
         ("pick-and-place", "from-above", 0.95, 1.0),
-        ("slide", "from-above", 0.3, 0.7),
+        ("slide", "from-above", 0.15, 0.45),  # Gymnasium-Robotics: 0.29 of 128
     ],
 )
 def test_controllers_do_in_the_scene_what_they_do_in_the_reference(task, name, least, most):
