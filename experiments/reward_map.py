@@ -43,7 +43,7 @@ def main() -> None:
     step, states = program.compile(), program.init()
     for round_, phases in enumerate(program.phases()):
         states, metrics = step(states, phases)
-        print(round_, dict(zip(SAMPLES, np.asarray(metrics.evaluation.success).round(2).tolist(), strict=True)))
+        print(f"round {round_}, success", *np.asarray(metrics.evaluation.success).round(2))
     figure, axes = plt.subplots(1, len(SAMPLES), figsize=(10, 3.6), sharey=True, layout="constrained")
     for index, (title, panel) in enumerate(zip(SAMPLES, axes, strict=True)):
         places, reward = rewards(program, jax.tree.map(lambda leaf, seed=index: leaf[seed], states))

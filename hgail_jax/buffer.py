@@ -156,7 +156,10 @@ def draw_positives(
 def draw_negatives(
     env: GoalEnv, hyper: Hyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, shuffle_rng: jax.Array
 ) -> Samples:
-    """Draws the discriminator's policy samples, under the goals that they pursued, or under those of others."""
+    """Draws the discriminator's policy samples, under goals pursued or, by `negative_p_ht`, achieved later.
+
+    A fraction of them, `shuffled_goals`, then get the goals of others.
+    """
     drawn = draw(env, hyper, buffer, rng, count, hyper.negative_p_ht)
     goal = shuffle_goals(drawn.goal, hyper.shuffled_goals, shuffle_rng)
     return Samples(env.goal_observation(drawn.features, goal), drawn.action, drawn.weight)

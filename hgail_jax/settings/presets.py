@@ -110,7 +110,8 @@ def ppo_with_object(
 
 # Off-policy each step is used forty times on a GPU, where half of 256 environments need a third of the steps for push,
 # and twenty times on a CPU, slide ten. There gradient steps are four fifths of the time, and a third layer makes them
-# half as slow again (docs/lab/off-policy.md, on two cores).
+# half as slow again (docs/lab/off-policy.md, on two cores). A discriminator of 16 or 32 steps after a roll-out is behind
+# one of 64 on push, or alike.
 _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
     "gpu": (
         {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | wide(256, layers=3),
@@ -150,7 +151,8 @@ def td3(
         "target_noise": 0.1,
         "policy_learning_rate": 1e-3,  # at half of it push and picking are learnt later
         "tau": 0.02,  # at .01 push learns later, at .05 picking does not learn sooner
-        "discriminator_learning_rate": 1e-3,  # at 3e-4 picking without the goal test has .81 for .93
+        # at 3e-4, with the paper's samples, picking without the goal test has .81 for .93
+        "discriminator_learning_rate": 1e-3,
         "discriminator_horizon": 1,  # a learned goal test, to which the critics add the horizon; see docs/off-policy.md
         # The adversary's samples (docs/adversary.md): negatives are drawn as the critics' samples are, and all but a
         # twentieth then get the goal of another; a positive's goal is anywhere within half of what counts as reached.
