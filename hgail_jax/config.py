@@ -71,7 +71,7 @@ class Config:
                 check_count(f"a width in {name}", width)
 
     def replace(self, **changes: Any) -> "Config":
-        """Returns a copy with some fields changed, the learner's own sizes among them; others are a ValueError.
+        """Returns a copy with some fields changed, the learner's own sizes among them; unknown ones are a ValueError.
 
         >>> from hgail_jax.learners import PPO
         >>> config = Config(PPO()).replace(num_envs=8, minibatches=2)

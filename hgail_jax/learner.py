@@ -107,7 +107,7 @@ class Learner(abc.ABC):
 
 
 def check_sizes(sizes: Any, may_be_zero: tuple[str, ...] = ()) -> None:
-    """Refuses fields declared `int` that are no counts from 1, or 0 if they `may_be_zero`, and `bool` that are none."""
+    """Raises a ValueError for an `int` field that is no count from 1 (0 if `may_be_zero`), or a `bool` that is none."""
     for field in dataclasses.fields(sizes):
         value = getattr(sizes, field.name)
         if field.type is int:

@@ -16,7 +16,7 @@ NORM_EPSILON = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class MeanPolicy:
-    """The mean action of a trained policy, free of JAX; its arrays must fit together and be finite."""
+    """The mean action of a trained policy, free of JAX; a ValueError if its arrays do not fit or are not finite."""
 
     task: str
     goal_size: int

@@ -114,7 +114,7 @@ class Randomization:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Rebuilds a randomisation from its fields as JSON, also with an earlier release's names, or without some."""
+        """Rebuilds a randomisation from JSON, also with an earlier release's names; a ValueError for other fields."""
         content = {_OLD_NAMES.get(name, name): value for name, value in content.items()}
         unknown = set(content) - {size.name for size in dataclasses.fields(cls)}
         if unknown:

@@ -264,7 +264,7 @@ class RandomizedEnv(GoalEnv):
 
 
 def randomize(task: GoalEnv, randomization: Randomization | str) -> GoalEnv:
-    """Returns a task under a randomisation, or a level of `LEVELS`; the task itself if that is nominal."""
+    """Returns a task under a randomisation, or one of `LEVELS` (else a ValueError); the task itself if nominal."""
     if isinstance(randomization, str):
         if randomization not in LEVELS:
             raise ValueError(f"unknown randomize {randomization!r}; choose from {', '.join(LEVELS)}")

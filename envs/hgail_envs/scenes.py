@@ -39,7 +39,7 @@ def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
 
 
 class SceneView:
-    """Pictures of a task's scene, if it has one, in given poses, with the `render_mode` `"rgb_array"`, or None."""
+    """Pictures of a task's scene in given poses, with the `render_mode` `"rgb_array"`; a ValueError if it has none."""
 
     def __init__(self, env: GoalEnv, render_mode: str | None) -> None:
         if render_mode not in (None, "rgb_array"):

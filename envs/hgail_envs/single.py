@@ -15,8 +15,8 @@ class GoalSingleEnv(gymnasium.Env):
 
     It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
     episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its name, made
-    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture, if the
-    task has a scene.
+    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture; a task
+    without a scene, or an unknown one, is a ValueError.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  (as Gymnasium has it)

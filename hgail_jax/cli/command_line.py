@@ -92,7 +92,7 @@ codecs.register_error("plain", _plainly)
 
 
 def open_standard_streams() -> None:
-    """Opens the null device for standard streams that are closed, as by `2>&-`: a checkpoint would take their place.
+    """Opens the null device for standard streams that are closed, as by `2>&-`, so that no file becomes stderr.
 
     What a stream's encoding lacks is written in plain characters.
     """

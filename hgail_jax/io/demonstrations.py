@@ -28,7 +28,7 @@ _EPISODES = ("success", "returns", "distance_l1")
 
 @dataclasses.dataclass(frozen=True)
 class Demonstrations:
-    """`K` episodes of `T` steps; see the module for the arrays, which must fit together and be finite."""
+    """`K` episodes of `T` steps; see the module for the arrays; a ValueError if they do not fit or are not finite."""
 
     task: str
     features: np.ndarray

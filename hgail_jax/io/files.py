@@ -52,7 +52,7 @@ def check_writable(path: Path) -> None:
 
 
 def check_new_file(path: Path, endings: Collection[str] = ()) -> None:
-    """Refuses a file that is there already, or ends in none of `endings`, if any, with a ValueError."""
+    """Refuses a file that is there, or ends in none of `endings`, if any: a ValueError. See also `check_writable`."""
     if endings and path.suffix.lower() not in endings:
         raise ValueError(f"{path} has an unknown format; it must end in {', '.join(endings)}")
     if os.path.lexists(path):

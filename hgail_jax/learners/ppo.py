@@ -43,7 +43,10 @@ class PPOState(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True)
 class PPO(Learner):
-    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples."""
+    """PPO (Schulman et al. 2017) with a value function, and behaviour cloning (BC) of the expert samples.
+
+    A value out of its range is a ValueError.
+    """
 
     name: ClassVar[str] = "ppo"
     metrics: ClassVar[Mapping[str, str]] = {

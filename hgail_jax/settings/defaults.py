@@ -58,8 +58,8 @@ def _stacking(**sizes: dict[str, Any]) -> dict[str, Preset]:
     """Returns the settings of stack and tower with TD3, by platform, as `sizes` are.
 
     Target networks that follow slowly decide stack: after 781 k steps two seeds had .22 at .02 and .85 at .01. A p_ht
-    of .6 ends at .99, one of .8 at .95 (by HER). On a GPU stack's rounds are those after which each of four seeds had .99
-    by the adversary (docs/adversary.md).
+    of .6 ends at .99, one of .8 at .95 (by HER). On a GPU stack's rounds are those after which each of four seeds
+    had .99 by the adversary (docs/adversary.md).
     """
     shared = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
     changes = {platform: shared | own for platform, own in sizes.items()}

@@ -110,8 +110,8 @@ def ppo_with_object(
 
 # Off-policy each step is used forty times on a GPU, where half of 256 environments need a third of the steps for push,
 # and twenty times on a CPU, slide ten. There gradient steps are four fifths of the time, and a third layer makes them
-# half as slow again (docs/lab/off-policy.md, on two cores). A discriminator of 16 or 32 steps after a roll-out is behind
-# one of 64 on push, or alike.
+# half as slow again (docs/lab/off-policy.md, on two cores). A discriminator of 16 or 32 steps after a roll-out is
+# behind one of 64 on push, or alike.
 _TD3_SIZES: dict[str, tuple[dict[str, Any], TD3]] = {
     "gpu": (
         {"num_envs": 128, "discriminator_minibatches": 64, "discriminator_batch": 1024} | wide(256, layers=3),

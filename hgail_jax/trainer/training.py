@@ -65,7 +65,7 @@ class Trainer:
         return self._folder
 
     def policy(self, seed: int) -> MeanPolicy:
-        """Returns the trained policy of a seed."""
+        """Returns the trained policy of a seed; a FileNotFoundError says that it is not trained yet."""
         return load_policy(self.folder / "policies" / f"seed-{seed}.npz")
 
     def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
