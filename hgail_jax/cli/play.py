@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import logging
 import os
 from pathlib import Path
 from typing import Annotated
@@ -113,9 +114,11 @@ def _serve(options: Options, shown: str) -> None:
         env, policy = _load(task, path, options.randomize, impl="c")
         return Session(env, policy, seed)
 
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for any other request
     port = free_port(options.host, options.port, _FIRST_PORT)
     others = [task for task in hgail_envs.TASKS if task != shown and shipped(task, options.randomize)]
     print(f"compiling {shown} ...", flush=True)
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
-    print(f"http://{options.host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)
+    host = f"[{options.host}]" if ":" in options.host else options.host
+    print(f"http://{host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)
     page.run()

@@ -131,6 +131,16 @@ def test_relabelled_goals_are_positions_as_observed():
     np.testing.assert_allclose(relabelled.goal, features[relabelled.source] + errors[relabelled.source], atol=1e-6)
 
 
+@pytest.mark.parametrize(("apart", "reward"), [(0.02, 0.0), (0.03, -1.0)])  # along each axis
+def test_the_reward_is_of_the_true_positions_on_either_side_of_the_threshold(apart, reward):
+    env = RandomizedEnv(Point(), Randomization(goal_offset=5.0, robot_offset=5.0))
+    start = env.reset(jax.random.key(0))
+    at = start.replace(pipeline_state=start.pipeline_state.replace(true=start.info["plan"] + apart))
+    assert np.linalg.norm(start.info["desired_goal"] - start.info["plan"]) > 0.5
+    assert env.step(at, jnp.zeros(3)).reward == reward
+    assert env.reached(at.pipeline_state, start.info["desired_goal"]) == (reward == 0.0)
+
+
 def test_success_and_reward_are_of_the_true_positions():
     env = RandomizedEnv(Point(), Randomization(goal_offset=5.0, robot_offset=5.0))
     states = follow(env)

@@ -1,5 +1,6 @@
 import copy
 import functools
+import types
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from hgail_jax.evaluate import mean_outcome, whole_rollouts
 from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
+from hgail_jax.train import _learn
 from hgail_jax.trainer.options import TrainOptions, plan
 from tests.support import TINY
 
@@ -240,6 +242,43 @@ def test_phases_and_their_steps():
     )
     assert phase_table(TINY.replace(pretrain=False))[0, 0] == SKIP
     np.testing.assert_array_equal(env_steps(ENV, TINY, PHASES), np.array([1, 3, 3]) * 4 * 50)
+
+
+class Crowded(Point):
+    """The point at random starts; beyond a limit in x there is no room for contacts."""
+
+    limit = 9.0
+
+    def reset_physics(self, rng):
+        return jax.random.uniform(rng, (3,))
+
+    def overflow(self, physics):
+        return physics[0] > self.limit
+
+
+def still(observation, rng):
+    return jnp.zeros((len(observation), 3)), jnp.zeros(len(observation))
+
+
+def test_an_evaluation_tells_of_one_environment_of_one_roll_out_of_one_seed_without_room_for_contacts(monkeypatch):
+    env, config = Crowded(), TINY.replace(num_envs=2)
+    monkeypatch.setattr("hgail_jax.seeds.make_policy", lambda *_, **__: still)
+    states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
+    rngs = [rng for key in states.rng for rng in jax.random.split(split_key(key).final_evaluation, 2)]
+    *_, second, largest = np.sort(np.ravel([rollout(env, still, rng, 2).features[0, :, 0] for rng in rngs]))
+    env.limit = (second + largest) / 2
+    with pytest.raises(OverflowError, match="out of room for contacts in the final evaluation"):
+        evaluate_seeds(env, config, states, 4)
+    env.limit = largest + 1e-3
+    evaluate_seeds(env, config, states, 4)
+
+
+def test_a_phase_tells_the_fraction_of_environments_without_room_for_contacts_or_broken():
+    episodes = rollout(ENV, still, jax.random.key(0), 4)
+    episodes = episodes.replace(overflow=jnp.arange(4) == 2, valid=jnp.arange(4) != 1)
+    nothing = types.SimpleNamespace(learner=types.SimpleNamespace(phase_updates=dict, metrics=()))
+    _, measured = _learn(ENV, nothing, jnp.array(SKIP), start(0), episodes, jax.random.key(0))
+    assert (measured.overflow, measured.dropped) == (0.25, 0.25)
 
 
 class Fragile(Telling):
