@@ -148,6 +148,10 @@ def test_folders_are_numbered(in_folder, monkeypatch):
             ["--method", "gasil", "--learner", "td3", "--environment-reward", "1"],
             "with which the discriminator has no say: that is the method her; it must be below 1",
         ),
+        (
+            ["--learner", "td3", "--num-envs", "20000"],
+            "num_envs is 20000; the replay buffer has room for 8192 episodes, more by --settings buffer_episodes=",
+        ),
         (["--settings", "taus=1"], "Config has no field 'taus', nor has the learner ppo"),
         (["--settings", "rounds=1"], "setting 'rounds=1': rounds is --rounds here"),
         (["--settings", "tau"], "setting 'tau' is not name=value with a number, true, false or a list of numbers"),

@@ -277,7 +277,7 @@ def test_what_is_no_folder_is_refused_at_once(tmp_path, kind):
         Checkpoints(path, RUN)
 
 
-@pytest.mark.parametrize("name", ["[lab] run", "*", "re:1", "100%s", " ", "~", "läuft", "a\nb", "file"])
+@pytest.mark.parametrize("name", ["[lab] run", "*", "re:1", "100%s", " ", "~", "läuft", "a\nb", "file", r"q\r/x"])
 def test_a_folder_may_have_any_name(tmp_path, name):
     save_small(tmp_path / name, 2)
     assert_same(Checkpoints(tmp_path / name, RUN).restore(small_state()).state, small_state(2))
