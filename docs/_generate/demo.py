@@ -8,6 +8,7 @@ elsewhere.
 import filecmp
 import gzip
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -48,6 +49,9 @@ def build(site: Path = SITE) -> Path:
     vendor.mkdir()
     for name, source in _VENDOR.items():
         shutil.copyfile(modules / source, vendor / name)
+    # The file that it imports by name, without an import map, which has to be inline: a strict policy refuses that.
+    box = (vendor / "RoundedBoxGeometry.js").read_text()
+    (vendor / "RoundedBoxGeometry.js").write_text(re.sub(r"""from\s+(['"])three\1""", 'from "./three.module.js"', box))
     shutil.copyfile(ROOT / "LICENSE", vendor / "LICENSE-mujoco")  # Apache-2.0 too, and its package has no copy
     # Compressed here, since not every host compresses WebAssembly; without a time, so that it is the same each time.
     wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()

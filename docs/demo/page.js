@@ -154,7 +154,15 @@ class Page {
 
   async setTask(name, robust = false) {
     this.asked = `${name} ${robust}`;
-    const policy = await this.#policy(robust ? `${name}-robust` : name);
+    let policy;
+    try {
+      policy = await this.#policy(robust ? `${name}-robust` : name);
+    } catch (error) {
+      if (!this.session) throw error;
+      this.#showControls(); // of the task that goes on
+      find("hint").textContent = `That policy did not load; choose it again. ${error.message}`;
+      return;
+    }
     if (this.asked !== `${name} ${robust}`) return; // meanwhile another was chosen
     this.session?.task.delete();
     const task = new Task(this.mujoco, name);
@@ -237,6 +245,7 @@ class Page {
   connect() {
     for (const input of document.querySelectorAll("input[name=task]"))
       input.addEventListener("change", () => this.setTask(input.id));
+    document.querySelector("form").addEventListener("submit", (event) => event.preventDefault());
     const robust = find("robust");
     robust.addEventListener("change", () => this.setTask(this.session.task.name, robust.checked));
     find("restart").addEventListener("click", () => this.restart());

@@ -1,6 +1,6 @@
 // Draws a scene with three.js from the geoms of its MjModel, and finds what a pointer touches.
-import * as THREE from "three";
-import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.js";
+import * as THREE from "./vendor/three.module.js";
+import { RoundedBoxGeometry } from "./vendor/RoundedBoxGeometry.js";
 
 const HIDDEN_GROUP = 4; // of geoms that only collide
 const SHAPE = { plane: 0, sphere: 2, capsule: 3, cylinder: 5, box: 6 }; // mjtGeom

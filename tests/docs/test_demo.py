@@ -192,8 +192,15 @@ def test_what_is_missing_is_said_in_a_line(monkeypatch, tmp_path):
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
+    """A host that lets a page run no code but its own files', of which MuJoCo's make functions of text."""
+
     def log_message(self, *_):
         pass
+
+    def end_headers(self):
+        own = "default-src 'self' data:; script-src 'self' 'unsafe-eval'; style-src 'self'"
+        self.send_header("Content-Security-Policy", own)
+        super().end_headers()
 
 
 @pytest.fixture(scope="module")
@@ -252,6 +259,23 @@ def test_a_task_ends_in_success_at_the_target_of_a_visitor(visit, task):
     page.wait_for_function("document.getElementById('news').textContent === 'Success.'")
     if task != "grasp":
         np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)  # it stays where it was put
+
+
+def test_a_policy_that_cannot_be_fetched_is_told_and_the_task_goes_on(browser):
+    opened_browser, address = browser
+    page = opened_browser.new_page(viewport={"width": 640, "height": 480})
+    page.set_default_timeout(_PATIENCE)
+    page.route("**/policies/push.npz", lambda route: route.abort())
+    page.goto(address)
+    page.wait_for_selector("body[data-ready]")
+    page.locator("#push").click()
+    page.wait_for_function("document.getElementById('hint').textContent.includes('did not load')")
+    assert page.evaluate("demo.status().task") == "reach"
+    assert page.locator("#reach").is_checked()
+    page.unroute("**/policies/push.npz")
+    page.locator("#push").click()
+    page.wait_for_function("demo.status().task === 'push'")
+    page.close()
 
 
 def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
