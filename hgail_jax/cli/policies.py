@@ -22,11 +22,6 @@ from hgail_jax.trainer.options import unless_given
 DEFAULT_TASK = "grasp"
 """Task of a command that is given neither a task nor a policy."""
 _OF_ROBUST = ("mild", "full", "mild-history", "full-history")  # levels that full-history, the robust one's, covers
-_SIZES = (
-    ("observation_size", "reads", "an observation"),
-    ("goal_size", "has goals of", "a goal"),
-    ("action_size", "commands", "an action"),
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,10 +133,10 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
     """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
     taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
-    for size, verb, vector in _SIZES:
-        given, needed = getattr(policy, size), getattr(env, size)
+    for kind, verb in (("observation", "reads"), ("goal", "has goals of"), ("action", "commands")):
+        given, needed = (getattr(one, f"{kind}_size") for one in (policy, env))
         if given != needed:
-            raise ValueError(f"the policy {verb} {given} numbers, but {vector} of {task} has {needed}")
+            raise ValueError(f"the policy {verb} {given} numbers; {kind}s of {task} have {needed}")
     return env
 
 

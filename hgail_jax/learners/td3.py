@@ -15,7 +15,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_fraction
+from hgail_envs.validation import check_count, check_fraction
 from hgail_jax.buffer import (
     EpisodeBuffer,
     Transitions,
@@ -102,9 +102,7 @@ class TD3(Learner):
 
     def validate(self, env: GoalEnv, config: Config) -> None:
         """See `Learner`; a roll-out must fit into the buffer."""
-        if config.num_envs > self.buffer_episodes:
-            room = f"the replay buffer has room for {self.buffer_episodes} episodes"
-            raise ValueError(f"num_envs is {config.num_envs}; {room}, more by --settings buffer_episodes=...")
+        check_count("num_envs, within buffer_episodes (--settings),", config.num_envs, most=self.buffer_episodes)
 
     def check_hyperparameters(self, config: Config, hyper: Hyperparameters) -> None:
         """See `Learner`; the discriminator is trained if it has a say in the reward, and only then."""

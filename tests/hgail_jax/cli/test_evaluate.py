@@ -130,8 +130,8 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--randomize", "wild"], "randomize is 'wild'"),
         (["--task", "point"], "no policy of point comes with the package"),
         (["--reference", "--impl", "c"], "leave out --impl"),
-        (["--policy", "small.npz", "--task", "push"], "the policy reads 9 numbers, but an observation of push has 19"),
-        (["--policy", "small.npz", "--reference"], "the policy reads 9 numbers, but an observation of push has 19"),
+        (["--policy", "small.npz", "--task", "push"], "the policy reads 9 numbers; observations of push have 19"),
+        (["--policy", "small.npz", "--reference"], "the policy reads 9 numbers; observations of push have 19"),
         (["--reference", "--randomize", "mild"], "leave out --impl and --randomize"),
     ],
 )

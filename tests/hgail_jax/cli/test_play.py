@@ -289,7 +289,7 @@ def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
     with pytest.raises(SystemExit) as exit_info:
         play.main(["--task", "grasp", "--policy", str(shipped_policy)])
     assert exit_info.value.code == 2
-    numbers = "the policy reads 9 numbers, but an observation of grasp has 12"
+    numbers = "the policy reads 9 numbers; observations of grasp have 12"
     assert capsys.readouterr().err == f"hgail play: the policy is for 'reach', not for 'grasp': {numbers}\n"
 
 
@@ -301,7 +301,7 @@ def test_a_policy_of_a_task_that_got_another_name_is_played(shipped_policy, in_f
     play._load(REACH, shipped_policy, None)
     capsys.readouterr()
     save_policy("goal.npz", dataclasses.replace(load_policy(shipped_policy), goal_size=4))
-    refused(["--policy", "goal.npz"], "the policy has goals of 4 numbers, but a goal of reach has 3", capsys)
+    refused(["--policy", "goal.npz"], "the policy has goals of 4 numbers; goals of reach have 3", capsys)
 
 
 def test_copies_of_a_run_s_policies_are_no_seeds(in_folder):
@@ -320,7 +320,7 @@ def official_policy(path, **task_options):
 
 def test_a_policy_of_another_observation_is_refused(in_folder, capsys):
     official_policy("official.npz")
-    numbers = "the policy reads 29 numbers, but an observation of push has 19"
+    numbers = "the policy reads 29 numbers; observations of push have 19"
     refused(["--policy", "official.npz"], numbers, capsys)
 
 

@@ -150,7 +150,7 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         ),
         (
             ["--learner", "td3", "--num-envs", "20000"],
-            "num_envs is 20000; the replay buffer has room for 8192 episodes, more by --settings buffer_episodes=",
+            "num_envs, within buffer_episodes (--settings), is 20000; it must be at most 8192",
         ),
         (["--settings", "taus=1"], "Config has no field 'taus', nor has the learner ppo"),
         (["--settings", "rounds=1"], "setting 'rounds=1': rounds is --rounds here"),
