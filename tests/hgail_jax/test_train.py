@@ -112,18 +112,29 @@ class Telling(Point):
 
 # With one episode in a roll-out, the means over its episodes are that episode's own.
 ONE = TINY.replace(num_envs=1, rounds=4, policy_phases=1)
-telling_step = jax.jit(functools.partial(train_step, Telling(), ONE))
-
 
 def start_telling(config):
     return jax.jit(functools.partial(init_state, Telling(), config))(Hyperparameters(), jax.random.key(0))
 
 
 @functools.cache
+def scan_of(config):
+    """Returns a function of a state and rows to the state and metrics after a scan over the rows."""
+    return jax.jit(functools.partial(jax.lax.scan, functools.partial(train_step, Telling(), config)))
+
+
+@functools.cache
 def scanned(config):
     """Returns the state and metrics after all rounds in one scan."""
-    run = functools.partial(jax.lax.scan, functools.partial(train_step, Telling(), config))
-    return jax.jit(run)(start_telling(config), phase_table(config))
+    return scan_of(config)(start_telling(config), phase_table(config))
+
+
+def telling_step(state, phases):
+    """Runs one round, by the program of all: rounds of nothing follow it."""
+    rows = np.full_like(phase_table(ONE), SKIP)
+    rows[0] = phases
+    state, metrics = scan_of(ONE)(state, rows)
+    return state, jax.tree.map(lambda leaf: leaf[0], metrics)
 
 
 def test_a_scan_over_the_phases_is_the_loop_over_them():
