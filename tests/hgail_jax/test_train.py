@@ -113,6 +113,7 @@ class Telling(Point):
 # With one episode in a roll-out, the means over its episodes are that episode's own.
 ONE = TINY.replace(num_envs=1, rounds=4, policy_phases=1)
 
+
 def start_telling(config):
     return jax.jit(functools.partial(init_state, Telling(), config))(Hyperparameters(), jax.random.key(0))
 

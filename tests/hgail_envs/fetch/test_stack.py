@@ -26,8 +26,13 @@ PLACE = np.array([1.3, 0.7, 0.425])  # where cube B started, centre
 GOAL = np.array([*PLACE[:2], 0.475, 1, 0, 1], np.float32)
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 STEP, OUTCOME, PUT = jax.jit(ENV.step), jax.jit(ENV.outcome), jax.jit(ENV.place)
-START = jax.jit(ENV.reset)(jax.random.key(0))
-ADVANCE = jax.jit(lambda physics, plan: ENV._advance(START, physics, plan, START.info["step"]))
+ADVANCE = jax.jit(lambda start, physics, plan: ENV._advance(start, physics, plan, start.info["step"]))
+
+
+@functools.cache
+def begun():
+    """Returns the start of an episode."""
+    return jax.jit(ENV.reset)(jax.random.key(0))
 
 
 @functools.cache
@@ -51,7 +56,8 @@ def made(a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.0), rise=0.12, gap=0.1, velocity=(0.0
         object_start=jnp.array([1.2, 0.9, 0.425]),
         b_start=jnp.asarray(PLACE, jnp.float32),
     )
-    return ADVANCE(physics, START.info["plan"].replace(goal=jnp.asarray(GOAL), relay=jnp.asarray(False)))
+    start = begun()
+    return ADVANCE(start, physics, start.info["plan"].replace(goal=jnp.asarray(GOAL), relay=jnp.asarray(False)))
 
 
 def outcome_of(state):

@@ -31,8 +31,13 @@ STARTS = np.array([[1.2, 0.9, 0.425], [1.45, 0.85, 0.425], TOWER[BASE]])
 NOWHERE, STILL = np.zeros((3, 3)), np.zeros((3, 6))
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 STEP, OUTCOME, PUT, ACHIEVED = (jax.jit(each) for each in (ENV.step, ENV.outcome, ENV.place, ENV.achieved_goal))
-START = jax.jit(ENV.reset)(jax.random.key(0))
-ADVANCE = jax.jit(lambda physics: ENV._advance(START, physics, START.info["plan"], START.info["step"]))
+ADVANCE = jax.jit(lambda start, physics: ENV._advance(start, physics, start.info["plan"], start.info["step"]))
+
+
+@functools.cache
+def begun():
+    """Returns the start of an episode."""
+    return jax.jit(ENV.reset)(jax.random.key(0))
 
 
 @functools.cache
@@ -61,7 +66,7 @@ def made(cubes=NOWHERE, rise=0.12, gap=0.1, velocities=STILL, order=(2, 0, 1), p
         starts=jnp.asarray(STARTS, jnp.float32),
         placed=jnp.asarray(placed),
     )
-    return ADVANCE(physics)
+    return ADVANCE(begun(), physics)
 
 
 def shifted(role, by):
