@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.layout import Layout, Quantity, flag, position
+from hgail_envs.layout import Layout, Quantity, flag, past, position
 from hgail_envs.point import Point
 from hgail_envs.quantities import describe
 
@@ -103,3 +103,16 @@ def test_flags_are_equal_at_the_goal_and_no_distance():
     outcome = env.outcome(state, state)
     np.testing.assert_allclose((outcome.distance_l1, outcome.distance_l2), (0.7, 0.5), rtol=1e-5)
     assert (outcome.success, outcome.success_l1) == (0.0, 0.0)
+
+
+def test_the_past_is_actions_on_their_way_then_actions_and_observations_before():
+    features, action = Layout(position("hand position")), Layout(flag("grip"))
+    shown = past(features, action, history=1, known_delay=2)
+    assert [(quantity.name, quantity.size, quantity.when) for quantity in shown] == [
+        ("whether there is an action", 1, "sent 1 step ago and on its way"),
+        ("grip", 1, "sent 1 step ago and on its way"),
+        ("whether there is an action", 1, "sent 2 steps ago and on its way"),
+        ("grip", 1, "sent 2 steps ago and on its way"),
+        ("grip", 1, "1 step earlier"),
+        ("hand position", 3, "1 step earlier"),
+    ]

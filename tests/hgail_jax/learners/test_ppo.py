@@ -828,3 +828,8 @@ def test_wrong_results_are_refused():
             check_metrics(round_metrics(overflow=np.array(overflow)))
     with pytest.raises(FloatingPointError):
         check_metrics(round_metrics(diverged=np.array([0.3, 1.0])))
+
+
+@pytest.mark.parametrize(("own", "weight", "batch"), [(64, 0.5, 64), (0, 0.5, 512), (64, 0.0, 0), (0, 0.0, 0)])
+def test_a_bc_weight_needs_samples_and_without_one_none_are_drawn(own, weight, batch):
+    assert PPO(bc_batch=own).with_bc(weight).bc_batch == batch
