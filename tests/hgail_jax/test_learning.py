@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hgail_envs.base import GoalEnv
-from hgail_jax import METHODS, PRESETS, Preset, init_state, phase_table, rollout, train_step
+from hgail_jax import METHODS, PRESETS, init_state, phase_table, rollout, train_step
 from hgail_jax.train import make_policy
 
 
@@ -112,34 +112,3 @@ def test_of_equally_bad_episodes_gasil_imitates_those_that_end_nearest():
     np.testing.assert_array_equal(metrics.evaluation.success, 0.0)
     assert metrics.evaluation.distance_l2[0] > 0.35
     assert episodes.outcome.distance_l2.max() < 0.25
-
-
-def test_methods_change_what_they_differ_in_and_nothing_else():
-    config, hyper = PRESETS["parallel"].config, PRESETS["parallel"].hyperparameters
-    expected = {
-        "hgail": ({}, {}),
-        "hgail-no": ({}, {"p_ht": 0.0}),
-        "gail-demo": (
-            {"expert_source": "demonstrations", "training_goals": False, "bc_batch": 512},
-            {"bc_weight": 1.0},
-        ),
-        "gasil": ({"expert_source": "best", "training_goals": False}, {}),
-        "ppo": (
-            {"pretrain": False, "discriminator_phases": 0, "bc_batch": 0, "training_goals": False},
-            {"environment_reward": 1.0, "ppo_weight": 1.0},
-        ),
-        "gcsl": (
-            {"discriminator_phases": 0, "bc_batch": 512},
-            {"ppo_weight": 0.0, "environment_reward": 1.0},
-        ),
-    }
-    odd = Preset(
-        config.replace(rounds=3, training_goals=True, pretrain=True, bc_batch=2048),
-        hyper.replace(p_ht=0.7, bc_weight=0.3, ppo_weight=0.2, environment_reward=0.4),
-    )
-    for name, (sizes, scalars) in expected.items():
-        for preset in (PRESETS["parallel"], odd):
-            raised = sizes | ({"bc_batch": 2048} if preset is odd and sizes.get("bc_batch") else {})
-            applied = METHODS[name].apply(preset)
-            assert applied.config == preset.config.replace(**raised)
-            assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)

@@ -11,7 +11,7 @@ import pytest
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.fetch.push import Push
 from hgail_envs.point import Point
-from hgail_jax import METHODS, PPO, TD3, Config, Hyperparameters, Preset, phase_table
+from hgail_jax import METHODS, PPO, PRESETS, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
@@ -173,8 +173,9 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
 
 
 def test_on_policy_methods_change_what_they_differ_in_and_nothing_else():
-    """A method that clones has a batch to clone, of the preset's size or its own if that is less."""
-    preset = Preset(Config(PPO(bc_batch=8)), Hyperparameters(p_ht=0.7, bc_weight=0.5, environment_reward=0.25))
+    """A method that clones has a batch to clone, of the preset's size or its own, the larger."""
+    hyper = Hyperparameters(p_ht=0.7, bc_weight=0.3, ppo_weight=0.2, environment_reward=0.4)
+    few, many = (Preset(Config(PPO(bc_batch=count), rounds=3), hyper) for count in (8, 2048))
     expected = {
         "hgail": ({}, {}),
         "hgail-no": ({}, {"p_ht": 0.0}),
@@ -190,12 +191,12 @@ def test_on_policy_methods_change_what_they_differ_in_and_nothing_else():
         "gcsl": ({"discriminator_phases": 0, "bc_batch": 512}, {"ppo_weight": 0.0, "environment_reward": 1.0}),
     }
     assert set(expected) == {name for name, method in METHODS.items() if "ppo" in method.learners}
-    more = dataclasses.replace(preset, config=preset.config.replace(bc_batch=1024))
-    assert METHODS["gcsl"].apply(more).config.learner.bc_batch == 1024
     for name, (sizes, scalars) in expected.items():
-        applied = METHODS[name].apply(preset)
-        assert applied.config == preset.config.replace(**sizes)
-        assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)
+        for preset in (PRESETS["parallel"], few, many):
+            raised = sizes | ({"bc_batch": 2048} if preset is many and sizes.get("bc_batch") else {})
+            applied = METHODS[name].apply(preset)
+            assert applied.config == preset.config.replace(**raised)
+            assert applied.hyperparameters == preset.hyperparameters.replace(**scalars)
 
 
 class HeavyPush(Push):
