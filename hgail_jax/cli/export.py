@@ -102,10 +102,8 @@ def _success(path: Path, policy: MeanPolicy, episodes: int, trusted: bool) -> fl
 def _success_in_run(path: Path) -> float | None:
     folder = path.parent.parent
     try:
-        rates, files = (
-            json.loads((folder / "summary.json").read_text())["success_rate"]["per_seed"],
-            policy_files(folder),
-        )
+        rates = json.loads((folder / "summary.json").read_text())["success_rate"]["per_seed"]
+        files = policy_files(folder)
         return float(rates[files.index(path)]) if len(rates) == len(files) else None
     except (OSError, ValueError, LookupError, TypeError):
         return None
