@@ -34,7 +34,6 @@ def run_row(folder: Path) -> Row:
 
     Raises:
       OSError: a file of a finished run is missing.
-
     """
     config, summary = (json.loads((folder / name).read_text()) for name in ("config.json", "summary.json"))
     success, nominal = summary["success_rate"], summary.get("nominal_success_rate")

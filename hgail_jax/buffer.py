@@ -70,7 +70,6 @@ def add_episodes(buffer: EpisodeBuffer, trajectory: Trajectory) -> EpisodeBuffer
 
     Raises:
       ValueError: the trajectory has more episodes than the buffer holds.
-
     """
     held, count = buffer.valid.shape[0], trajectory.valid.shape[0]
     if count > held:
@@ -112,7 +111,6 @@ def draw(
       count: `B`.
       p_ht: probability that a goal is replaced.
       most_ahead: most steps from a sample's own state to the one that its replaced goal is taken from.
-
     """
     episode_rng, step_rng, chosen_rng, source_rng = jax.random.split(rng, 4)
     held, length = buffer.action.shape[:2]

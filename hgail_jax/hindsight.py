@@ -53,7 +53,6 @@ def relabel(
 
     Raises:
       ValueError: the shapes do not fit, or `p_ht` is no probability.
-
     """
     length = len(achieved) - 1
     fitting = (achieved.shape[1:], (length, *achieved.shape[1:]))

@@ -65,7 +65,6 @@ def rollout(
 
     Raises:
       ValueError: `num_envs` is no count from 1, or a device would step more environments than `env.max_worlds`.
-
     """
     check_count("num_envs", num_envs)
     reset_rng, act_rng = jax.random.split(rng)

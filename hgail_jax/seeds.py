@@ -85,7 +85,6 @@ def compile_train_step(
 
     Raises:
       ValueError: a device would step more environments than the task's physics can.
-
     """
     _check_worlds(env, config, states, mesh)
 
@@ -126,7 +125,6 @@ def trace_evaluation(
 
     Raises:
       ValueError: `num_episodes` is no count from 1; or see `compile_train_step`.
-
     """
     _check_worlds(env, config, states, mesh)
     reference, rollouts = env.reference_physics(), whole_rollouts(num_episodes, config.num_envs)

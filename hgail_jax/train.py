@@ -140,7 +140,6 @@ def check_metrics(metrics: RoundMetrics) -> None:
       FloatingPointError: each seed had an update in the round that was not finite, or no episode whose simulation did
         not break down. Where a seed is sound the others continue: their updates were undone and are counted in
         `metrics.diverged`, or they learnt nothing, see `metrics.dropped`.
-
     """
     # Infinite is not measured: a round that learns nothing, as the first without a pre-training, has no divergence.
     overflow, diverged = (

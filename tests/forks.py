@@ -41,7 +41,6 @@ class Forks:
           script: its code.
           environment: changes of its environment, by name; None takes a variable away.
           closed: descriptors of standard streams that are closed, as by `2>&-`.
-
         """
         self.count += 1
         folder = self.folder / str(self.count)

@@ -40,7 +40,6 @@ def build(site: Path = SITE) -> Path:
 
     Raises:
       UnavailableError: npm is not installed, or cannot get the packages.
-
     """
     modules = _install()
     shutil.rmtree(site, ignore_errors=True)

@@ -51,7 +51,6 @@ def check_task(env: GoalEnv) -> None:
     >>> check_task(Flat())
     Traceback (most recent call last):
     ValueError: Flat.features gives float32 [3]; it must give float32 [2], that is [feature_size]
-
     """
     if not isinstance(env, GoalEnv):
         raise ValueError(f"{env!r} is not a GoalEnv; a task is an instance of a subclass of hgail_envs.GoalEnv")

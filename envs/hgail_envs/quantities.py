@@ -38,7 +38,6 @@ def describe(
     'gripper velocity x'
     >>> describe("reach", history=1).features.numbers[0].title
     'gripper displacement x, 1 step earlier'
-
     """
     if sizes:
         features, goal, action = map(Layout.numbered, ("feature", "goal", "action"), sizes)

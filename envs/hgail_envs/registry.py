@@ -60,7 +60,6 @@ def make(task: str, **options: Any) -> GoalEnv:
     >>> make("poke")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ValueError: unknown task 'poke'; choose from point, reach, grasp, ...
-
     """
     check_options(task, options)
     return find_class(task)(**options)

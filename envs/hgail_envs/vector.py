@@ -58,7 +58,6 @@ class GoalVectorEnv(VectorEnv):
       TypeError: `env` is no `GoalEnv`.
       ValueError: a number is no integer or less than 1, more environments than the task's physics can step at once, an
         unknown mode, or pictures of a task without a scene.
-
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012  (as Gymnasium has it)
@@ -130,7 +129,6 @@ class GoalVectorEnv(VectorEnv):
         Raises:
           ValueError: not as many seeds as environments, or a seed that is no integer or out of range; or there are
             options.
-
         """
         if options:
             raise ValueError(f"options are {', '.join(map(repr, options))}; there are none")
@@ -158,7 +156,6 @@ class GoalVectorEnv(VectorEnv):
         Raises:
           gymnasium.error.ResetNeeded: there was no `reset` before.
           ValueError: the actions have another shape, or not all of them are finite numbers.
-
         """
         if self._state is None or self._keys is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
@@ -190,7 +187,6 @@ class GoalVectorEnv(VectorEnv):
         Raises:
           gymnasium.error.ResetNeeded: there was no `reset` before.
           RenderingError: MuJoCo cannot render here.
-
         """
         if self.render_mode is None:
             return None

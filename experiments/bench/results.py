@@ -33,7 +33,6 @@ class Results:
     Raises:
       ValueError: the file exists and is not one of measurements.
       OSError: the folder cannot be made, or the file cannot be read or written.
-
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,7 +58,6 @@ class Results:
         Args:
           row: quantities by name.
           made_by: as from `provenance`.
-
         """
         self.added.append(row)
         row = row | {"made_by": made_by}

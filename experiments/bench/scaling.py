@@ -27,7 +27,6 @@ def measure_devices(workload: Workload) -> Iterator[dict[str, Any]]:
 
     Raises:
       ValueError: there is only one device.
-
     """
     devices = jax.device_count()
     if devices == 1:

@@ -36,7 +36,6 @@ class Stepping:
 
     Args:
       workload: to step.
-
     """
 
     def __init__(self, workload: Workload) -> None:

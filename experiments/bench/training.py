@@ -28,7 +28,6 @@ class Training:
       workload: of each seed.
       seeds: side by side.
       mesh: of devices; None is a single one.
-
     """
 
     def __init__(self, workload: Workload, seeds: int = 1, mesh: Mesh | None = None) -> None:
@@ -69,7 +68,6 @@ class RollingOut:
 
     Args:
       workload: to roll out.
-
     """
 
     def __init__(self, workload: Workload) -> None:
@@ -102,7 +100,6 @@ class Learning:
 
     Args:
       training: of one seed.
-
     """
 
     def __init__(self, training: Training) -> None:
@@ -124,7 +121,6 @@ class _Phases:
 
     Args:
       training: of one seed.
-
     """
 
     _PHASES: ClassVar[dict[str, Phase]]

@@ -36,7 +36,6 @@ def measure_compilation(task: str, options: Sequence[str], quick: bool) -> tuple
       task: to train.
       options: further ones of `hgail train`.
       quick: take the smallest sizes.
-
     """
     arguments = ["--task", task, "--rounds", "0", *(_QUICK if quick else ()), *options]
     with tempfile.TemporaryDirectory() as name:
@@ -82,7 +81,6 @@ def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | No
     Args:
       rows: of metrics.csv.
       wanted: the success rate.
-
     """
     for index in dict.fromkeys(row["round"] for row in rows):
         seeds = [row for row in rows if row["round"] == index]
@@ -107,7 +105,6 @@ def train(
 
     Raises:
       subprocess.CalledProcessError: the run failed.
-
     """
     environment = {name: value for name, value in os.environ.items() if name != "XLA_PYTHON_CLIENT_PREALLOCATE"}
     environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH") or user_cache() / "warp")

@@ -59,7 +59,6 @@ def plan(options: Options, platform: str) -> list[Work]:
 
     Raises:
       ValueError: the options name no study, or an impossible one.
-
     """
     tasks = dict.fromkeys(options.task or (["point"] if options.quick else ["reach"]))
     seeds = _QUICK_SEEDS if options.quick and options.seeds is None else options.seeds

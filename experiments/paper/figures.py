@@ -34,7 +34,6 @@ def draw_figure(folder: Path, number: int) -> Path | None:
 
     Raises:
       ValueError: a file of the folder is not a study's.
-
     """
     studies = [study for study in STUDIES if study.figure == number]
     rows = [row for study in studies for row in _read_rows(folder, study.name)]

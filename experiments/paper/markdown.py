@@ -25,7 +25,6 @@ def study_table(rows: Sequence[Row], header: Mapping[str, str]) -> str:
     Args:
       rows: of a study; an entry `label` stands for setting and panel, `better` for the comparison with the reference.
       header: names of the columns, in `_CELLS`, and their titles.
-
     """
     return table(list(header.values()), [[_CELLS[column](row) for column in header] for row in rows])
 

@@ -64,7 +64,6 @@ def train_program(
       OSError: a checkpoint cannot be written.
       OverflowError: the simulation had more contacts than its buffers hold.
       FloatingPointError: no seed's update, or no episode's simulation, was finite in a round.
-
     """
     program = make_program(env, trials, demonstrations)
     started = time.perf_counter()

@@ -24,7 +24,6 @@ def interquartile_mean(*strata: np.ndarray) -> Estimate:
 
     >>> interquartile_mean(np.array([0.0, 0.0, 0.5, 0.6, 0.7, 0.8, 1.0, 1.0])).value
     0.65
-
     """
 
     def statistic(*strata: np.ndarray, axis: int) -> Any:
@@ -44,7 +43,6 @@ def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Estimat
 
     >>> probability_of_improvement(np.array([1.0, 2.0]), np.array([1.0, 0.0])).value
     0.875
-
     """
 
     def statistic(first: np.ndarray, second: np.ndarray, axis: int) -> Any:

@@ -85,7 +85,6 @@ def choose_seeds(tuning: bool, count: int | None = None) -> range:
 
     >>> choose_seeds(tuning=True), choose_seeds(tuning=False, count=2)
     (range(1000, 1004), range(0, 2))
-
     """
     whole = TUNING_SEEDS if tuning else REPORTED_SEEDS
     if count is None:

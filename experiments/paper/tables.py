@@ -39,7 +39,6 @@ def read_study(path: Path) -> dict[str, Any]:
 
     Raises:
       ValueError: the file is damaged.
-
     """
     try:
         return json.loads(path.read_text())

@@ -69,7 +69,6 @@ class Scale:
         Args:
           worlds: environments stepped at once.
           options: of the task's class, in place of the training's.
-
         """
         options = self.task_options | options
         if "worlds" in hgail_envs.accepted_options(self.task):
@@ -137,7 +136,6 @@ def work_out(scale: Scale, setting: Setting, seeds: range, demonstrations_sha256
       setting: to resolve.
       seeds: the seeds; see `choose_seeds`.
       demonstrations_sha256: hash of the demonstrations, if the setting has any.
-
     """
     env = scale.task_class
     usual = scale.preset(setting.preset, setting.learner)

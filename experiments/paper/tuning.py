@@ -93,7 +93,6 @@ def _grasp(episodes: int, rounds: int, hidden: int | None) -> tuple[Setting, ...
       episodes: of a roll-out.
       rounds: of the training.
       hidden: width of all networks' hidden layers; None is the default.
-
     """
     widths = {} if hidden is None else {"policy_hidden": (hidden, hidden), "discriminator_hidden": (hidden, hidden)}
     sizes = {"num_envs": episodes, "rounds": rounds}

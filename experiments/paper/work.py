@@ -99,7 +99,6 @@ class Unfinished:
 
     Raises:
       ValueError: a file of the folder is damaged.
-
     """
 
     def __init__(self, work: Work) -> None:
@@ -129,7 +128,6 @@ def carry_out(unfinished: Sequence[Unfinished], stop: threading.Event) -> None:
     Raises:
       OSError: a file cannot be written.
       OverflowError, FloatingPointError: see `train_program`.
-
     """
 
     def write() -> None:
@@ -197,7 +195,6 @@ def redraw(folder: Path) -> None:
 
     Raises:
       ValueError: the folder holds no data, or unreadable data.
-
     """
     drawn = [draw_figure(folder, number) for number in sorted({study.figure for study in STUDIES if study.figure})]
     if not any(drawn):

@@ -18,7 +18,6 @@ class Camera:
 
     Raises:
       ValueError: a size or focal length is not positive, or the rotation is not one.
-
     """
 
     width: int
@@ -84,7 +83,6 @@ def look_at(position: np.ndarray, target: np.ndarray, fovy: float, width: int, h
 
     Raises:
       ValueError: it would look straight up or down, so that no side of the image is up.
-
     """
     forward = np.asarray(target, float) - position
     right = np.cross(forward, [0.0, 0.0, 1.0])

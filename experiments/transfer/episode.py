@@ -33,7 +33,6 @@ def run_episode(
 
     Returns:
       Metrics of the last step, as `GoalEnv.outcome` of the robot's task defines them, as plain numbers.
-
     """
     conditions = conditions or Conditions()
     with changed(robot, conditions.friction, conditions.object_mass, conditions.gravity):
@@ -95,7 +94,6 @@ def changed(robot: Robot, friction: float, object_mass: float, gravity: float) -
       friction: factor on the friction of all contacts.
       object_mass: factor on the mass of the cube, if there is one.
       gravity: fraction of the arm's weight that is not compensated, in a model that compensates it.
-
     """
     if (friction, object_mass, gravity) == (1.0, 1.0, 0.0):
         yield
@@ -144,7 +142,6 @@ class Sensors:
       policy: with `task_options`, if it has any.
       rng: source of the errors; exact sensors draw none.
       conditions: with the errors' sizes.
-
     """
 
     def __init__(self, robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions) -> None:

@@ -32,7 +32,6 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
       rows: the points of the robot and task, as measured; each quantity has a panel, each policy a colour.
       axes: the label of the x axis for each quantity.
       policies: the labels of policies in the order of their colours.
-
     """
     panels: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -69,7 +68,6 @@ def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
-
     """
     strips = []
     for robot, policy, steps in episodes:

@@ -58,7 +58,6 @@ def overhead(start: np.ndarray, views: Sequence[tuple[float, float]] = TILTED) -
     Args:
       start: `[3]`, the gripper's start, metres, world frame.
       views: azimuth and elevation of each, degrees, as `TILTED` has them.
-
     """
     middle = np.asarray(start, float) - [0.0, 0.0, _BELOW_START]
     cameras = []
@@ -98,7 +97,6 @@ def camera_estimate(
       robot: reset here, to find its gripper's start.
       views: of the cameras, see `overhead`.
       noise: of the cameras; None for exact ones.
-
     """
     robot.reset(np.random.default_rng(0))
     cameras, exact = overhead(robot.features()[:3] - robot.offset, views), CameraNoise()

@@ -47,7 +47,6 @@ def measure(
 
     Returns:
       Metrics of the episodes whose target was seen, leaves `[at most the number of indices]`.
-
     """
     outcomes = []
     for index in indices:
@@ -68,7 +67,6 @@ def measured(outcomes: EpisodeMetrics, policies: int, episodes: int) -> Measured
 
     Returns:
       Rates, success with its 95 % Wilson interval, and mean distances in metres, None if no target was seen.
-
     """
     success, achieved = np.asarray(outcomes.success), np.asarray(outcomes.achieved)
     interval = stats.binomtest(int(success.sum()), episodes).proportion_ci(method="wilson")
@@ -128,7 +126,6 @@ def measure_rows(points: Sequence[Point], episodes: int, seed: int, workers: int
       episodes: for each of them.
       seed: of the episodes.
       workers: processes.
-
     """
     parts = [range(start, min(start + _PART, episodes)) for start in range(0, episodes, _PART)]
     work = [(point, part, seed) for point in {point.key(): point for point in points}.values() for part in parts]

@@ -56,7 +56,6 @@ class ParallelFetch:
       policies: with the same network sizes, past and task options.
       episodes: of a point; all points have the same starts.
       seed: of the episodes.
-
     """
 
     def __init__(self, task: str, policies: Sequence[MeanPolicy], episodes: int, seed: int) -> None:
@@ -90,7 +89,6 @@ class ParallelFetch:
         Args:
           **sizes: fields of `Randomization` but `history`, `known_delay` and `ramp`; the others are nominal. Each
             `posture` compiles a program of its own.
-
         """
         unknown = set(sizes) - set(_SIZES)
         if unknown:

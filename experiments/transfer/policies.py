@@ -40,7 +40,6 @@ class Script:
 
     Args:
       task: a name in `hgail_envs.TASKS`, of a task with controllers.
-
     """
 
     def __init__(self, task: str) -> None:
@@ -84,7 +83,6 @@ def load_policies(task: str, path: Path | None = None) -> list[MeanPolicy | Scri
     Raises:
       ValueError: no policy is found, or a file is not a policy of the task.
       OSError: a file cannot be read.
-
     """
     files = [path] if path == Path(SCRIPT) else policy_files(path) if path else policy_paths(task)
     policies = [load(file, task) for file in files]
@@ -106,7 +104,6 @@ def find_policies(tasks: Sequence[str], more: Sequence[str] = ()) -> Policies:
     Raises:
       ValueError: an entry is not of this form, or has no policy.
       OSError: a file cannot be read.
-
     """
     found: dict[str, dict[str, list[Path]]] = {}
     for label in FILES:

@@ -39,7 +39,6 @@ def write_table(
       episodes: for each row.
       seed: of the episodes.
       workers: processes that measure side by side.
-
     """
     path = folder / "table4.json"
     points = list(table(sources, robots, tasks, table_policies()))
@@ -73,7 +72,6 @@ def write_sweep(
       episodes: for each point.
       seed: of the episodes.
       workers: processes that measure other robots side by side.
-
     """
     path = folder / "transfer-sweep.json"
     curves = [_part(robot_name(to), task) for to, task in measured_pairs(policies, robots, tasks)]
@@ -107,7 +105,6 @@ def write_pictures(folder: Path, seed: int) -> list[Path]:
 
     Raises:
       RuntimeError: MuJoCo cannot render here.
-
     """
     paths = {to: folder / f"transfer-{to}.png" for to in ROBOTS}
     for to, path in paths.items():

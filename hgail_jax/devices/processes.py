@@ -44,7 +44,6 @@ def join(
 
     Raises:
       ValueError: the numbers do not fit, the first process does not answer, or no cluster is found.
-
     """
     check_count("num_processes", num_processes)
     check_count("process_id", process_id, least=0, most=num_processes - 1)

@@ -98,7 +98,6 @@ def load_demonstrations(path: Path | str, task: str) -> Demonstrations:
     Raises:
       FileNotFoundError: there is no such file.
       ValueError: the file holds no demonstrations, or those of another task.
-
     """
     demonstrations = load_npz(path, "demonstrations", _FORMAT, _from_file)
     if demonstrations.task != task:

@@ -48,7 +48,6 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
     Raises:
       ImportError: the extra `onnx` is not installed.
       ValueError: the policy reads other numbers than its task has.
-
     """
     from onnx import checker, helper  # here, so that the module imports without the extra
 

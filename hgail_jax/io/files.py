@@ -135,7 +135,6 @@ def load_npz(
     Raises:
       FileNotFoundError: there is no such file.
       ValueError: it does not hold this content.
-
     """
     path = Path(path)
     if not path.exists():

@@ -83,7 +83,6 @@ def load_policy(path: Path | str) -> MeanPolicy:
     Raises:
       FileNotFoundError: there is no such file.
       ValueError: the file is not a policy.
-
     """
     return load_npz(path, "a policy", _FORMAT, _from_file)
 

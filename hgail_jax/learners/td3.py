@@ -66,7 +66,6 @@ class TD3(Learner):
 
     Raises:
       ValueError: a value is out of its range.
-
     """
 
     name: ClassVar[str] = "td3"

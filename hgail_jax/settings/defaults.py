@@ -236,7 +236,6 @@ def default_learner(task_class: type[GoalEnv]) -> str:
 
     Raises:
       ValueError: the task's `training` names no learner.
-
     """
     name = _name(task_class)
     return next(iter(DEFAULTS[name] if name else _training(task_class)), PPO.name)
@@ -268,7 +267,6 @@ def task_preset(
 
     Raises:
       ValueError: there is no such preset, not for this learner, or the task's `training` names no fields or values.
-
     """
     check_name("preset", preset, PRESETS)
     if preset != "parallel" and learner != PPO.name:

@@ -32,7 +32,6 @@ class Method:
 
         Raises:
           ValueError: it makes no sense with the preset's learner.
-
         """
         learner = preset.config.learner.name
         if learner not in self.learners:

@@ -139,7 +139,6 @@ def td3(
       method: the default method, for both platforms or by platform.
       on_cpu: hyperparameters that a CPU has instead.
       hyperparameters: on either platform.
-
     """
     shared: dict[str, Any] = {
         "p_ht": 0.8,  # at 1, where the critics hardly see a goal that is missed, picking is not learnt

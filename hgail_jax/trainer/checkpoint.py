@@ -57,7 +57,6 @@ class Checkpoints:
     Raises:
       AnotherRunError: the folder has checkpoints of another schema.
       ValueError: the folder's name is that of a file.
-
     """
 
     def __init__(self, folder: Path | str, run: dict) -> None:
@@ -97,7 +96,6 @@ class Checkpoints:
           OSError: the checkpoint before this one cannot be written, or the folder cannot be made. For this one the
             error comes with the next call, or at the end of the context. Nothing is left of it.
           ValueError: the folder holds checkpoints already and none was restored.
-
         """
         if self.saved is None and self._rounds_on_disk():
             raise ValueError(f"{self.folder} holds checkpoints; restore one before saving more")
@@ -126,7 +124,6 @@ class Checkpoints:
         Raises:
           AnotherRunError: the checkpoint is of another run or schema.
           ValueError: there are checkpoints, and none can be read.
-
         """
         damaged: list[str] = []
         for rounds in self._rounds_on_disk():

@@ -129,7 +129,6 @@ def train(
       FloatingPointError: no seed's update was finite in a round, or no episode's simulation; likewise.
       ReplicaError: devices that should hold the same numbers do not; likewise.
       OSError: a checkpoint cannot be written.
-
     """
     phases, steps, saving = program.phases(), program.env_steps(), saving or SavingPolicy()
     stop = stop or threading.Event()

@@ -47,7 +47,6 @@ class Trainer:
 
     Raises:
       ValueError: an option has a value that it cannot have.
-
     """
 
     def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:

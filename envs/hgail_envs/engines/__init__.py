@@ -26,7 +26,6 @@ def resolve_impl(impl: str) -> str:
 
     Raises:
       ValueError: `impl` is neither an engine's name nor `"auto"`, or the engine is not available.
-
     """
     check_impl(impl)
     chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None

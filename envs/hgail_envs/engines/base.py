@@ -51,7 +51,6 @@ class Engine(abc.ABC):
       period: seconds that an action lasts.
       substeps: physics steps per action.
       worlds: most environments that are stepped at once, for engines with buffers for them.
-
     """
 
     name: str
@@ -77,7 +76,6 @@ class Engine(abc.ABC):
 
         Raises:
           ValueError: the engine cannot vary a field of `control.model`.
-
         """
 
     def prepare(self) -> None:

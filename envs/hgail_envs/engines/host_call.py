@@ -129,7 +129,6 @@ def host_call(
 
     Raises:
       ValueError: an argument is not in single precision.
-
     """
     for dtype in {argument.dtype for argument in arguments} - {jnp.dtype(jnp.float32)}:
         raise ValueError(f"an argument of host_call is {dtype}; it must be float32")

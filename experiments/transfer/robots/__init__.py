@@ -39,7 +39,6 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
 
     Raises:
       ValueError: the robot lacks the task, an option, or an installed package.
-
     """
     robot = ROBOTS[name]
     if task not in robot.tasks:

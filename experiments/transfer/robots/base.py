@@ -38,7 +38,6 @@ class Robot(abc.ABC):
 
     Args:
       task: one of `tasks`; a robot's further arguments, its options, have defaults.
-
     """
 
     name: ClassVar[str]

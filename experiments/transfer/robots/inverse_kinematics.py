@@ -20,7 +20,6 @@ class DownwardArm:
       orientation: `[3, 3]`, rotation of that site in the world frame when the tool points downward.
       top_speed: of each joint, radians per second.
       posture_cost: weight of the first joint positions beside the tool's position, for an arm of more than six joints.
-
     """
 
     def __init__(
@@ -58,7 +57,6 @@ class DownwardArm:
 
         Returns:
           The joint velocities of that motion, `[joints]`, radians per second.
-
         """
         self._task.set_target(mink.SE3.from_rotation_and_translation(self._orientation, position))
         tasks = [self._task] if self._posture is None else [self._task, self._posture]

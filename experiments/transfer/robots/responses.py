@@ -27,7 +27,6 @@ class GripperResponse:
 
     Args:
       position: at the start, `[3]`, metres.
-
     """
 
     def __init__(self, position: np.ndarray) -> None:
@@ -39,7 +38,6 @@ class GripperResponse:
         Args:
           measured: `[3]`, the gripper's position, metres.
           displacement: `[3]`, the action's first three numbers.
-
         """
         self.position = measured + np.clip(self.position - measured, -_SLACK, _SLACK)
         return self.position + LEAD * displacement
@@ -58,7 +56,6 @@ class FingerResponse:
 
     Args:
       gap: at the start, metres.
-
     """
 
     def __init__(self, gap: float) -> None:
@@ -75,7 +72,6 @@ class FingerResponse:
         Args:
           measured: the robot's gap, metres.
           command: the action's last number, by which a finger's servo leads the finger, metres.
-
         """
         self._finger = min(max(self._finger, measured / 2 - _SQUEEZE), measured / 2 + _SQUEEZE)
         return min(max(self._finger + command, 0.0), _FARTHEST)

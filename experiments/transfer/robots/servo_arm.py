@@ -47,7 +47,6 @@ class ServoArm(Robot):
 
     Raises:
       ValueError: an option is out of range.
-
     """
 
     arm: ClassVar[Arm]
