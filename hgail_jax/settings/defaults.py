@@ -18,6 +18,7 @@ EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Least number of episodes per seed in a final evaluation, by platform."""
 
 _REACH_SUBSTEPS = {"substeps": 4}
+_LARGE_BUFFER: dict[str, Any] = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
 
 # Neither noise on target actions nor many random ones: where a hit or a grasp must be exact, the critics have to tell
 # such actions from those beside them (docs/lab/off-policy.md).
@@ -38,10 +39,7 @@ def _td3_grasp(**options: Any) -> dict[str, Preset]:
     leave the place out of it: .88 to .95 after 589 k steps, .998 under the goals pursued, weighed twice
     (docs/adversary.md). On a CPU HER is ahead still.
     """
-    sizes: dict[str, dict[str, Any]] = {
-        "cpu": {"rounds": 12},
-        "gpu": {"num_envs": 256, "rounds": 8, "buffer_episodes": 16384, "final_learning_rate": 0.1},
-    }
+    sizes: dict[str, dict[str, Any]] = {"cpu": {"rounds": 12}, "gpu": {"num_envs": 256, "rounds": 8, **_LARGE_BUFFER}}
     method = {"cpu": "her", "gpu": "hgail"}
     return td3(sizes, OBJECT_SUBSTEPS | options, method, negative_p_ht=0.0, negative_weight=2.0, **_EXACT)
 
@@ -61,8 +59,7 @@ def _stacking(**sizes: dict[str, Any]) -> dict[str, Preset]:
     of .6 ends at .99, one of .8 at .95 (by HER). On a GPU stack's rounds are those after which each of four seeds
     had .99 by the adversary (docs/adversary.md).
     """
-    shared = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
-    changes = {platform: shared | own for platform, own in sizes.items()}
+    changes = {platform: _LARGE_BUFFER | own for platform, own in sizes.items()}
     return td3(changes, OBJECT_SUBSTEPS, tau=0.01, p_ht=0.6, negative_p_ht=0.6)
 
 
@@ -73,10 +70,7 @@ def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
     goal test it is behind that by .03 (docs/lab/robust.md, off-policy). On push nothing else was tried. The rounds on a
     GPU are what `full-known-delay` needs; under `other-arms` 18 are enough.
     """
-    sizes: dict[str, dict[str, Any]] = {
-        "cpu": {"rounds": 36, "buffer_episodes": 16384, "final_learning_rate": 0.1},
-        "gpu": {"num_envs": 256, "rounds": gpu_rounds, "buffer_episodes": 16384, "final_learning_rate": 0.1},
-    }
+    sizes = {"cpu": {"rounds": 36, **_LARGE_BUFFER}, "gpu": {"num_envs": 256, "rounds": gpu_rounds, **_LARGE_BUFFER}}
     return td3(sizes, OBJECT_SUBSTEPS | options, "her", **_EXACT | {"p_ht": 0.6})
 
 
@@ -136,11 +130,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     "pick-and-place": {
         # On a CPU exact critics, and target networks that follow slowly: one seed has 1.00 in the last three tests for
         # .94 to 1.00.
-        "td3": td3(
-            {"cpu": {"rounds": 15}, "gpu": {"rounds": 12}},
-            OBJECT_SUBSTEPS,
-            on_cpu=_EXACT | {"tau": 0.01},
-        ),
+        "td3": td3({"cpu": {"rounds": 15}, "gpu": {"rounds": 12}}, OBJECT_SUBSTEPS, on_cpu=_EXACT | {"tau": 0.01}),
         "ppo": _PPO_PICKING,
     },
     # Untried: PPO on tower, and on stack with other settings than pick and place's, by which it stacks nothing; tower
@@ -149,13 +139,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
     # steps (docs/lab/off-policy.md).
     "stack": {
         "td3": _stacking(
-            cpu={
-                "num_envs": 128,
-                "rounds": 26,
-                "updates": 512,
-                "discriminator_batch": 512,
-                **wide(128, layers=3),
-            },
+            cpu={"num_envs": 128, "rounds": 26, "updates": 512, "discriminator_batch": 512, **wide(128, layers=3)},
             gpu={"rounds": 26},
         ),
         "ppo": _PPO_PICKING,
@@ -175,22 +159,8 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
             {
                 # one seed: three layers and as many environments as on a GPU end at .80, two layers and 64 environments
                 # at .67 (docs/lab/off-policy.md, on two cores)
-                "cpu": {
-                    "num_envs": 256,
-                    "rounds": 36,
-                    "updates": 512,
-                    "buffer_episodes": 16384,
-                    "final_learning_rate": 0.1,
-                    **wide(128, layers=3),
-                },
-                "gpu": {
-                    "num_envs": 256,
-                    "rounds": 34,
-                    "rollouts": 10,
-                    "batch": 2048,
-                    "buffer_episodes": 16384,
-                    "final_learning_rate": 0.1,
-                },
+                "cpu": {"num_envs": 256, "rounds": 36, "updates": 512, **_LARGE_BUFFER, **wide(128, layers=3)},
+                "gpu": {"num_envs": 256, "rounds": 34, "rollouts": 10, "batch": 2048, **_LARGE_BUFFER},
             },
             OBJECT_SUBSTEPS | {"achieved": "passed"},
             {"cpu": "her", "gpu": "hgail"},  # on a CPU the adversary is untried
