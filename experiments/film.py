@@ -1,25 +1,30 @@
-"""Films the policies that come with the package side by side: `python -m experiments.film` writes `FILM`."""
+"""Pictures of the tasks for the pages: `python -m experiments.film` writes `FILM` and `STARTS`.
+
+`FILM` has the policies that come with the package at work, side by side; `STARTS` the tasks' starts.
+"""
 
 import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import hgail_envs
 from hgail_envs import GoalEnv
 from hgail_envs.randomized import randomize
-from hgail_envs.scenes import assets_directory
+from hgail_envs.scenes import SceneView, assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import frames, open_film
 from hgail_jax.play.session import Session
 from hgail_jax.policy import MeanPolicy
 
-FILM = Path(__file__).parent.parent / "docs" / "images" / "policies.webp"
-"""The film, replaced by each run."""
+_IMAGES = Path(__file__).parent.parent / "docs" / "images"
+FILM, STARTS = _IMAGES / "policies.webp", _IMAGES / "tasks.webp"
+"""Replaced by each run."""
 
 _PANELS = {
     "reach": "reach",
@@ -38,11 +43,13 @@ _SCALE = 2  # rendered so many times larger, then made smaller, which smooths ed
 _BAND, _GAP = 30, 3  # height of the title above a picture, and the white around a panel
 _TEXT_SIZE, _TEXT_COLOUR, _BAND_COLOUR = 18, (35, 55, 85), (225, 231, 240)
 _SUCCESS_COLOUR, _SUCCESS_BORDER = (30, 142, 78), 4
+_START, _START_COLUMNS = (300, 225), 4  # width and height of a start's picture, pixels; pictures in a row
 _SUCCESS_PICTURES = 8  # that show a success: as long as its last pose stands still and fades
 
 
 def main() -> None:
-    """Films all `_PANELS`, six at once."""
+    """Films all `_PANELS`, six at once, and draws the starts."""
+    draw_starts()
     loaded = {title: _load(name) for title, name in _PANELS.items()}
     period = max(env.control_period for env, _ in loaded.values()) * _EVERY
     panels = [_panels(title, Session(env, policy)) for title, (env, policy) in loaded.items()]
@@ -50,6 +57,25 @@ def main() -> None:
         for together in itertools.islice(zip(*panels, strict=True), round(_SECONDS / period)):
             append(_tile(together))
     print(f"{', '.join(_PANELS)} -> {FILM}, {FILM.stat().st_size / 1e6:.1f} MB")
+
+
+def draw_starts() -> None:
+    """Draws the start of an episode of each task that has a scene, a red ball at the target."""
+    tasks = [task for task in hgail_envs.TASKS if hgail_envs.find_class(task).scene]
+    width, height = _START
+    rows = math.ceil(len(tasks) / _START_COLUMNS)
+    montage = Image.new("RGB", (_START_COLUMNS * width, rows * (height + 24)), "white")
+    font = ImageFont.load_default(16)
+    for index, task in enumerate(tasks):
+        env = hgail_envs.make(task, impl="c")
+        state = jax.jit(env.reset)(jax.random.key(3))
+        view = SceneView(env, "rgb_array")
+        picture = view.picture(np.asarray(state.pipeline_state.qpos), np.asarray(state.info["desired_goal"]))
+        view.close()
+        corner = (index % _START_COLUMNS * width, index // _START_COLUMNS * (height + 24))
+        montage.paste(Image.fromarray(picture).resize(_START, Image.Resampling.LANCZOS), (corner[0], corner[1] + 24))
+        ImageDraw.Draw(montage).text((corner[0] + 6, corner[1] + 2), task, "black", font)
+    montage.save(STARTS, quality=80)
 
 
 def _load(name: str) -> tuple[GoalEnv, MeanPolicy]:

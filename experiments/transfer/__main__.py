@@ -14,8 +14,7 @@ from experiments.transfer.policies import find_policies, load_policies, robot_op
 from experiments.transfer.results import write_pictures, write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
-from experiments.transfer.studies import parts
-from experiments.transfer.sweeps import FETCH, measured_pairs
+from experiments.transfer.studies import FETCH, measured_pairs, parts
 from hgail_envs.engines.c import usable_cores
 from hgail_envs.fetch.arm import CONTROL_PERIOD
 from hgail_envs.past import Past

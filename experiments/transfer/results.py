@@ -11,8 +11,16 @@ from experiments.transfer.figures import draw_strip, draw_sweep
 from experiments.transfer.measurement import measure_rows
 from experiments.transfer.policies import Policies, load_policies, table_policies
 from experiments.transfer.robots import ROBOTS, make_robot
-from experiments.transfer.studies import table
-from experiments.transfer.sweeps import FETCH, axes, fetch_points, fetch_rows, measured_pairs, robot_name, robot_points
+from experiments.transfer.studies import (
+    FETCH,
+    axes,
+    fetch_points,
+    fetch_rows,
+    measured_pairs,
+    robot_name,
+    robot_points,
+    table,
+)
 from hgail_jax.io.files import write_json
 from hgail_jax.io.provenance import installed, provenance
 from hgail_jax.terminal import progress_bar
