@@ -170,7 +170,7 @@ class GoalEnv(HasLayouts, Env):
         positives' goals from there, see `Hyperparameters.goal_jitter`. By default a cube, with flags as they are.
         """
         numbers = np.array([number.unit != FLAG for number in self.goal_layout.numbers], np.float32)
-        half = self.success_threshold / np.sqrt(max(numbers.sum(), 1.0))
+        half = self.success_threshold / np.sqrt(np.maximum(numbers.sum(), 1.0))
         return jnp.broadcast_to(half.astype(np.float32) * numbers, goal.shape)
 
     def reached(self, physics: Any, desired: jax.Array) -> jax.Array:

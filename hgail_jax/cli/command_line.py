@@ -135,7 +135,7 @@ NO_DEVICE = (RuntimeError, AssertionError)
 
 def missing_platform() -> str | None:
     """Returns a line about the platforms that JAX is to run on if it finds none of their devices, else None."""
-    platforms = jax.config.jax_platforms  # type: ignore[attr-defined]
+    platforms = jax.config.jax_platforms  # type: ignore[attr-defined, unused-ignore]  # declared from JAX 0.11 on
     try:
         jax.devices()
     except NO_DEVICE:

@@ -147,7 +147,7 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
 def plan(options: TrainOptions, platform: str) -> Run:
     """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`; a ValueError names what it cannot."""
     started = time.perf_counter()
-    if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+    if jax.config.jax_enable_x64:  # type: ignore[attr-defined, unused-ignore]  # declared from JAX 0.11 on
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
     chosen = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)

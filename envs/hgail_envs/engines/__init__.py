@@ -28,7 +28,7 @@ def resolve_impl(impl: str) -> str:
       ValueError: `impl` is neither an engine's name nor `"auto"`, or the engine is not available.
     """
     check_impl(impl)
-    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # a device, a platform's name or None
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined, unused-ignore]  # a device, a name or None
     platform = jax.default_backend() if chosen is None else getattr(chosen, "platform", chosen)
     has_warp = importlib.util.find_spec("warp") is not None and platform == "gpu"
     if impl == "warp" and not has_warp:
