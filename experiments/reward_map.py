@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 
 import hgail_envs
 from experiments.figures import write_figure
-from hgail_envs.fetch.push import Push
+from hgail_envs.tasks.push import Push
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.discriminator import discriminate
 from hgail_jax.settings.defaults import platform_name, task_preset

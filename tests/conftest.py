@@ -14,7 +14,8 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 import hgail_envs  # noqa: E402
-from hgail_envs.scenes import assets_directory, load_scene  # noqa: E402
+from hgail_envs.robots.fetch import Fetch  # noqa: E402
+from hgail_envs.scenes import assets_directory  # noqa: E402
 from hgail_envs.vision.rendering import open_renderer  # noqa: E402
 from hgail_envs.workarounds import configure_xla  # noqa: E402
 
@@ -97,7 +98,7 @@ def forks(tmp_path_factory):
 def rendering():
     """Skips where MuJoCo cannot render."""
     try:
-        open_renderer(load_scene("fetch/reach"), 8, 8).close()
+        open_renderer(Fetch("reach").model, 8, 8).close()
     except RuntimeError as error:
         pytest.skip(str(error))
 

@@ -24,7 +24,7 @@ assert not at_the_end, at_the_end
 import {", ".join(FOLDERS)}
 assert {{{", ".join(f"{name}.OF" for name in FOLDERS)}}} == {{"this project"}}
 print(hgail_jax.__file__, hgail_envs.__file__, hgail_envs.scenes.assets_directory(), sep="\\n")
-print(hgail_envs.scenes.load_scene("fetch/reach").nv)
+print(hgail_envs.make("reach").model.nv)
 
 from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax import PPO, Config, Hyperparameters, init_state, make, phase_table, train_step
@@ -107,7 +107,7 @@ def test_a_source_distribution_holds_what_its_readme_needs(source_distribution):
     readme = (ROOT / "README.md").read_text()
     links = set(re.findall(r"(?:\]\(|src=\"|href=\")(?!https?:)([^)\"#]+)", readme))
     assert {"docs/images/policies.webp", "docs/getting-started.md", "CITATION.cff"} <= links
-    needed = links | {"Makefile", "requirements.lock", "pyproject.toml", "LICENSE", "assets/fetch/reach.xml"}
+    needed = links | {"Makefile", "requirements.lock", "pyproject.toml", "LICENSE", "assets/scenes/reach.xml"}
     held = source_distribution | {folder for name in source_distribution for folder in parents(name)}
     assert needed <= held, needed - held
 

@@ -34,7 +34,7 @@ BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("bu
 EVALUATE, GOALS = "tests/hgail_jax/cli/test_evaluate.py", "tests/hgail_envs/test_goals.py"
 LAYOUT = "tests/hgail_envs/test_layout.py"
 MODEL, GRASP, OBJECTS, OBJECT_PARITY, CUBES, STACK, TOWER = (
-    f"tests/hgail_envs/fetch/test_{name}.py"
+    f"tests/hgail_envs/tasks/test_{name}.py"
     for name in ("model", "grasp", "objects", "object_parity", "cubes", "stack", "tower")
 )
 
@@ -57,14 +57,14 @@ TESTS = {
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/layout": [LAYOUT],
     "envs/hgail_envs/point": [GOALS, SAMPLES],
-    "envs/hgail_envs/fetch/reach": [GOALS],
-    "envs/hgail_envs/fetch/grasp": [GOALS, MODEL, GRASP],
-    "envs/hgail_envs/fetch/objects": [OBJECTS, OBJECT_PARITY],
-    "envs/hgail_envs/fetch/push": [OBJECTS],
-    "envs/hgail_envs/fetch/pick_and_place": [OBJECTS],
-    "envs/hgail_envs/fetch/cubes": [CUBES, STACK, TOWER],
-    "envs/hgail_envs/fetch/stack": [CUBES, STACK],
-    "envs/hgail_envs/fetch/tower": [CUBES, TOWER],
+    "envs/hgail_envs/tasks/reach": [GOALS],
+    "envs/hgail_envs/tasks/grasp": [GOALS, MODEL, GRASP],
+    "envs/hgail_envs/tasks/objects": [OBJECTS, OBJECT_PARITY],
+    "envs/hgail_envs/tasks/push": [OBJECTS],
+    "envs/hgail_envs/tasks/pick_and_place": [OBJECTS],
+    "envs/hgail_envs/tasks/cubes": [CUBES, STACK, TOWER],
+    "envs/hgail_envs/tasks/stack": [CUBES, STACK],
+    "envs/hgail_envs/tasks/tower": [CUBES, TOWER],
 }
 """What is run for a module, the quickest first."""
 

@@ -13,6 +13,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from hgail_envs.robots.fetch import PARTS
+
 ROOT = Path(__file__).parent.parent.parent
 SOURCES = ROOT / "docs" / "demo"
 SITE = ROOT / ".cache" / "demo"
@@ -55,7 +57,9 @@ def build(site: Path = SITE) -> Path:
     # Compressed here, since not every host compresses WebAssembly; without a time, so that it is the same each time.
     wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()
     (vendor / "mujoco.wasm.gz").write_bytes(gzip.compress(wasm, mtime=0))
-    scenes = shutil.copytree(ROOT / "assets" / "fetch", site / "scenes")
+    scenes = shutil.copytree(ROOT / "assets" / "scenes", site / "scenes")
+    for part, file in PARTS.items():
+        shutil.copyfile(ROOT / "assets" / "robots" / file, scenes / part)
     absent = shutil.ignore_patterns(*(f"{name}.npz" for name in ABSENT))
     policies = shutil.copytree(ROOT / "assets" / "policies", site / "policies", ignore=absent)
     content = {

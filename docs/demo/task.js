@@ -1,4 +1,4 @@
-// The Fetch tasks once more: start, control, features, goals and success, as in envs/hgail_envs/fetch.
+// The Fetch tasks once more: start, control, features, goals and success, as in envs/hgail_envs/tasks.
 // A test holds them to Python's. Positions are metres in the world's frame, times seconds.
 
 export const PERIOD = 0.04; // between two actions

@@ -85,8 +85,10 @@ class GoalEnv(HasLayouts, Env):
     control_period: float = 0.04
     """Seconds between two actions, at which an episode is played."""
     scene: str | None = None
-    """Name of the MJCF scene in `assets/`, e.g. `"fetch/reach"`; None for a task that cannot be rendered. The physics
+    """Name of the MJCF scene in `assets/scenes/`, e.g. `"reach"`; None for a task that cannot be rendered. The physics
     of a task with a scene have `qpos`, and its goals begin with the target's position, metres, world frame."""
+    robot: Any = None
+    """The `hgail_envs.robots.base.Robot` in its scene; None for a task without a scene."""
     target_body: str | None = None
     """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
     reference: str | None = None

@@ -16,7 +16,7 @@ from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
 _SAME = (
     *("goal_size", "goal_layout", "action_size", "action_layout"),
     *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps"),
-    *("observation_limit", "control_period", "scene", "target_body", "reference", "training"),
+    *("observation_limit", "control_period", "scene", "robot", "target_body", "reference", "training"),
 )
 """Attributes that the randomised task copies."""
 

@@ -10,13 +10,13 @@ from hgail_envs.base import GoalEnv
 
 _ROWS = {  # class, imported when it is made, and the steps of an episode, which Gymnasium must know before
     "point": ("hgail_envs.point:Point", 50),
-    "reach": ("hgail_envs.fetch.reach:Reach", 50),
-    "grasp": ("hgail_envs.fetch.grasp:Grasp", 50),
-    "push": ("hgail_envs.fetch.push:Push", 50),
-    "pick-and-place": ("hgail_envs.fetch.pick_and_place:PickAndPlace", 50),
-    "slide": ("hgail_envs.fetch.slide:Slide", 50),
-    "stack": ("hgail_envs.fetch.stack:Stack", 100),
-    "tower": ("hgail_envs.fetch.tower:Tower", 200),
+    "reach": ("hgail_envs.tasks.reach:Reach", 50),
+    "grasp": ("hgail_envs.tasks.grasp:Grasp", 50),
+    "push": ("hgail_envs.tasks.push:Push", 50),
+    "pick-and-place": ("hgail_envs.tasks.pick_and_place:PickAndPlace", 50),
+    "slide": ("hgail_envs.tasks.slide:Slide", 50),
+    "stack": ("hgail_envs.tasks.stack:Stack", 100),
+    "tower": ("hgail_envs.tasks.tower:Tower", 200),
 }
 
 TASKS = {task: place for task, (place, _) in _ROWS.items()}

@@ -1,5 +1,9 @@
-"""Finds and loads the MJCF scenes, in a checkout and in an installed wheel alike."""
+"""Scenes: a table and objects around a robot, as MJCF, and pictures of them.
 
+They are found in a checkout and in an installed wheel alike.
+"""
+
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +12,9 @@ import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.vision.rendering import open_renderer
+
+TABLE_HEIGHT = 0.4
+"""Metres from the floor to the table's top, in every scene."""
 
 _CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
 _SIZE = (480, 640)  # height, width
@@ -21,13 +28,16 @@ def assets_directory() -> Path:
     return installed if installed.is_dir() else package.parent.parent / "assets"
 
 
-def load_scene(name: str, visual: bool = False) -> mujoco.MjModel:
-    """Compiles the scene `assets/<name>.xml`, e.g. `"fetch/reach"`; `visual` keeps geoms without an effect."""
-    spec = mujoco.MjSpec.from_file(str(assets_directory() / f"{name}.xml"))
-    if not visual:
-        for geom in [geom for geom in spec.geoms if geom.group == _VISUAL_GROUP]:
-            spec.delete(geom)
-    return spec.compile()
+def read_scene(name: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
+    """Reads the scene `assets/scenes/<name>.xml`, with the files of a robot that it includes, by their names there."""
+    return mujoco.MjSpec.from_file(str(assets_directory() / "scenes" / f"{name}.xml"), include=parts)
+
+
+def without_visuals(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Returns a scene without the geoms that have no effect."""
+    for geom in [geom for geom in spec.geoms if geom.group == _VISUAL_GROUP]:
+        spec.delete(geom)
+    return spec
 
 
 def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
@@ -44,7 +54,7 @@ class SceneView:
     def __init__(self, env: GoalEnv, render_mode: str | None) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {render_mode!r}; it must be None or 'rgb_array'")
-        if render_mode is not None and env.scene is None:
+        if render_mode is not None and env.robot is None:
             raise ValueError("the task has no scene to show")
         self._env = env
         self._renderer: mujoco.Renderer | None = None
@@ -70,9 +80,9 @@ class SceneView:
 
 def open_scene(env: GoalEnv) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Returns a task's scene with its visual geoms; the target's marker is hidden where a body is the target."""
-    if env.scene is None:
+    if env.robot is None:
         raise ValueError("the task has no scene to show")
-    model = load_scene(env.scene, visual=True)
+    model = env.robot.load(visual=True)
     if env.target_body is not None:
         model.site("target").rgba[3] = 0.0
     return model, mujoco.MjData(model)

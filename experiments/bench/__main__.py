@@ -17,7 +17,7 @@ from experiments.bench.whole_runs import measure_compilation, measure_time_to_su
 from experiments.bench.workload import Workload, default_preset, default_substeps
 from hgail_envs import TASKS, find_class
 from hgail_envs.engines import ENGINES
-from hgail_envs.fetch.arm import FetchEnv
+from hgail_envs.tasks.arm import ArmEnv
 from hgail_envs.validation import check_count, check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.io.provenance import provenance
@@ -90,7 +90,7 @@ def _check(options: Options) -> None:
     if options.run and not _OF_WHOLE_RUNS & set(options.section):
         raise ValueError(f"--run is for --section {' and '.join(sorted(_OF_WHOLE_RUNS))}")
     for task in options.task:
-        check_name("task", task, [name for name in TASKS if issubclass(find_class(name), FetchEnv)])
+        check_name("task", task, [name for name in TASKS if issubclass(find_class(name), ArmEnv)])
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
     for name in ("seeds", "num_envs", "substeps"):

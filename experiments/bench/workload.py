@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 import hgail_envs
-from hgail_envs.fetch.arm import FetchEnv
+from hgail_envs.tasks.arm import ArmEnv
 from hgail_jax.devices.compilation import compile_program
 from hgail_jax.settings.defaults import platform_name, task_preset
 from hgail_jax.settings.presets import FEW_UPDATES, Preset
@@ -51,11 +51,11 @@ class Workload:
     """Environments that a device steps at once; None is `num_envs`."""
 
     @functools.cached_property
-    def env(self) -> FetchEnv:
+    def env(self) -> ArmEnv:
         """The task."""
         physics = {"impl": self.impl, "substeps": self.substeps, "worlds": self.worlds or self.num_envs}
         env = hgail_envs.make(self.task, **{**self.preset.task_options, **physics})
-        assert isinstance(env, FetchEnv)
+        assert isinstance(env, ArmEnv)
         if self.quick:
             env.episode_length = _QUICK_EPISODE
         return env

@@ -16,7 +16,7 @@ from experiments.parity.reference import (
     open_loop_ends,
     random_moves,
 )
-from hgail_envs.fetch.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS
+from hgail_envs.tasks.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import check_writable, write_json
 from hgail_jax.io.provenance import provenance

@@ -9,8 +9,8 @@ import jax
 import mujoco
 import numpy as np
 
-from hgail_envs.fetch.arm import FetchEnv, FetchPhysics
-from hgail_envs.fetch.reference import make_reference
+from hgail_envs.tasks.arm import ArmEnv, ArmPhysics
+from hgail_envs.tasks.reference import make_reference
 
 _LONGER_THAN_ANY = 10_000  # steps
 _NAMES = {
@@ -25,7 +25,7 @@ _NAMES = {
 }
 
 
-def make_counterpart(env: FetchEnv) -> Any:
+def make_counterpart(env: ArmEnv) -> Any:
     """Returns the reference environment of a task, without wrappers and time limit."""
     return make_reference(str(env.reference), max_episode_steps=_LONGER_THAN_ANY).unwrapped
 
@@ -43,7 +43,7 @@ def joint_indices(model: mujoco.MjModel, theirs: mujoco.MjModel) -> tuple[np.nda
     return np.array(qpos), np.array(qvel)
 
 
-def place(env: FetchEnv, reference: Any, qpos: np.ndarray, qvel: np.ndarray) -> FetchPhysics:
+def place(env: ArmEnv, reference: Any, qpos: np.ndarray, qvel: np.ndarray) -> ArmPhysics:
     """Returns the task's physics, `[N, ...]`, with the positions and velocities of `N` states of the reference."""
     of_qpos, of_qvel = joint_indices(env.model, reference.model)
     return jax.jit(jax.vmap(env.place))(np.float32(qpos[:, of_qpos]), np.float32(qvel[:, of_qvel]))
@@ -95,7 +95,7 @@ def random_moves(reference: Any, seed: int = 0) -> Moves:
     return Moves(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
-def one_step_errors(env: FetchEnv, reference: Any, moves: Moves) -> np.ndarray:
+def one_step_errors(env: ArmEnv, reference: Any, moves: Moves) -> np.ndarray:
     """Returns the errors of the gripper's displacements beside the reference's, `[N]`, metres."""
     physics = place(env, reference, moves.qpos, moves.qvel)
     following = _step(env)(physics, moves.action)
@@ -118,7 +118,7 @@ def open_loop_ends(reference: Any, seed: int = 1) -> tuple[np.ndarray, np.ndarra
     return actions, np.stack(ends)
 
 
-def open_loop_drift(env: FetchEnv, actions: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def open_loop_drift(env: ArmEnv, actions: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Returns the distances from the reference's final positions after actions without feedback, `[N]`, metres."""
     step, states = _step(env), jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), len(ends)))
     physics = states.pipeline_state
@@ -127,8 +127,8 @@ def open_loop_drift(env: FetchEnv, actions: np.ndarray, ends: np.ndarray) -> np.
     return np.linalg.norm(np.asarray(physics.gripper_position) - ends, axis=-1)
 
 
-def _step(env: FetchEnv) -> Any:
-    def step(physics: FetchPhysics, action: jax.Array) -> FetchPhysics:
+def _step(env: ArmEnv) -> Any:
+    def step(physics: ArmPhysics, action: jax.Array) -> ArmPhysics:
         return env.step_physics(physics, action)
 
     return jax.jit(jax.vmap(step))

@@ -10,9 +10,9 @@ import numpy as np
 from experiments.transfer.conditions import Conditions, MeanAction
 from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics, find_class
-from hgail_envs.fetch import episode
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
+from hgail_envs.tasks import episode
 
 
 def run_episode(
@@ -125,7 +125,7 @@ def _derive(model: mujoco.MjModel, object_mass: float) -> None:
 
 
 def tracks_cube(policy: MeanAction) -> bool:
-    """Returns whether a policy observes the cube at each step; see `hgail_envs.fetch.grasp.Grasp`."""
+    """Returns whether a policy observes the cube at each step; see `hgail_envs.tasks.grasp.Grasp`."""
     return getattr(policy, "task_options", {}).get("cube") == "tracked"
 
 

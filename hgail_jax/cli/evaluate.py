@@ -12,8 +12,8 @@ import numpy as np
 import hgail_envs
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.engines import ENGINES
-from hgail_envs.fetch.reference import ReferenceFetch, reference_episode
 from hgail_envs.past import Past
+from hgail_envs.tasks.reference import ReferenceFetch, reference_episode
 from hgail_envs.validation import check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, randomization

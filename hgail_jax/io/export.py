@@ -10,10 +10,11 @@ import jax.export
 import jax.numpy as jnp
 import numpy as np
 
-from hgail_envs.fetch.arm import TABLE_HEIGHT, FetchEnv
 from hgail_envs.layout import FRAMES, Layout
 from hgail_envs.quantities import Description, describe
 from hgail_envs.registry import TASKS, make
+from hgail_envs.scenes import TABLE_HEIGHT
+from hgail_envs.tasks.arm import ArmEnv
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, NORM_EPSILON, MeanPolicy
@@ -133,7 +134,7 @@ def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[
     of_class = trusted or policy.task in TASKS  # code that only the file chose is not run
     env = make(policy.task, **policy.task_options) if of_class else None
     place = {} if env is None else {"control_period": env.control_period}
-    if isinstance(env, FetchEnv):
+    if isinstance(env, ArmEnv):
         place |= {"start": env.initial_gripper_position.tolist(), "table_height": TABLE_HEIGHT}
     seen = [
         {**row, "mean": float(mean), "std": float(std)}

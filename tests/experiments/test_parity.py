@@ -8,7 +8,7 @@ import pytest
 from gymnasium_robotics.utils import mujoco_utils
 
 from experiments.parity import __main__ as parity
-from hgail_envs.fetch.reference import make_reference
+from hgail_envs.tasks.reference import make_reference
 
 
 def test_rows_are_written_with_what_made_them(tmp_path, monkeypatch):

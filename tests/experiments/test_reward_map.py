@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments import reward_map
-from hgail_envs.fetch.push import Push
+from hgail_envs.tasks.push import Push
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.discriminator import discriminate
 from hgail_jax.learners import TD3

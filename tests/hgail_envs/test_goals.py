@@ -13,9 +13,9 @@ from scipy.stats import kstest, uniform
 
 import hgail_envs
 from hgail_envs.base import EpisodeMetrics, GoalEnv, TrainingDefaults
-from hgail_envs.fetch.arm import FetchEnv
-from hgail_envs.fetch.grasp import is_held
 from hgail_envs.point import Point
+from hgail_envs.tasks.arm import ArmEnv
+from hgail_envs.tasks.grasp import is_held
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -249,7 +249,7 @@ def test_scripted_controllers_have_names(tasks):
 
 
 def test_all_tasks_of_the_arm_take_the_same_options_before_their_own():
-    shared = tuple(inspect.signature(FetchEnv).parameters)
+    shared = tuple(inspect.signature(ArmEnv).parameters)
     for task in ("reach", "grasp", "push", "pick-and-place", "slide", "stack", "tower"):
         assert hgail_envs.accepted_options(task)[: len(shared)] == shared
     slide = hgail_envs.find_class("slide")("auto", 5, achieved="passed")
@@ -271,7 +271,7 @@ def test_actions_pull_the_gripper_and_command_the_hand(tasks, starts):
         step, state = jax.jit(jax.vmap(tasks[name].step)), one
         for _ in range(3):
             state = step(state, action)
-        gap = state.pipeline_state.qpos[:, tasks[name]._finger_qpos].sum(axis=-1)
+        gap = state.pipeline_state.qpos[:, tasks[name].robot._finger_qpos].sum(axis=-1)
         moved = state.obs[:, :3] - one.obs[:, :3]
         np.testing.assert_array_equal(np.argmax(moved[1:4], axis=-1), [0, 1, 2])
         assert (moved[[1, 2, 3], [0, 1, 2]] > 0.03).all()
@@ -346,7 +346,7 @@ def test_a_cube_is_held_where_both_pads_touch_it_and_the_gap_is_its_width(tasks,
     cases += (((1.0, 1.0), 0.0585, 0), ((1.0, 0.0), 0.05, 0), ((0.0, 1.0), 0.05, 0), ((1.0, 1.0), 0.07, 0))
     for touch, gap, held in cases:
         placed = physics.replace(
-            qpos=physics.qpos.at[env._finger_qpos].set(jnp.array([0.4, 0.6]) * gap), sensordata=jnp.array(touch)
+            qpos=physics.qpos.at[env.robot._finger_qpos].set(jnp.array([0.4, 0.6]) * gap), sensordata=jnp.array(touch)
         )
         assert env.gap(placed) == pytest.approx(gap, rel=1e-5)
         assert env.holding(placed) == held
@@ -377,7 +377,7 @@ def test_grasp_s_goal_test_is_that_of_the_physics(tasks, starts):
     physics = jax.tree.map(lambda leaf: leaf[:count], starts["grasp"][0].pipeline_state)
     held, wanted = rng.integers(2, size=(2, count, 1)).astype(np.float32)
     qpos = physics.qpos.copy()
-    qpos[:, env._finger_qpos] = 0.025 * held
+    qpos[:, env.robot._finger_qpos] = 0.025 * held
     physics = physics.replace(qpos=qpos, sensordata=held * np.ones_like(physics.sensordata))
     shift = rng.normal(scale=0.03, size=(count, 3))
     goals = np.concatenate([physics.gripper_position + shift, wanted], axis=1).astype(np.float32)
@@ -395,7 +395,7 @@ def test_a_grasp_succeeds_where_the_cube_is_touched_and_rises(tasks, starts):
     end = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), starts["grasp"][0])
     physics = end.pipeline_state
     for touch in (0.0, 1.0):
-        fingers = physics.qpos.at[env._finger_qpos].set(0.025)
+        fingers = physics.qpos.at[env.robot._finger_qpos].set(0.025)
         last = physics.replace(qpos=fingers, sensordata=jnp.full(2, touch))
         for rise in (-0.2, 0.0, 0.045, 0.055, 0.3):
             lifted = last.replace(qpos=fingers.at[15].add(rise).at[13].add(0.1), gripper_position=jnp.zeros(3))

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hgail_envs
 from hgail_envs.registry import GYMNASIUM_IDS
-from hgail_envs.scenes import load_scene
+from hgail_envs.robots.fetch import Fetch
 from hgail_envs.single import GoalSingleEnv
 from hgail_envs.vector import GoalVectorEnv
 from hgail_envs.vision.rendering import RenderingError, open_renderer
@@ -26,7 +26,7 @@ LENGTH = 50  # steps of the point's episodes
 @pytest.fixture(scope="module")
 def renders():
     try:
-        open_renderer(load_scene("fetch/reach"), 8, 8).close()
+        open_renderer(Fetch("reach").model, 8, 8).close()
     except RenderingError as error:
         pytest.skip(str(error))
 

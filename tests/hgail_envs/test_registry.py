@@ -9,10 +9,10 @@ import pytest
 
 import hgail_envs
 from hgail_envs.engines import ENGINES
-from hgail_envs.fetch.push import Push
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import randomize
-from hgail_envs.scenes import load_scene
+from hgail_envs.robots.fetch import Fetch
+from hgail_envs.tasks.push import Push
 
 
 @pytest.mark.parametrize(
@@ -23,8 +23,8 @@ from hgail_envs.scenes import load_scene
         ("hgail_envs.point:", {}, "unknown task 'hgail_envs.point:'; choose from"),
         (None, {}, "task is None; it must be a name, one of point, reach"),
         ("no.such.module:Task", {}, "cannot load task"),
-        ("hgail_envs.fetch.arm:CONTROL_PERIOD", {}, "not a GoalEnv"),
-        ("hgail_envs.fetch.arm:Lift", {}, "cannot load task"),
+        ("hgail_envs.tasks.arm:CONTROL_PERIOD", {}, "not a GoalEnv"),
+        ("hgail_envs.tasks.arm:Lift", {}, "cannot load task"),
         ("point", {"substeps": 4}, "no option 'substeps'; it takes none"),
         ("reach", {"steps": 4}, "no option 'steps'; it takes impl, substeps, worlds"),
         ("reach", {"substeps": 3}, "substeps is 3; it must be at least 4"),
@@ -85,9 +85,9 @@ def made():
     return {task: hgail_envs.make(task) for task in hgail_envs.TASKS}
 
 
-@pytest.mark.parametrize("scene", ["fetch/reach", "fetch/grasp"])
+@pytest.mark.parametrize("scene", ["reach", "grasp"])
 def test_pictures_change_no_dynamics(scene):
-    physics, pictures = load_scene(scene), load_scene(scene, visual=True)
+    physics, pictures = Fetch(scene).load(), Fetch(scene).load(visual=True)
     assert pictures.ngeom > physics.ngeom
     np.testing.assert_array_equal(physics.body_mass, pictures.body_mass)
     np.testing.assert_array_equal(physics.body_inertia, pictures.body_inertia)

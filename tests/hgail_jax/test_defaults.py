@@ -8,8 +8,8 @@ import pytest
 import hgail_envs
 from experiments import RESULTS
 from hgail_envs.base import TrainingDefaults
-from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
+from hgail_envs.tasks.reach import Reach
 from hgail_jax import METHODS, PRESETS, Hyperparameters, TrainOptions
 from hgail_jax.config import OF_TD3
 from hgail_jax.evaluate import whole_rollouts

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hgail_envs.base import TrainingDefaults
-from hgail_envs.fetch.push import Push
 from hgail_envs.point import Point
+from hgail_envs.tasks.push import Push
 from hgail_jax import METHODS, PPO, PRESETS, TD3, Config, Hyperparameters, Preset, phase_table
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.play.recording import record
@@ -221,7 +221,7 @@ class OwnSizes(Push):
         ("reach", "hgail", "parallel", None, "ppo"),
         ("reach", "her", "parallel", None, "td3"),
         ("reach", "hgail", "parallel", "td3", "td3"),
-        ("hgail_envs.fetch.grasp:Grasp", "gail-demo", "parallel", None, "ppo"),
+        ("hgail_envs.tasks.grasp:Grasp", "gail-demo", "parallel", None, "ppo"),
         ("tests.hgail_jax.test_methods:HeavyPush", "hgail", "parallel", None, "td3"),
         ("tests.hgail_jax.test_methods:OwnSizes", "hgail", "parallel", None, "ppo"),
     ],

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hgail_envs.fetch.reach import Reach
 from hgail_envs.point import Point
+from hgail_envs.tasks.reach import Reach
 from hgail_jax import rollout
 
 NUM_ENVS = 16

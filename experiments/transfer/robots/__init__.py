@@ -8,11 +8,11 @@ import numpy as np
 
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.robots.servo_arm import Franka, UR5e
-from hgail_envs.fetch import reference
+from hgail_envs.tasks import reference
 
 
 class GymnasiumFetch(reference.ReferenceFetch, Robot):
-    """Gymnasium-Robotics' Fetch, on C MuJoCo with its own meshes; see `hgail_envs.fetch.reference.ReferenceFetch`."""
+    """Gymnasium-Robotics' Fetch, on C MuJoCo with its own meshes; see `hgail_envs.tasks.reference.ReferenceFetch`."""
 
     name = "Fetch, Gymnasium-Robotics on C MuJoCo"
     extra = "compare"

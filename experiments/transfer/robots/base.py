@@ -82,7 +82,7 @@ class Robot(abc.ABC):
     def features(self) -> np.ndarray:
         """Returns the observation without the goal, in the Fetch's units.
 
-        That is `[6]` as in `hgail_envs.fetch.reach.Reach`, `[8]` as in `hgail_envs.fetch.grasp.Grasp`, and so on.
+        That is `[6]` as in `hgail_envs.tasks.reach.Reach`, `[8]` as in `hgail_envs.tasks.grasp.Grasp`, and so on.
         """
 
     @abc.abstractmethod

@@ -6,10 +6,10 @@ which an action lasts `CONTROL_PERIOD`.
 
 import numpy as np
 
-from hgail_envs.fetch.arm import LEAD
-from hgail_envs.fetch.grasp import WIDEST_GAP
+from hgail_envs.robots.fetch import LEAD
+from hgail_envs.tasks.grasp import WIDEST_GAP
 
-# The weld of assets/fetch/robot.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
+# The weld of assets/robots/fetch.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
 # as the gripper drags the arm along; this constant fits the reference.
 _TIME_CONSTANT = 0.0203  # seconds
 _SLACK = 0.003  # metres, most distance between the gripper and its reference, which bounds its push on obstacles

@@ -9,15 +9,17 @@ import numpy as np
 from experiments.transfer.robots.arms import FRANKA, UR5E, Arm
 from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
-from hgail_envs.fetch import grasp
-from hgail_envs.fetch.arm import CONTROL_PERIOD, LEAST_DISTANCE, REFERENCE_SUBSTEPS, TABLE_HEIGHT, settle
-from hgail_envs.fetch.pick_and_place import HIGHEST
-from hgail_envs.fetch.reach import GOAL_RANGE
 from hgail_envs.registry import find_class
-from hgail_envs.scenes import load_scene
+from hgail_envs.robots.base import CONTROL_PERIOD, REFERENCE_SUBSTEPS
+from hgail_envs.robots.fetch import Fetch
+from hgail_envs.scenes import TABLE_HEIGHT
+from hgail_envs.tasks import grasp
+from hgail_envs.tasks.arm import LEAST_DISTANCE
+from hgail_envs.tasks.pick_and_place import HIGHEST
+from hgail_envs.tasks.reach import GOAL_RANGE
 from hgail_envs.validation import check_count
 
-_SCENES = {"reach": "fetch/reach", "grasp": "fetch/grasp", "pick-and-place": "fetch/grasp"}
+_SCENES = {"reach": "reach", "grasp": "grasp", "pick-and-place": "grasp"}
 _SERVO_STEPS = 4  # physics steps, 8 ms, between two commands to the servos
 _SETTLE_STEPS = 1000  # physics steps
 _MOST_SLOWDOWN = 100  # actions of 4 s
@@ -83,7 +85,7 @@ class ServoArm(Robot):
             raise ValueError(f"start_open is {start_open!r}; it must be true or false")
         self.task, self.slowdown = task, arm.slowdown if slowdown is None else slowdown
         self.starts_closed = task == "reach" or not start_open
-        start = settle(load_scene(_SCENES[task])).site("grip").xpos
+        start = Fetch(_SCENES[task]).settle().site("grip").xpos
         self.offset = np.array([*(start[:2] - arm.workspace), TABLE_HEIGHT])  # its own table's top is at 0
         self._start = start - self.offset
         self.model = load_cell(arm, cube=task != "reach")

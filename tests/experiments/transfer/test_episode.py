@@ -6,8 +6,8 @@ import pytest
 import hgail_envs
 from experiments.transfer.conditions import Conditions, NoisyEstimate
 from experiments.transfer.episode import run_episode, run_episodes
-from hgail_envs.fetch.grasp import LEAST_RISE
 from hgail_envs.randomization import Randomization
+from hgail_envs.tasks.grasp import LEAST_RISE
 
 
 class Dot:

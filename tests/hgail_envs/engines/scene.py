@@ -5,13 +5,12 @@ import mujoco
 import numpy as np
 
 from hgail_envs.engines import Control, EngineState
-from hgail_envs.fetch.arm import settle
-from hgail_envs.scenes import load_scene
+from hgail_envs.robots.fetch import Fetch
 
 PERIOD = 0.04
 DOWNWARD = (1.0, 0.0, 1.0, 0.0)
-MODEL = load_scene("fetch/grasp")
-SETTLED = settle(MODEL)
+ROBOT = Fetch("grasp")
+MODEL, SETTLED = ROBOT.model, ROBOT.settle()
 
 
 def random_states(count, seed=0):
@@ -53,7 +52,7 @@ def engine_control(control):
 
 def step_by_hand(qpos, qvel, control, substeps, period=PERIOD):
     """Returns positions, velocities and sensors of each environment after an action, by `mujoco.mj_step`."""
-    model = load_scene("fetch/grasp")
+    model = ROBOT.load()
     model.opt.timestep = period / substeps
     ends = []
     for one_qpos, one_qvel, one_control in zip(qpos, qvel, control, strict=True):

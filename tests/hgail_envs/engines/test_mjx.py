@@ -6,7 +6,7 @@ import pytest
 
 import hgail_envs
 from hgail_envs.engines.mjx import buffer_sizes
-from hgail_envs.scenes import load_scene
+from hgail_envs.robots.fetch import Fetch
 from hgail_jax import Hyperparameters, phase_table
 from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
 from tests.support import TINY
@@ -24,7 +24,7 @@ def test_buffers_hold_what_mjx_jax_allots():
     """MJX-JAX has a row for whatever could be in contact, with four points for a pair of boxes instead of eight."""
     for task in ("reach", "grasp", "push", "stack", "tower"):
         env = hgail_envs.make(task, impl="jax")
-        sizes = buffer_sizes(load_scene(f"fetch/{task}"), worlds=3)
+        sizes = buffer_sizes(Fetch(task).model, worlds=3)
         physics = jax.eval_shape(env.reset, jax.random.key(0)).pipeline_state
         data = jax.eval_shape(lambda one, env=env: env.engine.data(one, env.control(one, np.zeros(3))), physics)
         assert sizes["njmax"] >= data._impl.efc_J.shape[0]

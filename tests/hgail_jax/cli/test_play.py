@@ -21,7 +21,7 @@ from hgail_jax.play.session import Session
 from tests.hgail_jax.test_terminal import Terminal
 from tests.support import ROOT
 
-REACH = "hgail_envs.fetch.reach:Reach"
+REACH = "hgail_envs.tasks.reach:Reach"
 
 PLAYED = "reach, grasp, push, pick-and-place, slide, stack, tower"
 """Tasks whose policies come with the package."""
@@ -207,7 +207,7 @@ def test_where_nothing_can_be_shown_one_line_says_why(environment, options, mess
 
 
 REACH_OF_ONE_S_OWN = """
-from hgail_envs.fetch.reach import Reach
+from hgail_envs.tasks.reach import Reach
 
 class Near(Reach):
     episode_length = 3

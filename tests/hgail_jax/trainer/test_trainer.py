@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.fetch.reference import make_reference
+from hgail_envs.tasks.reference import make_reference
 from hgail_jax import TD3, Checkpoints, Config, Preset, Trainer, TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.settings.defaults import DEFAULTS

@@ -8,7 +8,7 @@ from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots import GymnasiumFetch
 from experiments.transfer.robots.arms import TOOL_CENTRE
 from experiments.transfer.robots.servo_arm import Franka
-from hgail_envs.fetch.grasp import Grasp
+from hgail_envs.tasks.grasp import Grasp
 from hgail_jax.io.policy import load_policy
 from tests.experiments.transfer.robots.test_ur5e import PUSH, SIDE, check_the_gap, check_the_table_is_not_pressed
 from tests.support import move

@@ -1,0 +1,1 @@
+"""Robots: arms with a hand, each in a scene around it."""
