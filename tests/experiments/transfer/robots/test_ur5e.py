@@ -13,8 +13,8 @@ from experiments.transfer.robots.arms import TOOL_CENTRE, UR5E, load_arm
 from experiments.transfer.robots.inverse_kinematics import DownwardArm
 from experiments.transfer.robots.responses import FingerResponse, GripperResponse
 from experiments.transfer.robots.servo_arm import Franka, UR5e
-from hgail_envs.scenes import assets_directory
-from hgail_envs.tasks.arm import CONTROL_PERIOD, TABLE_HEIGHT
+from hgail_envs.scenes import TABLE_HEIGHT, assets_directory
+from hgail_envs.tasks.arm import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import Grasp
 from hgail_jax.io.policy import load_policy
 from tests.support import move
