@@ -1,7 +1,9 @@
 """Checkpoints: the whole state of a run on disk, written beside the training and checked when read.
 
 A checkpoint is a folder, `<rounds done>/state`, with `arrays.npz`, the leaves of the state, whole, and `record.json`,
-with a hash. Nothing in them is code. Orbax writes in the background, renames what is whole and removes what is old.
+with a hash. Beside the checkpoints `history.jsonl` has a line for each round; it only grows, so that a checkpoint costs
+the same after any number of rounds. Nothing in them is code. Orbax writes in the background, renames what is whole and
+removes what is old.
 """
 
 import contextlib
@@ -22,12 +24,12 @@ import orbax.checkpoint as ocp
 
 from hgail_jax.devices.sharding import is_first_process, is_key, without_keys
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the content of a checkpoint; one of another schema is refused."""
 KEPT = 3
 """Number of the last checkpoints that are kept, besides the best."""
 
-_STATE, _RECORD, _ARRAYS = "state", "record.json", "arrays.npz"
+_STATE, _RECORD, _ARRAYS, _HISTORY = "state", "record.json", "arrays.npz", "history.jsonl"
 _TEMPORARY = ".orbax-checkpoint-tmp"  # in the name of a checkpoint that is not whole
 
 # Orbax logs each write over several lines; its errors are raised as well.
@@ -43,6 +45,8 @@ class Checkpoint(NamedTuple):
     """Training state, arrays placed as the template's are."""
     record: dict
     """Record that was saved beside the state."""
+    history: list[dict]
+    """Rows that were saved with it and before it."""
     damaged: tuple[str, ...]
     """A line for each later checkpoint that could not be read."""
 
@@ -66,7 +70,8 @@ class Checkpoints:
         self.saved: int | None = None
         """Rounds done in the checkpoint saved last or restored."""
         self._run = as_json(run)
-        self._scores: dict[str, list[float]] = {}  # by rounds done
+        self._scores: dict[str, list[float]] = {}  # by rounds done, of the checkpoints that are there
+        self._history = _History(self.folder / _HISTORY)
         self._manager: ocp.CheckpointManager | None = None
         for path in map(self.path, self._rounds_on_disk()):
             if (path / "record.json").exists() or (path / "record").is_dir():
@@ -84,12 +89,15 @@ class Checkpoints:
         """Returns the folder of the checkpoint after so many rounds."""
         return self.folder / str(rounds)
 
-    def save(self, rounds: int, state: Any, record: dict, score: Sequence[float] | None) -> None:
+    def save(
+        self, rounds: int, state: Any, record: dict, score: Sequence[float] | None, history: Sequence[dict] = ()
+    ) -> None:
         """Copies a state and writes it in the background, under a name that it gets once it is whole.
 
         The state, any pytree of arrays and PRNG keys, may be donated once this returns. The checkpoint whose `score` is
         largest, in the order of tuples, is the best; one that has none never is. More `rounds` are done than in any
-        checkpoint before, and JSON can hold the record.
+        checkpoint before, and JSON can hold the record. The `history` begins with the rows saved or restored before;
+        only those after them are written.
 
         Raises:
           FloatingPointError: the state is not finite. Nothing is written.
@@ -108,10 +116,10 @@ class Checkpoints:
             with self._writing():
                 self._manager = self._manager or self._open()
                 self._manager.wait_until_finished()
-                if score is not None:
-                    self._scores[str(rounds)] = [float(value) for value in score]
+                self._history.append(history[self._history.rows :])
+                self._note(rounds, score)
                 body = {"schema": SCHEMA, "rounds": rounds, "run": self._run, "record": record}
-                body |= {"scores": self._scores, "names": list(arrays)}
+                body |= {"history": self._history.extent(), "scores": self._scores, "names": list(arrays)}
                 content = _Content(arrays, as_json(body))
                 self._manager.save(rounds, args=ocp.args.Composite(**{_STATE: content}))
         self.saved = rounds
@@ -129,12 +137,16 @@ class Checkpoints:
         for rounds in self._rounds_on_disk():
             try:
                 content = _Handler().restore(self.path(rounds) / _STATE)
+                self._refuse_another_schema(content.body["schema"])
+                history = self._history.read(content.body["history"])
+            except AnotherRunError:
+                raise
             except Exception as error:  # zipfile, numpy and json raise errors of many types
                 damaged.append(f"checkpoint {rounds} in {self.folder} is damaged: {_reason(error)}")
                 continue
             state = self._state(content, template)
             self._scores, self.saved = content.body["scores"], rounds
-            return Checkpoint(rounds, state, content.body["record"], tuple(damaged))
+            return Checkpoint(rounds, state, content.body["record"], history, tuple(damaged))
         if damaged:
             raise ValueError(f"no checkpoint can be read: {'; '.join(damaged)}")
         return None
@@ -144,12 +156,20 @@ class Checkpoints:
         names = os.listdir(self.folder) if self.folder.is_dir() else []
         return sorted((int(name) for name in names if name.isdecimal() and name == str(int(name))), reverse=True)
 
+    def _note(self, rounds: int, score: Sequence[float] | None) -> None:
+        """Adds a score to those of the checkpoints that are there."""
+        there = {str(rounds) for rounds in self._rounds_on_disk()}
+        for name in self._scores.keys() - there:
+            del self._scores[name]
+        if score is not None:
+            self._scores[str(rounds)] = [float(value) for value in score]
+
+    def _refuse_another_schema(self, schema: int) -> None:
+        if schema != SCHEMA:
+            raise AnotherRunError(f"{self.folder} has checkpoints of schema {schema}; this version reads {SCHEMA}")
+
     def _state(self, content: "_Content", template: Any) -> Any:
         """Returns the state, placed as the template's is, unless it is that of another run."""
-        if content.body["schema"] != SCHEMA:
-            raise AnotherRunError(
-                f"{self.folder} has checkpoints of schema {content.body['schema']}; this version reads {SCHEMA}"
-            )
         refuse_another_run(self.folder, content.body["run"], self._run)
         refuse_another_run(self.folder, _describe(content.arrays), _describe(jax.eval_shape(_arrays, template)))
 
@@ -195,6 +215,44 @@ class Checkpoints:
         for path in self.folder.iterdir() if self.folder.is_dir() else ():
             if _TEMPORARY in path.name:
                 shutil.rmtree(path, ignore_errors=True)
+
+
+class _History:
+    """A file of rows, a line of JSON each, that only grows: a checkpoint says how far it had got."""
+
+    def __init__(self, path: Path) -> None:
+        self.rows = 0
+        """Number of rows read or written."""
+        self._path, self._bytes, self._hash = path, 0, hashlib.sha256()
+
+    def append(self, rows: Sequence[dict]) -> None:
+        """Writes rows behind those read or written, where a killed process may have left others."""
+        if not rows:
+            return
+        text = "".join(json.dumps(row) + "\n" for row in rows).encode()
+        self._path.touch()
+        os.truncate(self._path, self._bytes)
+        try:
+            with self._path.open("ab") as file:
+                file.write(text)
+        except OSError:
+            os.truncate(self._path, self._bytes)
+            raise
+        self._hash.update(text)
+        self._bytes, self.rows = self._bytes + len(text), self.rows + len(rows)
+
+    def extent(self) -> dict:
+        """Returns the length and the hash of the file."""
+        return {"bytes": self._bytes, "sha256": self._hash.hexdigest()}
+
+    def read(self, extent: dict) -> list[dict]:
+        """Returns the rows of a former extent, behind which `append` then writes."""
+        text = self._path.read_bytes()[: extent["bytes"]] if extent["bytes"] else b""
+        if hashlib.sha256(text).hexdigest() != extent["sha256"]:
+            raise ValueError(f"{self._path.name} was altered")
+        rows = [json.loads(line) for line in text.splitlines()]
+        self.rows, self._bytes, self._hash = len(rows), len(text), hashlib.sha256(text)
+        return rows
 
 
 @dataclasses.dataclass

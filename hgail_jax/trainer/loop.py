@@ -86,6 +86,8 @@ class Progress:
     """Time spent in them."""
     saved: int = 0
     """Rounds done in the checkpoint saved last or restored; in every process the same."""
+    diverged: set[int] = dataclasses.field(default_factory=set)
+    """Settings times seeds with an update that was not finite, by index."""
 
     @property
     def rounds(self) -> int:
@@ -160,9 +162,10 @@ def begin(program: Program, untrained: TrainState, restored: Checkpoint | None =
     """Returns the progress to start from, on its devices; the first of several processes has `restored` for all."""
     progress = Progress(untrained)
     if restored is not None:
-        progress = Progress(restored.state, restored.record["history"], restored.record["seconds"])
+        progress = Progress(restored.state, restored.history, restored.record["seconds"])
     progress.history, progress.seconds = json_from_first_process([progress.history, progress.seconds])
     progress.saved = progress.rounds
+    progress.diverged = set().union(*map(_diverged, progress.history))
     states = from_first_process(progress.states)
     progress.states = states if program.mesh is None else shard(states, program.mesh)
     return progress
@@ -173,8 +176,8 @@ def save(checkpoints: Checkpoints | None, progress: Progress) -> None:
     if checkpoints is None or progress.saved == progress.rounds:
         return
     check_replicas(progress.states)
-    record = {"history": progress.history, "seconds": progress.seconds}
-    checkpoints.save(progress.rounds, replicate(progress.states), record, score=progress.score())
+    record, states = {"seconds": progress.seconds}, replicate(progress.states)
+    checkpoints.save(progress.rounds, states, record, progress.score(), progress.history)
     progress.saved = progress.rounds
 
 
@@ -206,8 +209,11 @@ def round_record(metrics: RoundMetrics, index: int, steps: int, seconds: float) 
 
 def diverged_seeds(program: Program, progress: Progress) -> list[str]:
     """Returns the names of the seeds with an update that was not finite."""
-    rates = np.array([row["diverged_rate"] for row in progress.history], float)
-    return [program.label(int(index)) for index in np.flatnonzero((rates > 0).any(axis=0))] if rates.size else []
+    return [program.label(index) for index in sorted(progress.diverged)]
+
+
+def _diverged(record: dict[str, Any]) -> set[int]:
+    return {index for index, rate in enumerate(record["diverged_rate"]) if rate}
 
 
 def _record(progress: Progress, measured: RoundMetrics, steps: int, started: float) -> None:
@@ -219,6 +225,7 @@ def _record(progress: Progress, measured: RoundMetrics, steps: int, started: flo
         raise type(error)(f"{error} in round {index}") from None
     progress.seconds = time.perf_counter() - started
     progress.history.append(round_record(metrics, index, steps, progress.seconds))
+    progress.diverged |= _diverged(progress.history[-1])
 
 
 def _beginning(program: Program, progress: Progress) -> str:
@@ -232,11 +239,11 @@ def _beginning(program: Program, progress: Progress) -> str:
 def _status(program: Program, progress: Progress) -> str:
     """Returns the status after a round: with the time, even in hours, it fits a terminal's line."""
     last = progress.history[-1]
-    success, diverged = _mean(last["success_rate"]), diverged_seeds(program, progress)
+    success = _mean(last["success_rate"])
     rate = last["env_steps"] * program.seeds * len(program.settings) / progress.seconds
     said = [f"round {last['round']}/{program.config.rounds}"]
     said += [] if success is None else [f"success {success:.3f}"]
-    said += [f"{len(diverged)} diverged"] if diverged else []
+    said += [f"{len(progress.diverged)} diverged"] if progress.diverged else []
     said += [f"{tqdm.format_sizeof(rate)} env steps/s"] if rate else []
     return ", ".join(said)
 

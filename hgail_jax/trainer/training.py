@@ -89,7 +89,7 @@ def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) 
     remove_partial_files(folder.path)
     if not (folder.path / "config.json").exists():
         write_json(folder.path / "config.json", settings)
-    history = folder.restored.record["history"] if folder.restored else []
+    history = folder.restored.history if folder.restored else []
     for name in run.loggers if is_first_process() else ():
         folder.loggers.append(LOGGERS[name](folder.path, run, settings, history))
     summary = _train(run, folder, stop or threading.Event())

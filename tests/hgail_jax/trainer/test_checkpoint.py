@@ -42,18 +42,23 @@ def save_small(folder, count, scores=None):
     with Checkpoints(folder, RUN) as checkpoints:
         for rounds in range(1, count + 1):
             score = scores[rounds - 1] if scores else (0.0,)
-            checkpoints.save(rounds, small_state(rounds), {"rows": [rounds, 0.1, None]}, score)
+            checkpoints.save(rounds, small_state(rounds), {"rows": [rounds, 0.1, None]}, score, history(rounds))
+
+
+def history(rounds):
+    return [{"round": index, "values": [index / 3, None]} for index in range(rounds)]
 
 
 def kept(folder):
-    """The rounds of the checkpoints in a folder, in which there is nothing else."""
-    return sorted(int(path.name) for path in folder.iterdir())
+    """The rounds of the checkpoints in a folder, in which there is nothing else but their history."""
+    return sorted(int(path.name) for path in folder.iterdir() if path.name != "history.jsonl")
 
 
 def test_a_state_comes_back_as_it_was(tmp_path):
     save_small(tmp_path, 2)
     read = Checkpoints(tmp_path, RUN).restore(jax.eval_shape(small_state))
     assert (read.rounds, read.record, read.damaged) == (2, {"rows": [2, 0.1, None]}, ())
+    assert read.history == history(2)
     assert_same(read.state, small_state(2))
     assert jnp.issubdtype(read.state["key"].dtype, jax.dtypes.prng_key)
 
@@ -118,9 +123,9 @@ def test_a_state_of_another_shape_or_another_schema_is_refused(tmp_path, monkeyp
         Checkpoints(tmp_path, RUN).restore(small_state())
 
 
-def flip(file):
+def flip(file, at=None):
     content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
+    content[len(content) // 2 if at is None else at] ^= 1
     file.write_bytes(content)
 
 
@@ -132,6 +137,10 @@ def record_of(path):
     return path / "state" / "record.json"
 
 
+def history_of(path):
+    return path.parent / "history.jsonl"
+
+
 DAMAGE = {
     "arrays cut off": lambda path: os.truncate(arrays_of(path), arrays_of(path).stat().st_size // 2),
     "arrays empty": lambda path: os.truncate(arrays_of(path), 0),
@@ -141,6 +150,8 @@ DAMAGE = {
     "no record": lambda path: record_of(path).unlink(),
     "a bit of the record": lambda path: flip(record_of(path)),
     "an altered record": lambda path: record_of(path).write_text(record_of(path).read_text().replace("rows", "cows")),
+    "a history cut off": lambda path: os.truncate(history_of(path), history_of(path).stat().st_size - 1),
+    "a bit of the last row": lambda path: flip(history_of(path), -3),
     "no record but a number": lambda path: record_of(path).write_text("7"),
     "deep nesting": lambda path: record_of(path).write_text("[" * 100_000),
 }
@@ -163,10 +174,44 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(tmp_path, capfd, dama
     assert f"checkpoint 3 in {tmp_path} is damaged" in read.damaged[0]
     assert "\n" not in read.damaged[0]
     assert_same(read.state, small_state(2))
+    assert read.history == history(2)
     assert capfd.readouterr().err == ""
     with checkpoints:
-        checkpoints.save(3, small_state(30), {}, (0.0,))
-    assert_same(Checkpoints(tmp_path, RUN).restore(small_state()).state, small_state(30))
+        checkpoints.save(3, small_state(30), {}, (0.0,), [*history(2), {"round": "again"}])
+    read = Checkpoints(tmp_path, RUN).restore(small_state())
+    assert_same(read.state, small_state(30))
+    assert read.history == [*history(2), {"round": "again"}]
+
+
+def test_a_checkpoint_costs_the_same_after_any_number_of_rounds(tmp_path):
+    """In bytes: of its own files, and of those added to the history."""
+    own, lines = [], []
+    with Checkpoints(tmp_path, RUN) as checkpoints:
+        for rounds in range(100, 161):
+            checkpoints.save(rounds, small_state(), {}, (0.5, -0.1), history(rounds))
+            lines.append(history_of(tmp_path / "100").stat().st_size)
+    for path in (tmp_path / "158", tmp_path / "160"):
+        own.append(record_of(path).stat().st_size)
+    assert own[0] == own[1] < 3_000
+    assert max(np.diff(lines)) < 60
+    assert Checkpoints(tmp_path, RUN).restore(small_state()).history == history(160)
+
+
+def test_what_a_killed_process_wrote_behind_the_last_checkpoint_is_cut_off(tmp_path):
+    save_small(tmp_path, 2)
+    for written in ('{"round": 2, "values": [0', '{"round": 2}\n'):
+        with history_of(tmp_path / "2").open("a") as file:
+            file.write(written)
+        checkpoints = Checkpoints(tmp_path, RUN)
+        read = checkpoints.restore(small_state())
+        assert (read.rounds, read.history, read.damaged) == (2, history(2), ())
+    with checkpoints:
+        checkpoints.save(3, small_state(3), {}, (0.0,), history(3))
+    assert Checkpoints(tmp_path, RUN).restore(small_state()).history == history(3)
+    for rounds in (1, 2, 3):
+        shutil.rmtree(tmp_path / str(rounds))
+    save_small(tmp_path, 1)  # killed before its first checkpoint, a run begins anew
+    assert Checkpoints(tmp_path, RUN).restore(small_state()).history == history(1)
 
 
 def test_where_all_are_damaged_it_says_so(tmp_path):

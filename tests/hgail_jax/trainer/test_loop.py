@@ -60,7 +60,7 @@ def start(of):
 
 
 def saved(folder):
-    return sorted(int(path.stem) for path in folder.iterdir())
+    return sorted(int(path.name) for path in folder.iterdir() if path.is_dir())
 
 
 def test_a_round_in_which_every_episode_broke_is_never_the_best(tmp_path):
