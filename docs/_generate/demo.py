@@ -31,6 +31,28 @@ _VENDOR = {
     "RoundedBoxGeometry.js": "three/examples/jsm/geometries/RoundedBoxGeometry.js",
     "LICENSE-three": "three/LICENSE",
 }
+# MuJoCo's bindings make functions of text, which a strict content security policy refuses; these do the same.
+_OF_TEXT = {
+    "      var invokerFn = new Function(...args, invokerFnBody)(...closureArgs);\n": """\
+      var types = argTypes.slice(isClassMethodFunc ? 1 : 2);
+      var invokerFn = function (...given) {
+        checkArgCount(given.length, minArgs, expectedArgCount, humanName, throwBindingError);
+        var destructors = needsDestructorStack ? [] : null, values = isClassMethodFunc ? [this, ...given] : given;
+        var wired = types.map((type, index) => type.toWireType(destructors, values[index]));
+        var returned = cppInvokerFunc(cppTargetFunc, ...wired);
+        if (needsDestructorStack) runDestructors(destructors);
+        else types.forEach((type, index) => type.destructorFunction?.(wired[index]));
+        if (returns) return argTypes[0].fromWireType(returned);
+      };
+""",
+    "      var invokerFunction = new Function(...params, functionBody)(...args);\n": """\
+      var invokerFunction = function (obj, func, destructorsRef, at) {
+        var values = types.map((type) => [type.readValueFromPointer(at), (at += type.argPackAdvance)][0]);
+        var returned = kind === 1 ? new func(...values) : func.call(...(kind === 0 ? [obj] : []), ...values);
+        if (!retType.isVoid) return emval_returnValue(retType, destructorsRef, returned);
+      };
+""",
+}
 
 
 class UnavailableError(Exception):
@@ -53,6 +75,11 @@ def build(site: Path = SITE) -> Path:
     # The file that it imports by name, without an import map, which has to be inline: a strict policy refuses that.
     box = (vendor / "RoundedBoxGeometry.js").read_text()
     (vendor / "RoundedBoxGeometry.js").write_text(re.sub(r"""from\s+(['"])three\1""", 'from "./three.module.js"', box))
+    glue = (vendor / "mujoco.js").read_text()
+    for of_text, same in _OF_TEXT.items():
+        glue = glue.replace(of_text, same)
+    assert "new Function(" not in glue, "these bindings of MuJoCo have other functions of text"
+    (vendor / "mujoco.js").write_text(glue)
     shutil.copyfile(ROOT / "LICENSE", vendor / "LICENSE-mujoco")  # Apache-2.0 too, and its package has no copy
     # Compressed here, since not every host compresses WebAssembly; without a time, so that it is the same each time.
     wasm = (modules / "@mujoco/mujoco/mujoco.wasm").read_bytes()

@@ -1,7 +1,7 @@
 // The page: an episode's phases, the controls, and the loop that steps and draws.
 import loadMujoco from "./vendor/mujoco.js";
 import { Pilot, Policy } from "./policy.js";
-import { PERIOD, SUBSTEPS, Task, randomNumbers } from "./task.js";
+import { PERIOD, SUBSTEPS, THRESHOLD, Task, randomNumbers } from "./task.js";
 import { Viewer } from "./viewer.js";
 
 const TIMESTEP = PERIOD / SUBSTEPS;
@@ -147,6 +147,7 @@ class Page {
     this.due = 0;
     this.seed = 1;
     this.frames = this.simulated = 0;
+    this.drags = false; // whether a pointer drags the target
     this.paused = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.visible = true;
     new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.canvas);
@@ -171,7 +172,7 @@ class Page {
     this.robust = robust;
     this.due = 0;
     this.#showControls();
-    this.viewer.draw(false);
+    this.viewer.draw(false, false);
     this.#showStatus();
   }
 
@@ -183,9 +184,9 @@ class Page {
   #showControls() {
     const { name, kind } = this.session.task, canBeRobust = this.content.policies.includes(`${name}-robust`);
     find(name).checked = true;
-    find("robust").disabled = !canBeRobust;
+    find("robust").parentElement.hidden = !canBeRobust;
     find("robust").checked = this.robust;
-    find("nudge").disabled = !kind.object;
+    find("nudge").hidden = !kind.object;
     find("nudge").textContent = kind.object === "puck" ? "Nudge the puck" : "Nudge the cube";
     find("hint").textContent = HINTS[name];
     const keys = kind.air || !kind.object ? "arrow keys, Page Up and Page Down" : "arrow keys";
@@ -205,7 +206,8 @@ class Page {
       : session.reached ? (session.task.targetIsObject ? "Holding it" : "At the target") : "On its way";
     status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
     find("standing").textContent = words;
-    find("distance").textContent = `${centimetres} cm from the target`;
+    find("distance").textContent = session.task.targetIsObject ? `Hand and cube ${centimetres} cm apart`
+      : `${centimetres} cm from the target` + (session.task.stacks ? "" : `, ${100 * THRESHOLD} cm are near enough`);
     find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes succeeded` : "First episode";
     const ended = session.success === null ? "" : session.success ? "Success." : "Missed.";
     if (find("news").textContent !== ended) find("news").textContent = ended; // read aloud once per episode
@@ -236,10 +238,11 @@ class Page {
       this.due -= steps * TIMESTEP;
       this.simulated += steps * TIMESTEP;
     }
-    this.viewer.draw(this.session.reached);
+    this.viewer.draw(this.session.reached, this.drags);
     this.viewer.adapt(seconds);
-    this.frames++;
-    if (this.frames % 6 === 0) this.#showStatus();
+    const { phase, episodes } = this.session, stage = `${phase} ${episodes}`;
+    if (this.frames++ % 6 === 0 || stage !== this.stage) this.#showStatus();
+    this.stage = stage;
   }
 
   connect() {
@@ -291,6 +294,7 @@ class Page {
       if (pointers.size > 1) return;
       touched = viewer.touched(pixel(event));
       if (touched === "object") this.#pull(pixel(event));
+      this.drags = touched === "target" || touched === "foot";
     };
     const move = (event) => {
       const before = pointers.get(event.pointerId), now = pixel(event);
@@ -311,6 +315,7 @@ class Page {
       pointers.delete(event.pointerId);
       if (pointers.size) return;
       touched = null;
+      this.drags = false;
       this.session.pull = null;
     };
     canvas.addEventListener("pointerdown", start);

@@ -5,7 +5,7 @@ export const PERIOD = 0.04; // between two actions
 export const SUBSTEPS = 20; // physics steps per action
 
 const LEAD = 0.05; // by which the mocap body leads the gripper for a unit action
-const THRESHOLD = 0.05; // largest distance that is a success
+export const THRESHOLD = 0.05; // largest distance that is a success
 const DOWNWARD = [1, 0, 1, 0]; // points the gripper at the table
 const BASE_Y = 0.48;
 const GRIPPER_OFFSET = [-0.498, 0.005, -0.431]; // from the gripper's outstretched position to the table

@@ -4,7 +4,8 @@ import { RoundedBoxGeometry } from "./vendor/RoundedBoxGeometry.js";
 
 const HIDDEN_GROUP = 4; // of geoms that only collide
 const SHAPE = { plane: 0, sphere: 2, capsule: 3, cylinder: 5, box: 6 }; // mjtGeom
-const COLOURS = { sky: 0xeaf0f6, floor: 0xdfe6ee, target: 0xe5352b, success: 0x1f9d57 };
+const COLOURS = { sky: 0xeaf0f6, floor: 0xdfe6ee, target: 0xe5352b, success: 0x1f9d57, border: 0x2358a6 };
+const TABLE = 0.4015; // metres, a little above the table's top
 const ROUNDING = 0.006; // metres
 const TOUCH_RADIUS = 34; // pixels around the target that count as touching it, for fingers
 const RATIOS = { least: 0.4, most: 2 }; // drawn pixels per pixel of the page
@@ -64,7 +65,18 @@ export class Viewer {
     const disc = new THREE.Mesh(new THREE.CircleGeometry(0.046, 48), material(0.18));
     const stem = new THREE.Mesh(new THREE.CylinderGeometry(0.0025, 0.0025, 1, 8).rotateX(Math.PI / 2), material(0.45));
     this.mark = { ball, zone, ring, disc, stem };
-    this.scene.add(...Object.values(this.mark));
+    const box = new THREE.EdgesGeometry(new THREE.BoxGeometry(1, 1, 1));
+    this.border = new THREE.LineSegments(box, new THREE.LineBasicMaterial({ color: COLOURS.border, transparent: true }));
+    this.scene.add(...Object.values(this.mark), this.border);
+  }
+
+  // Shows where the target can be; more plainly while it is dragged.
+  #placeBorder(isDragged) {
+    const [low, high] = this.task.bounds, { border } = this;
+    const isFlat = high[2] - low[2] < 0.001, bottom = isFlat ? TABLE : low[2];
+    border.position.set((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, isFlat ? TABLE : (bottom + high[2]) / 2);
+    border.scale.set(high[0] - low[0], high[1] - low[1], isFlat ? 0.0001 : high[2] - bottom);
+    border.material.opacity = isDragged ? 0.9 : 0.25;
   }
 
   // Shows another scene; `task` is a Task.
@@ -149,8 +161,8 @@ export class Viewer {
     this.camera.updateMatrixWorld();
   }
 
-  // Draws the present state; `reached` colours the target.
-  draw(reached) {
+  // Draws the present state; `reached` colours the target, and a dragged one shows its border.
+  draw(reached, isDragged) {
     const { data } = this.task;
     for (const mesh of this.meshes) {
       const { geom } = mesh.userData, [x, y, z] = data.geom_xpos.subarray(3 * geom), m = data.geom_xmat.subarray(9 * geom);
@@ -158,12 +170,13 @@ export class Viewer {
       mesh.matrixWorldNeedsUpdate = true;
     }
     this.#placeMark(reached);
+    this.#placeBorder(isDragged);
     this.#placeCamera();
     this.renderer.render(this.scene, this.camera);
   }
 
   #placeMark(reached) {
-    const { ball, zone, ring, disc, stem } = this.mark, { kind } = this.task, table = 0.4015;
+    const { ball, zone, ring, disc, stem } = this.mark, { kind } = this.task, table = TABLE;
     const [x, y, z] = this.task.targetIsObject ? this.task.objectPosition() : this.task.goal;
     const isHigh = !kind.object || Boolean(kind.air);
     for (const part of Object.values(this.mark)) {

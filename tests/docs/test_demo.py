@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import threading
+import time
 
 import jax
 import numpy as np
@@ -199,13 +200,13 @@ def test_what_is_missing_is_said_in_a_line(monkeypatch, tmp_path):
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
-    """A host that lets a page run no code but its own files', of which MuJoCo's make functions of text."""
+    """A host that lets a page run no code but its own files', and that without making functions of text."""
 
     def log_message(self, *_):
         pass
 
     def end_headers(self):
-        own = "default-src 'self' data:; script-src 'self' 'unsafe-eval'; style-src 'self'"
+        own = "default-src 'self' data:; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'"
         self.send_header("Content-Security-Policy", own)
         super().end_headers()
 
@@ -252,6 +253,14 @@ def visit(browser):
     assert wrong == []
 
 
+def wait_until(page, expression):
+    """As Playwright's `wait_for_function`, which makes a function of text in the page."""
+    end = time.monotonic() + _PATIENCE / 1000
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, expression
+        page.wait_for_timeout(50)
+
+
 def goal_of(page):
     return np.array(page.evaluate("demo.status().goal"))
 
@@ -261,9 +270,9 @@ def test_a_task_ends_in_success_at_the_target_of_a_visitor(visit, task):
     page = visit(f"?task={task}", viewport={"width": 640, "height": 480})
     page.evaluate(f"demo.setTarget({TARGETS[task]})")
     np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)
-    page.wait_for_function("demo.status().success === true")
+    wait_until(page, "demo.status().success === true")
     assert page.locator("#news").text_content() in ("", "Success.")  # a moment before the status
-    page.wait_for_function("document.getElementById('news').textContent === 'Success.'")
+    wait_until(page, "document.getElementById('news').textContent === 'Success.'")
     if task != "grasp":
         np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)  # it stays where it was put
 
@@ -276,12 +285,12 @@ def test_a_policy_that_cannot_be_fetched_is_told_and_the_task_goes_on(browser):
     page.goto(address)
     page.wait_for_selector("body[data-ready]")
     page.locator("#push").click()
-    page.wait_for_function("document.getElementById('hint').textContent.includes('did not load')")
+    wait_until(page, "document.getElementById('hint').textContent.includes('did not load')")
     assert page.evaluate("demo.status().task") == "reach"
     assert page.locator("#reach").is_checked()
     page.unroute("**/policies/push.npz")
     page.locator("#push").click()
-    page.wait_for_function("demo.status().task === 'push'")
+    wait_until(page, "demo.status().task === 'push'")
     page.close()
 
 
@@ -303,13 +312,13 @@ def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
     page.keyboard.press("PageUp")  # push has no goals in the air
     assert goal_of(page)[2] == pytest.approx(0.425, abs=1e-3)
     page.keyboard.press("Space")
-    page.wait_for_function("demo.status().simulated > 0.1")
+    wait_until(page, "demo.status().simulated > 0.1")
     page.get_by_role("button", name="Nudge the cube").click()
     page.get_by_text("Slow motion").click()
     page.get_by_role("radio", name="Reach").check(force=True)
-    page.wait_for_function("demo.status().task === 'reach'")
+    wait_until(page, "demo.status().task === 'reach'")
     page.get_by_text("Robust policy").click()
-    page.wait_for_function("demo.status().simulated > 0.2")
+    wait_until(page, "demo.status().simulated > 0.2")
 
 
 @pytest.mark.slow
@@ -332,7 +341,7 @@ def test_the_mouse_drags_either_cube_of_stack(visit):
     drag(a, [a[0], a[1] - 0.1, a[2]])  # to where the hand does not bring it
     page.get_by_role("button", name="Play").focus()
     page.keyboard.press("Space")
-    page.wait_for_function(f"demo.status().object[1] < {a[1]} - 0.05")
+    wait_until(page, f"demo.status().object[1] < {a[1]} - 0.05")
     page.mouse.up()
     np.testing.assert_allclose(goal_of(page), [*wanted[:2], 0.475], atol=0.003)
 
@@ -347,6 +356,4 @@ def test_a_finger_drags_the_ball_on_a_phone(visit):
     for kind, height in [("touchStart", 0), *[("touchMove", 4 * step) for step in range(1, 9)], ("touchEnd", None)]:
         points = [] if height is None else [{"x": x, "y": y - height}]
         fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-    page.wait_for_function(
-        f"demo.status().goal[2] > {start[2] + 0.02} || demo.status().goal[2] === demo.status().bounds[1][2]"
-    )
+    wait_until(page, f"demo.status().goal[2] > {start[2] + 0.02} || demo.status().goal[2] === demo.status().bounds[1][2]")
