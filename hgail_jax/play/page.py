@@ -88,8 +88,9 @@ class Page:
                 self._answer_requests()
                 now = time.perf_counter()
                 if self.server.get_clients():
+                    phase = self.session.phase
                     self.advance(now - last)
-                    if now - shown >= _STATUS_PERIOD:
+                    if now - shown >= _STATUS_PERIOD or self.session.phase is not phase:
                         self._show_status()
                         shown = now
                 last = now
@@ -134,12 +135,13 @@ class Page:
         gui = self.server.gui
         self._instruction = gui.add_markdown("")
         self._status = gui.add_html("")
-        restart = gui.add_button("New start", icon=viser.Icon.REFRESH)
-        self._pause_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        # grey, so that the status stands out
+        restart = gui.add_button("New start", color="gray", icon=viser.Icon.REFRESH)
+        self._pause_button = gui.add_button("Pause", color="gray", icon=viser.Icon.PLAYER_PAUSE)
         speed = gui.add_dropdown("Speed", list(_SPEEDS), initial_value="1 ×")
         task = gui.add_dropdown("Task", self._tasks, initial_value=self._task)
         seed = gui.add_number("Seed", self._seed, min=0, max=MOST_SEED, step=1, hint="of the starts")
-        restart.on_click(lambda _: self._requests.put(lambda: self.session.restart()))
+        restart.on_click(lambda _: self._requests.put(self._restart))
         self._pause_button.on_click(lambda _: self._requests.put(self._pause))
         speed.on_update(lambda _: self._requests.put(lambda: self._set_speed(_SPEEDS[speed.value])))
         task.on_update(lambda _: self._requests.put(lambda: self._set_task(task.value)))
@@ -147,7 +149,7 @@ class Page:
 
     def _pause(self) -> None:
         self._paused = not self._paused
-        self._pause_button.label = "Go on" if self._paused else "Pause"
+        self._pause_button.label = "Play" if self._paused else "Pause"
         self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
         self._show_status()
 
@@ -156,7 +158,11 @@ class Page:
 
     def _set_seed(self, seed: int) -> None:
         self._seed = seed
+        self._restart(seed)
+
+    def _restart(self, seed: int | None = None) -> None:
         self.session.restart(seed)
+        self._show_status()
 
     def _set_task(self, task: str) -> None:
         self._task = task
@@ -190,6 +196,7 @@ class Page:
         )
         if session.env.target_body is None:
             scene.add_icosphere("/target/mark", radius=_MARK_RADIUS, color=_RED)
+        scene.add_label("/target/label", "target", font_screen_scale=0.8)  # seen through whatever hides the ball
         target = session.env.target_body or "red ball"
         self._instruction.content = f"**Drag the {target}** by its arrows: the policy follows."
         self._handle.on_update(
@@ -221,13 +228,13 @@ class Page:
         )
 
     def _show_status(self) -> None:
-        self._status.content = _status_html(self.session.status, self._paused)
-
-
-def _status_html(status: Status, paused: bool) -> str:
-    colour, words = ("grey", "Paused") if paused else _standing(status)
-    counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
-    return _badge(colour, words, f"{100.0 * status.distance:.1f} cm from the target<br>{counted}")
+        env, status = self.session.env, self.session.status
+        colour, words = ("grey", "Paused") if self._paused else _standing(status)
+        distance = f"{100.0 * status.distance:.1f} cm from the target"
+        if not env.lift_test_steps:  # success is a distance
+            distance += f", {100.0 * env.success_threshold:.0f} cm are near enough"
+        counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
+        self._status.content = _badge(colour, words, f"{distance}<br>{counted}")
 
 
 def _standing(status: Status) -> tuple[str, str]:

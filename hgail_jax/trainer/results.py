@@ -78,19 +78,26 @@ def draw_curves(path: Path, title: str, env_steps: np.ndarray, success: np.ndarr
     `env_steps` are `[rounds]`, learnt from so far per seed; `success`, the mean action's rate, and `distance`, the L1
     distance at the end of the episode in metres, are `[rounds, seeds]`.
     """
-    from matplotlib.figure import Figure  # not pyplot, whose backend is the user's; late, for it takes its time
+    # Not pyplot, whose backend is the user's; late, for it takes its time.
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, MaxNLocator
 
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
     axes = figure.subplots(1, 2)
     panels = ((success, "success rate", (-0.02, 1.02)), (distance, "L1 distance at the end (m)", (0.0, None)))
     for axis, (values, label, limits) in zip(axes, panels, strict=True):
         mean, std = values.mean(axis=1), values.std(axis=1)
-        axis.plot(env_steps, values, color=_COLOR, alpha=0.3, linewidth=0.7)
-        axis.fill_between(env_steps, mean - std, mean + std, color=_COLOR, alpha=0.15, linewidth=0)
-        axis.plot(env_steps, mean, color=_COLOR, linewidth=2, marker="o", markersize=4)
+        each, *_ = axis.plot(env_steps, values, color=_COLOR, alpha=0.3, linewidth=0.7)
+        band = axis.fill_between(env_steps, mean - std, mean + std, color=_COLOR, alpha=0.15, linewidth=0)
+        (middle,) = axis.plot(env_steps, mean, color=_COLOR, linewidth=2, marker="o", markersize=4)
         axis.set(xlabel="environment steps per seed", ylabel=label, ylim=limits)
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=" "))
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
+    if success.shape[1] > 1:
+        names = ("a seed", "mean of the seeds", "one standard deviation")
+        figure.legend((each, middle, band), names, loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(title, fontsize=11)
     with replace_file(path, "wb") as file:
         figure.savefig(file, dpi=130, format="png")
