@@ -356,4 +356,5 @@ def test_a_finger_drags_the_ball_on_a_phone(visit):
     for kind, height in [("touchStart", 0), *[("touchMove", 4 * step) for step in range(1, 9)], ("touchEnd", None)]:
         points = [] if height is None else [{"x": x, "y": y - height}]
         fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-    wait_until(page, f"demo.status().goal[2] > {start[2] + 0.02} || demo.status().goal[2] === demo.status().bounds[1][2]")
+    height, highest = "demo.status().goal[2]", "demo.status().bounds[1][2]"
+    wait_until(page, f"{height} > {start[2] + 0.02} || {height} === {highest}")
