@@ -18,8 +18,8 @@ from hgail_envs.randomized import randomize
 from hgail_envs.scenes import SceneView, assets_directory
 from hgail_jax.cli.command_line import one_line_errors, prepare_process
 from hgail_jax.io.policy import load_policy
-from hgail_jax.play.playback import frames, open_film
-from hgail_jax.play.session import Session
+from hgail_jax.play.playback import caption, frames, open_film
+from hgail_jax.play.session import Phase, Session
 from hgail_jax.policy import MeanPolicy
 
 _IMAGES = Path(__file__).parent.parent / "docs" / "images"
@@ -41,10 +41,9 @@ _COLUMNS = 3
 _SIZE = (240, 300)  # height and width of a task's picture, pixels
 _SCALE = 2  # rendered so many times larger, then made smaller, which smooths edges
 _BAND, _GAP = 30, 3  # height of the title above a picture, and the white around a panel
-_TEXT_SIZE, _TEXT_COLOUR, _BAND_COLOUR = 18, (35, 55, 85), (225, 231, 240)
+_TEXT_SIZE, _CAPTION_SIZE, _TEXT_COLOUR, _BAND_COLOUR = 18, 14, (35, 55, 85), (225, 231, 240)
 _SUCCESS_COLOUR, _SUCCESS_BORDER = (30, 142, 78), 4
 _START, _START_COLUMNS = (300, 225), 4  # width and height of a start's picture, pixels; pictures in a row
-_SUCCESS_PICTURES = 8  # that show a success: as long as its last pose stands still and fades
 
 
 def main() -> None:
@@ -87,16 +86,14 @@ def _load(name: str) -> tuple[GoalEnv, MeanPolicy]:
 def _panels(title: str, session: Session) -> Iterator[np.ndarray]:
     """Yields the pictures of a session below its title, `[height, width, 3]`, without end."""
     height, width = _SIZE
-    ended, since = 0, _SUCCESS_PICTURES
     for frame in frames(session, math.ceil(_SECONDS), _SCALE * height, _SCALE * width, _EVERY):
-        since = since + 1 if len(session.outcomes) == ended else 0
-        ended = len(session.outcomes)
         picture = Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS)
-        yield _titled(title, picture, since < _SUCCESS_PICTURES and session.outcomes[-1])
+        success = session.phase is Phase.RESTING and session.outcomes[-1]
+        yield _titled(title, caption(session), picture, success)
 
 
-def _titled(title: str, picture: Image.Image, success: bool) -> np.ndarray:
-    """Returns a picture below a band with its title, both green, and with a tick, where the episode is a success."""
+def _titled(title: str, text: str, picture: Image.Image, success: bool) -> np.ndarray:
+    """Returns a picture below a band with title and text, green and with a tick where the episode is a success."""
     width, height = picture.size
     panel = Image.new("RGB", (width, _BAND + height), _SUCCESS_COLOUR if success else _BAND_COLOUR)
     panel.paste(picture, (0, _BAND))
@@ -106,6 +103,8 @@ def _titled(title: str, picture: Image.Image, success: bool) -> np.ndarray:
     if success:
         draw.line([(width - 28, 15), (width - 22, 21), (width - 10, 8)], colour, width=3, joint="curve")
         draw.rectangle((0, 0, width - 1, _BAND + height - 1), outline=_SUCCESS_COLOUR, width=_SUCCESS_BORDER)
+    else:
+        draw.text((width - 10, _BAND / 2), text, colour, ImageFont.load_default(_CAPTION_SIZE), anchor="rm")
     return np.asarray(panel)
 
 

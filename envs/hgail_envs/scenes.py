@@ -16,7 +16,8 @@ from hgail_envs.vision.rendering import open_renderer
 TABLE_HEIGHT = 0.4
 """Metres from the floor to the table's top, in every scene."""
 
-_CAMERA_DISTANCE = 2.05  # in a scene's extent; the arm stays in the picture wherever it goes
+_CAMERA_DISTANCE = 2.15  # in a scene's extent; the arm stays in the picture wherever it goes
+_CAMERA_RISE = 0.06  # metres from a scene's centre to the picture's, for the elbow
 _SIZE = (480, 640)  # height, width
 _VISUAL_GROUP = 2  # of geoms that collide with nothing
 
@@ -45,6 +46,7 @@ def free_camera(model: mujoco.MjModel) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
     camera.distance = _CAMERA_DISTANCE * model.stat.extent
+    camera.lookat[2] += _CAMERA_RISE
     return camera
 
 

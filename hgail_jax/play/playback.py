@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import imageio_ffmpeg
+import mujoco
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from hgail_envs import GoalEnv
 from hgail_envs.scenes import free_camera
@@ -24,9 +26,10 @@ from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine
 
 _SIZE = (480, 640)  # height, width
-_HOLD = 10  # frames that the last pose of an episode stands still
-_FADE = 8  # frames from an episode's end to the start of the next
+_HOLD = 15  # frames that the last pose of an episode stands still
 _EDGE = 8  # pixels around the last pose
+_TEXT_SIZE, _TEXT_COLOUR = 20, (35, 55, 85)
+_ZONE_COLOUR = (0.9, 0.1, 0.1, 0.25)  # of the ball within which a position is at the target
 _EDGE_COLOURS = {True: (0, 158, 115), False: (213, 94, 0)}  # green and red that the colour-blind tell apart
 
 
@@ -48,35 +51,56 @@ def play(session: Session, episodes: int) -> Iterator[bool]:
 
 
 def frames(session: Session, episodes: int, height: int, width: int, every: int = 1) -> Iterator[np.ndarray]:
-    """Renders every `every`-th frame as a picture, `[height, width, 3]`, uint8; one episode fades into the next."""
+    """Renders every `every`-th frame of `play` as a picture, `[height, width, 3]`, uint8."""
     camera = free_camera(session.model)
     with open_renderer(session.model, height, width) as renderer:
-        picture: np.ndarray | None = None
         for index, first in enumerate(play(session, episodes)):
             if index % every and not first:
                 continue
             renderer.update_scene(session.data, camera)
-            before, picture = picture, renderer.render()
-            if first and before is not None:
-                for fraction in np.linspace(0.0, 1.0, _FADE // every + 2)[1:-1]:
-                    yield ((1.0 - fraction) * before + fraction * picture).astype(np.uint8)
-            yield picture
+            if not session.env.lift_test_steps:
+                _add_ball(renderer.scene, session.target, session.env.success_threshold)
+            yield renderer.render()
+
+
+def _add_ball(scene: mujoco.MjvScene, position: np.ndarray, radius: float) -> None:
+    """Adds the zone of success, which shows where the hand hides the target."""
+    ball, size, no_rotation = scene.geoms[scene.ngeom], np.full(3, radius), np.eye(3).ravel()
+    mujoco.mjv_initGeom(ball, mujoco.mjtGeom.mjGEOM_SPHERE, size, position, no_rotation, np.array(_ZONE_COLOUR))
+    scene.ngeom += 1
+
+
+def caption(session: Session) -> str:
+    """Returns the time and the distance from the target, or the outcome of an episode that is over."""
+    status = session.status
+    if status.phase is Phase.RESTING:
+        return "success" if status.success else "missed"
+    test = "test, " if status.phase is Phase.LIFT_TEST else ""
+    return f"{test}{session.time:.1f} s, {100.0 * status.distance:.1f} cm"
 
 
 def film(path: Path, env: GoalEnv, policy: MeanPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
     """Writes a film of a few episodes in real time, in one of `FORMATS`; returns whether each succeeded.
 
-    The target is a red ball, or the body that the task names. The last pose of an episode has a green edge where it
-    succeeded, a red one where it did not.
+    The target is a red ball, or the body that the task names. Each picture has a `caption`; the last pose of an episode
+    has a green edge where it succeeded, a red one where it did not.
     """
-    pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD) + (episodes - 1) * _FADE
+    pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD)
     with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
         session = Session(env, policy, seed)
         for number, frame in enumerate(frames(session, episodes, *_SIZE), start=1):
-            append(_edged(frame, session.outcomes[-1]) if session.phase is Phase.RESTING else frame)
+            picture = _captioned(frame, caption(session))
+            append(_edged(picture, session.outcomes[-1]) if session.phase is Phase.RESTING else picture)
             line.show(f"filming, picture {number} of {pictures}", log=False)
         line.show(f"writing {path.name}", log=False)
     return session.outcomes
+
+
+def _captioned(picture: np.ndarray, text: str) -> np.ndarray:
+    image = Image.fromarray(picture)
+    at = (_EDGE + 6, _EDGE + 2)
+    ImageDraw.Draw(image).text(at, text, _TEXT_COLOUR, ImageFont.load_default(_TEXT_SIZE))
+    return np.asarray(image)
 
 
 def _edged(picture: np.ndarray, success: bool) -> np.ndarray:

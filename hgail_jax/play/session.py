@@ -116,6 +116,11 @@ class Session:
         )
 
     @property
+    def time(self) -> float:
+        """Time since the phase began, in the world of the simulation, seconds."""
+        return self._clock * self.env.control_period
+
+    @property
     def target(self) -> np.ndarray:
         """Position of the target, `[3]`, metres, world frame."""
         return np.asarray(self._state.info["desired_goal"])[:3]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import imageio
 import jax
+import mujoco
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,9 +14,10 @@ from PIL import Image
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
+from hgail_envs.scenes import load_scene
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
-from hgail_jax.play.playback import film
+from hgail_jax.play.playback import caption, film, frames
 from hgail_jax.play.playback import play as play_episodes
 from hgail_jax.play.session import Session
 from tests.hgail_jax.test_terminal import Terminal
@@ -32,7 +34,7 @@ def test_the_policy_that_is_shipped_grasps_and_lifts(grasp_policy):
     session = Session(env, load_policy(grasp_policy), seed=0)
     heights = [session.data.body("cube").xpos[2] for _ in play_episodes(session, 1)]
     assert session.outcomes == [True]
-    assert len(heights) == env.episode_length + env.lift_test_steps + 10
+    assert len(heights) == env.episode_length + env.lift_test_steps + 15
     assert heights[0] == pytest.approx(0.425, abs=1e-3)
     assert heights[-1] > 0.6
     start = jax.jit(env.reset)(jax.random.split(jax.random.key(0))[1])
@@ -48,7 +50,7 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
     assert [path.name for path in tmp_path.iterdir()] == ["reach.mp4"]
     with imageio.get_reader("reach.mp4", format="FFMPEG") as written:
         assert written.get_meta_data()["size"] == (64, 48)
-        assert written.count_frames() == 20 + 10
+        assert written.count_frames() == 20 + 15
     shown = capsys.readouterr()
     assert shown.out.splitlines()[1:] == ["reach.mp4", "1 of 1 episodes succeeded"]
     assert shown.err == "compiling and filming ...\n"
@@ -62,11 +64,25 @@ def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy
     monkeypatch.setattr("hgail_jax.play.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
     monkeypatch.setattr("hgail_jax.play.playback.open_film", lambda *_: contextlib.nullcontext(pictures.append))
     assert film(Path("film.mp4"), env, load_policy(shipped_policy), episodes=2) == [threshold > 0] * 2
-    episode = [False] * steps + [True] * 10
+    episode = [False] * steps + [True] * 15
     for at in ((0, 0), (47, 63), (7, 32), (24, 56)):  # a picture is 48 by 64, the edge 8 wide
         on_the_edge = [bool((picture[at] == colour).all()) for picture in pictures]
-        assert on_the_edge == [*episode, *[False] * 8, *episode]
+        assert on_the_edge == [*episode, *episode]
     assert not any((picture[8:-8, 8:-8] == colour).all(axis=-1).any() for picture in pictures)
+
+
+def test_pictures_say_the_time_and_the_distance_and_show_the_zone_of_success(monkeypatch, shipped_policy):
+    shown, said, distances = BlackPictures(), [], []
+    monkeypatch.setattr("hgail_jax.play.playback.open_renderer", lambda *_: contextlib.nullcontext(shown))
+    session = Session(hgail_envs.make("reach", impl="c"), load_policy(shipped_policy))
+    for _ in frames(session, 1, 48, 64):
+        said.append(caption(session))
+        distances.append(np.linalg.norm(session.data.site("grip").xpos - session.target))
+        zone = shown.scene.geoms[0]
+        assert shown.scene.ngeom == 1 and zone.size[0] == pytest.approx(0.05)
+        np.testing.assert_allclose(zone.pos, session.target, atol=1e-6)
+    times = [f"{0.04 * step:.1f} s, {100 * distances[step]:.1f} cm" for step in range(50)]
+    assert said == [*times, *["success"] * 15]
 
 
 OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
@@ -230,8 +246,11 @@ def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkey
 class BlackPictures:
     """A renderer that shows nothing, and needs no GL."""
 
+    def __init__(self):
+        self.scene = mujoco.MjvScene(load_scene("fetch/reach"), 10)
+
     def update_scene(self, *_):
-        pass
+        self.scene.ngeom = 0
 
     def render(self):
         return np.zeros((48, 64, 3), np.uint8)
@@ -244,7 +263,7 @@ def test_a_terminal_shows_how_far_the_film_is(in_folder, shipped_policy, monkeyp
     monkeypatch.setattr(sys, "stderr", Terminal())
     film(in_folder / "near.gif", hgail_envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
     frames = sys.stderr.frames()
-    pictures = 2 * (3 + 10) + 8  # episodes with their ends held, and a fade between them
+    pictures = 2 * (3 + 15)  # episodes with their ends held
     filmed = [frame.split(", ")[1] for frame in frames if frame.startswith("filming")]
     assert list(dict.fromkeys(filmed)) == [f"picture {number} of {pictures}" for number in range(1, pictures + 1)]
     assert frames[0].startswith("compiling and filming, 00:00 elapsed")
