@@ -207,7 +207,7 @@ class Page {
     status.dataset.state = session.reached && !this.paused ? "good" : session.success === false ? "bad" : "busy";
     find("standing").textContent = words;
     find("distance").textContent = session.task.targetIsObject ? `Hand and cube ${centimetres} cm apart`
-      : `${centimetres} cm from the target` + (session.task.stacks ? "" : `, ${100 * THRESHOLD} cm are near enough`);
+      : `${centimetres} cm away` + (session.task.stacks ? "" : `; success within ${100 * THRESHOLD} cm`);
     find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes succeeded` : "First episode";
     const ended = session.success === null ? "" : session.success ? "Success." : "Missed.";
     if (find("news").textContent !== ended) find("news").textContent = ended; // read aloud once per episode

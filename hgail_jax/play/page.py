@@ -230,9 +230,9 @@ class Page:
     def _show_status(self) -> None:
         env, status = self.session.env, self.session.status
         colour, words = ("grey", "Paused") if self._paused else _standing(status)
-        distance = f"{100.0 * status.distance:.1f} cm from the target"
+        distance = f"{100.0 * status.distance:.1f} cm away"
         if not env.lift_test_steps:  # success is a distance
-            distance += f", {100.0 * env.success_threshold:.0f} cm are near enough"
+            distance += f"; success within {100.0 * env.success_threshold:.0f} cm"
         counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
         self._status.content = _badge(colour, words, f"{distance}<br>{counted}")
 
