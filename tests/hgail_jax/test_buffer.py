@@ -56,6 +56,7 @@ class Line(GoalEnv):
 
 
 ENV = Line()
+add = jax.jit(add_episodes)
 
 
 def trajectory(numbers, valid=None):
@@ -87,7 +88,7 @@ def drawn(buffer, rng, p_ht, strategy=FUTURE, most_ahead=2**30, solved_weight=1.
 
 
 def full(valid=None):
-    return add_episodes(init_buffer(ENV, HELD), trajectory(range(HELD), valid))
+    return add(init_buffer(ENV, HELD), trajectory(range(HELD), valid))
 
 
 def origin(transitions):
@@ -118,7 +119,7 @@ def test_episodes_fill_the_buffer_and_then_replace_the_oldest():
     expected = [-1] * HELD
     for count in (3, 2, 1, 4, 3):
         numbers = range(added, added + count)
-        buffer = add_episodes(buffer, trajectory(numbers))
+        buffer = add(buffer, trajectory(numbers))
         for number in numbers:
             expected[number % HELD] = number
         added += count
@@ -128,7 +129,7 @@ def test_episodes_fill_the_buffer_and_then_replace_the_oldest():
 
 def test_an_episode_is_kept_as_it_was_with_its_actions_clipped():
     given = trajectory(range(HELD), [True, False, True, True])
-    buffer = add_episodes(init_buffer(ENV, HELD), given)
+    buffer = add(init_buffer(ENV, HELD), given)
     for name in ("features", "achieved", "desired"):
         np.testing.assert_array_equal(getattr(buffer, name), np.asarray(getattr(given, name)).swapaxes(0, 1))
     action = np.asarray(given.action).swapaxes(0, 1)
@@ -225,19 +226,19 @@ def test_a_sample_is_the_step_under_its_goal(p_ht):
 def test_a_goal_that_was_pursued_weighs_in_full_though_it_is_solved():
     given = trajectory(range(HELD))
     solved = given.replace(desired=given.desired.at[..., 0].add(1.6))  # two steps ahead
-    sample = drawn(add_episodes(init_buffer(ENV, HELD), solved), jax.random.key(0), 0.0, solved_weight=0.25)
+    sample = drawn(add(init_buffer(ENV, HELD), solved), jax.random.key(0), 0.0, solved_weight=0.25)
     assert (sample.weight == 1.0).all()
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_places_that_are_empty_are_never_drawn(count):
-    buffer = add_episodes(init_buffer(ENV, HELD), trajectory(range(1, 1 + count)))
+    buffer = add(init_buffer(ENV, HELD), trajectory(range(1, 1 + count)))
     episode = origin(drawn(buffer, jax.random.key(3), 0.5))[0]
     assert set(episode) == set(range(1, 1 + count))
 
 
 def test_seeds_side_by_side_draw_what_each_draws_alone():
-    buffers = [full(), add_episodes(full([True, False, True, True]), trajectory([6]))]
+    buffers = [full(), add(full([True, False, True, True]), trajectory([6]))]
     rngs, p_ht, most_ahead = jax.random.split(jax.random.key(4)), jnp.array([0.4, 1.0]), jnp.array([2**30, 2])
     one = functools.partial(drawn, count=200)
     together = jax.vmap(lambda *given: one(*given[:3], FUTURE, given[3]))(
@@ -262,6 +263,8 @@ class Corners(Line):
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 
 
+CORNERS = Corners()  # one, by which JAX finds the programs again
+positives, negatives = (jax.jit(function, static_argnums=(0, 3)) for function in (draw_positives, draw_negatives))
 _AHEAD = math.lcm(*range(1, LENGTH + 1))  # so that every step counts as often, however many lie ahead of it
 
 
@@ -283,7 +286,7 @@ def corners():
         overflow=np.zeros(HELD, bool),
         outcome=EpisodeMetrics(),
     )
-    buffer = add_episodes(init_buffer(Corners(), HELD), jax.tree.map(jnp.asarray, episodes))
+    buffer = add(init_buffer(CORNERS, HELD), jax.tree.map(jnp.asarray, episodes))
     later = [
         (state[step, episode], goal)
         for step in range(LENGTH)
@@ -305,6 +308,14 @@ def product(density):
     return density.sum(axis=1, keepdims=True) * density.sum(axis=0, keepdims=True)
 
 
+@jax.jit
+@jax.grad
+def slope(logits, expert, policy, weight):
+    """Gradient of the discriminator's loss by its logits, `[2, 2]`, of samples of states and goals, `[B, 2]`."""
+    cells = (jnp.rint(observation).astype(int) for observation in (expert, policy))
+    return discriminator_loss(*(logits[cell[:, 0], cell[:, 1]] for cell in cells), weight)
+
+
 @pytest.mark.parametrize(
     ("changes", "negative"),
     [
@@ -320,8 +331,8 @@ def test_the_best_logit_is_the_log_ratio_of_the_densities(corners, changes, nega
     """log p(state, goal achieved next) - log w q(state, goal), with q of goals pursued, achieved later, or of any."""
     buffer, state, achieved, pursued, later = corners
     hyper, keys = Hyperparameters(discriminator_horizon=1, **changes), jax.random.split(jax.random.key(1), 4)
-    expert = jax.jit(draw_positives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[:2])
-    policy = jax.jit(draw_negatives, static_argnums=(0, 3))(Corners(), hyper, buffer, 200_000, *keys[2:])
+    expert = positives(CORNERS, hyper, buffer, 200_000, *keys[:2])
+    policy = negatives(CORNERS, hyper, buffer, 200_000, *keys[2:])
     together, hindsight = joint(state, pursued), joint(*later)
     mixed = 0.4 * together + 0.6 * hindsight
     density = {
@@ -334,12 +345,9 @@ def test_the_best_logit_is_the_log_ratio_of_the_densities(corners, changes, nega
     weight = changes.get("negative_weight", 1.0)
     best = np.log(joint(state, achieved)) - np.log(weight * density)
 
-    def loss(logits):
-        cells = (jnp.rint(samples.observation).astype(int) for samples in (expert, policy))
-        return discriminator_loss(*(logits[cell[:, 0], cell[:, 1]] for cell in cells), weight)
-
-    np.testing.assert_allclose(jax.grad(loss)(jnp.asarray(best, jnp.float32)), 0.0, atol=5e-3)
-    assert np.abs(jax.grad(loss)(jnp.asarray(best + 0.2, jnp.float32))).max() > 0.01
+    gradient = functools.partial(slope, expert=expert.observation, policy=policy.observation, weight=weight)
+    np.testing.assert_allclose(gradient(jnp.asarray(best, jnp.float32)), 0.0, atol=5e-3)
+    assert np.abs(gradient(jnp.asarray(best + 0.2, jnp.float32))).max() > 0.01
     exact = np.abs(np.asarray(expert.observation[:, 1]) - np.rint(expert.observation[:, 1])).max()
     assert exact == 0.0 if not changes.get("goal_jitter") else 0.24 < exact <= 0.25
 
