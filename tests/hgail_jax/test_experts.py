@@ -58,7 +58,7 @@ def test_episodes_are_kept_under_the_goals_they_pursued():
 )
 def test_demonstrations_must_fit(config, given, message):
     with pytest.raises(ValueError, match=message):
-        init_state(ENV, TINY.replace(**config), HYPER, jax.random.key(0), given)
+        jax.eval_shape(functools.partial(init_state, ENV, TINY.replace(**config), HYPER), jax.random.key(0), given)
 
 
 def test_an_unknown_source_is_refused():
@@ -68,7 +68,7 @@ def test_an_unknown_source_is_refused():
 
 def test_every_roll_out_to_learn_from_can_enter_the_buffer_and_no_other():
     config = METHODS["gasil"].apply(Preset(TINY.replace(best_episodes=5), HYPER)).config
-    start = init_state(ENV, config, HYPER, jax.random.key(0))
+    start = jax.jit(functools.partial(init_state, ENV, config))(HYPER, jax.random.key(0))
     step = jax.jit(functools.partial(train_step, ENV, config))
     for phase, episodes in ((SKIP, 0), (PRETRAIN, 4), (POLICY, 4), (DISCRIMINATOR, 4), (EVALUATE, 0)):
         state, _ = step(start, np.array([phase]))

@@ -175,9 +175,9 @@ def test_kinds_count_only_where_their_shares_are_given_too():
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    one = relabel(jax.random.key(0), jnp.array([[1.0, 2.0], [3.0, 4.0]]), jnp.zeros(2), 1.0)
+    one = jax.jit(relabel)(jax.random.key(0), jnp.array([[1.0, 2.0], [3.0, 4.0]]), jnp.zeros(2), 1.0)
     np.testing.assert_array_equal(one.goal, [[3.0, 4.0]])
-    whole = relabel(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros((3, 2)), 0.0)
+    whole = jax.jit(relabel)(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros((3, 2)), 0.0)
     np.testing.assert_array_equal(whole.goal, np.zeros((3, 2)))
     for achieved, desired in (
         ((1, 2), (2,)),

@@ -31,18 +31,33 @@ def policy(shipped_policy):
     return load_policy(shipped_policy)
 
 
+def start(env, config, seen):
+    """Returns an untrained state that has counted observations `[100, 6]`."""
+
+    @jax.jit
+    def counted(rng, seen):
+        return init_state(env, config, Hyperparameters(), rng).count(Samples(seen, None, jnp.ones(100)))
+
+    return counted(jax.random.key(0), seen.astype(np.float32))
+
+
+def actions(env, config, state, observation):
+    """Returns the actions without noise, as training would take them."""
+    act = jax.jit(lambda state, seen: make_policy(env, config, state, noise=0.0)(seen, jax.random.key(3))[0])
+    return np.asarray(act(state, observation))
+
+
 def test_a_saved_policy_is_the_mean_action(tmp_path):
-    env = hgail_envs.make("point")
-    state = init_state(env, Config(PPO()), Hyperparameters(), jax.random.key(0))
-    state = state.count(Samples(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1, None, jnp.ones(100)))
+    env, config, rng = hgail_envs.make("point"), Config(PPO()), np.random.default_rng(1)
+    state = start(env, config, 0.1 * rng.normal(size=(100, 6)))
     # weights large enough that some actions are clipped
-    networks = jax.tree.map(lambda leaf: 3.0 * leaf + 0.1, state.learner.actor_critic)
+    networks = jax.tree.map(lambda leaf: 3.0 * np.asarray(leaf) + 0.1, state.learner.actor_critic)
     state = state.replace(learner=state.learner.replace(actor_critic=networks))
-    observation = jax.random.normal(jax.random.key(2), (20, 6)) * 0.2
-    expected, _ = make_policy(env, Config(PPO()), state, noise=0.0)(observation, jax.random.key(3))
-    save_policy(tmp_path / "p.npz", from_state("point", env, Config(PPO()), state))
+    observation = 0.2 * rng.normal(size=(20, 6)).astype(np.float32)
+    expected = actions(env, config, state, observation)
+    save_policy(tmp_path / "p.npz", from_state("point", env, config, state))
     policy = load_policy(tmp_path / "p.npz")
-    np.testing.assert_allclose(policy(np.asarray(observation)), np.clip(expected, -1, 1), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(policy(observation), np.clip(expected, -1, 1), rtol=1e-4, atol=1e-5)
     assert (policy.task, policy.goal_size, policy.observation_size, policy.action_size) == ("point", 3, 6, 3)
     assert policy.versions["jax"] == jax.__version__
     assert [path.name for path in tmp_path.iterdir()] == ["p.npz"]
@@ -167,17 +182,16 @@ def test_a_file_that_is_none_is_refused(tmp_path):
 def off_policy(tmp_path):
     """A policy that was saved and loaded, observations, and the actions that training would take."""
     env, config = hgail_envs.make("point"), Config(learner=TD3(), policy_hidden=(16, 8), layer_norm=True)
-    state = init_state(env, config, Hyperparameters(), jax.random.key(0))
-    state = state.count(Samples(jax.random.normal(jax.random.key(1), (100, 6)) * 0.1 + 0.05, None, jnp.ones(100)))
     noise = np.random.default_rng(0)
+    state = start(env, config, 0.1 * noise.normal(size=(100, 6)) + 0.05)
     target = jax.tree.map(
-        lambda leaf: leaf + noise.normal(size=leaf.shape).astype(np.float32), state.learner.target
+        lambda leaf: np.asarray(leaf) + noise.normal(size=leaf.shape).astype(np.float32), state.learner.target
     )  # unlike the online networks, and with scales and offsets
     state = state.replace(learner=state.learner.replace(target=target))
-    observation = jax.random.normal(jax.random.key(2), (50, 6)) * 0.2
-    expected, _ = make_policy(env, config, state, noise=0.0)(observation, jax.random.key(3))
+    observation = 0.2 * noise.normal(size=(50, 6)).astype(np.float32)
+    expected = actions(env, config, state, observation)
     save_policy(tmp_path / "td3.npz", from_state("point", env, config, state))
-    return load_policy(tmp_path / "td3.npz"), np.asarray(observation), np.asarray(expected)
+    return load_policy(tmp_path / "td3.npz"), observation, expected
 
 
 def test_a_policy_of_td3_acts_from_its_file_as_in_training(off_policy, tmp_path):
