@@ -1,11 +1,4 @@
-"""Trains tiny seeds over several devices, in a process that has them.
-
-As a script it takes the file to write, and the trainings as JSON.
-"""
-
-import json
-import subprocess
-import sys
+"""Trains tiny seeds over several devices, in a process that has them."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +9,7 @@ from hgail_jax import Hyperparameters, phase_table
 from hgail_jax.devices.sharding import check_replicas, make_mesh, shard
 from hgail_jax.learners import TD3
 from hgail_jax.seeds import compile_train_step, init_seeds, trace_evaluation
-from tests.support import ROOT, TINY, four_devices
+from tests.support import TINY, four_devices
 
 TINY_TD3 = TINY.replace(learner=TD3(rollouts=2, updates=2, batch=8, buffer_episodes=8), layer_norm=True)
 
@@ -45,20 +38,22 @@ def train(task, groups, devices, final=True, learner="ppo"):
     return [np.concatenate(leaves) for leaves in zip(*results, strict=True)]
 
 
-def train_on_four_devices(path, **trainings):
+def write(trainings):
+    """Writes what `train` returns for each of the arguments, by name, into the working directory."""
+    leaves = {name: train(**training) for name, training in trainings.items()}
+    np.savez(
+        "trained.npz", **{f"{name} {index:03}": leaf for name, of in leaves.items() for index, leaf in enumerate(of)}
+    )
+
+
+def train_on_four_devices(forks, **trainings):
     """Returns what `train` returns for each of the keyword arguments."""
-    command = [sys.executable, "-m", "tests.sharded_training", path, json.dumps(trainings)]
-    subprocess.run(command, env=four_devices(), cwd=ROOT, check=True, timeout=600)
-    with np.load(path) as content:
+    ended = forks.run(f"from tests.sharded_training import write\nwrite({trainings!r})", four_devices())
+    assert ended.returncode == 0, ended.stderr
+    with np.load(ended.folder / "trained.npz") as content:
         return {name: [content[key] for key in content if key.split()[0] == name] for name in trainings}
 
 
 def assert_close(ours, expected, **tolerance):
     for one, other in zip(ours, expected, strict=True):
         np.testing.assert_allclose(one, other, **tolerance)
-
-
-if __name__ == "__main__":
-    path, trainings = sys.argv[1:]
-    leaves = {name: train(**training) for name, training in json.loads(trainings).items()}
-    np.savez(path, **{f"{name} {index:03}": leaf for name, of in leaves.items() for index, leaf in enumerate(of)})

@@ -57,6 +57,18 @@ def rows(folder):
         return [[float(cell or 0) for name, cell in row.items() if name != "seconds"] for row in csv.DictReader(file)]
 
 
+PAIR = """
+import jax, os, sys
+process = int(os.fork() == 0)
+sys.argv = ["hgail", *{words}, "--process-id", str(process)]
+exec({script!r})
+jax.distributed.shutdown()  # for which each waits for the other
+if not process:
+    sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+"""A script of two processes, of which the first ends as the other did."""
+
+
 @pytest.mark.parametrize(
     "method",
     [
@@ -64,14 +76,14 @@ def rows(folder):
         *(pytest.param(("--method", "hgail", "--learner", name), marks=pytest.mark.slow) for name in ("ppo", "td3")),
     ],
 )
-def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch, method):
+def test_two_processes_train_as_one_does_and_the_first_writes(tmp_path, monkeypatch, method, forks):
     """The environments of one seed are split between them, so they exchange every trajectory."""
-    pair = start_pair(tmp_path / "pair", *method)
-    output = [process.communicate(timeout=300)[0] for process in pair]
-    assert [process.returncode for process in pair] == [0, 0]
-    assert b"success" in output[0] and b"success" not in output[1]
-    make_runs_tiny(monkeypatch)
     options = ["--task", "point", *method, *SIZES, "--rounds", "1"]
+    together = ["--out", str(tmp_path / "pair"), "--coordinator", f"localhost:{free_port()}", "--num-processes", "2"]
+    pair = forks.run(PAIR.format(words=options + together, script=TINY_RUN))
+    assert pair.returncode == 0, pair.stderr
+    assert pair.stdout.count("success") == 1
+    make_runs_tiny(monkeypatch)
     train.main([*options, "--out", str(tmp_path / "single")])
     assert {path.name for path in tmp_path.iterdir()} == {"pair", "single"}
     np.testing.assert_allclose(rows(tmp_path / "pair"), rows(tmp_path / "single"), rtol=1e-3, atol=1e-4)

@@ -12,10 +12,10 @@ from tests.support import four_devices
 
 
 @pytest.fixture(scope="module", params=["ppo", pytest.param("td3", marks=pytest.mark.slow)])
-def trained(request, tmp_path_factory):
+def trained(request, forks):
     shared = {"task": "point", "learner": request.param, "final": request.param != "ppo"}  # two processes evaluate, too
     return train_on_four_devices(
-        tmp_path_factory.mktemp("sharded") / "point.npz",
+        forks,
         alone=shared | {"groups": [[0], [1], [2], [3]], "devices": 1},
         seeds=shared | {"groups": [[0, 1, 2, 3], [3, 2, 1, 0]], "devices": 4},
     )
@@ -32,13 +32,11 @@ def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", ["ppo", "td3"])
-def test_a_seed_over_two_devices_agrees_with_the_seed_alone(tmp_path, learner):
+def test_a_seed_over_two_devices_agrees_with_the_seed_alone(forks, learner):
     """Two seeds over four devices, so the environments of each over two."""
     shared = {"task": "point", "learner": learner}
     alone = shared | {"groups": [[0], [1]], "devices": 1}
-    results = train_on_four_devices(
-        tmp_path / "point.npz", alone=alone, both=shared | {"groups": [[0, 1]], "devices": 4}
-    )
+    results = train_on_four_devices(forks, alone=alone, both=shared | {"groups": [[0, 1]], "devices": 4})
     assert_close(results["both"], results["alone"], rtol=1e-4, atol=1e-5)
 
 
@@ -117,8 +115,8 @@ def test_what_does_not_divide_is_refused_or_left_out():
 
 
 @pytest.mark.slow
-def test_environments_of_reach_over_four_devices_agree_with_one(tmp_path):
+def test_environments_of_reach_over_four_devices_agree_with_one(forks):
     """Each device calls C MuJoCo on the host from a thread of its own."""
     one = {"task": "reach", "groups": [[0]], "devices": 1, "final": False}
-    trained = train_on_four_devices(tmp_path / "reach.npz", one=one, four=one | {"devices": 4})
+    trained = train_on_four_devices(forks, one=one, four=one | {"devices": 4})
     assert_close(trained["four"], trained["one"], rtol=1e-2, atol=1e-3)
