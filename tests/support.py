@@ -11,10 +11,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from experiments import FEW_UPDATES
 from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset, init_state, phase_table, train_step
 from hgail_jax.seeds import compile_train_step, trace_evaluation
 from hgail_jax.settings.defaults import DEFAULTS, EVALUATION_EPISODES
-from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax.trainer import loop, training
 
 ROOT = Path(__file__).parent.parent

@@ -26,11 +26,10 @@ assert {{{", ".join(f"{name}.OF" for name in FOLDERS)}}} == {{"this project"}}
 print(hgail_jax.__file__, hgail_envs.__file__, hgail_envs.scenes.assets_directory(), sep="\\n")
 print(hgail_envs.make("reach").model.nv)
 
-from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax import PPO, Config, Hyperparameters, init_state, make, phase_table, train_step
 import functools, jax
 
-env, config = make("point"), Config(PPO()).replace(num_envs=2, rounds=1, **FEW_UPDATES)
+env, config = make("point"), Config(PPO(), num_envs=2, rounds=1)
 state = jax.eval_shape(functools.partial(init_state, env, config, Hyperparameters()), jax.random.key(0))
 state, metrics = jax.eval_shape(functools.partial(train_step, env, config), state, phase_table(config)[0])
 print(metrics.evaluation.success.shape, state.learner.actor_critic.keys())

@@ -6,13 +6,14 @@ from hashlib import sha256
 from typing import Any
 
 import hgail_envs
+from experiments import FEW_UPDATES
 from experiments.paper.study import Setting
 from hgail_envs.engines import resolve_impl
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.learners import PPO
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, task_preset
 from hgail_jax.settings.methods import METHODS
-from hgail_jax.settings.presets import FEW_UPDATES, Preset
+from hgail_jax.settings.presets import Preset
 from hgail_jax.train import env_steps, phase_table
 
 FEW_ROUNDS = 100

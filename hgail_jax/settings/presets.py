@@ -51,15 +51,6 @@ PRESETS = {
 AS_WRITTEN: dict[str, Any] = {"policy_phases": 16}
 """Changes to the `Config` of `paper` that make it the paper's, as we read it. With them the policy unlearns its
 pre-training: it is updated 16 times against a discriminator that stays as it is."""
-FEW_UPDATES: dict[str, Any] = {
-    "minibatches": 2,
-    "discriminator_minibatches": 2,
-    "discriminator_batch": 16,
-    "pretrain_policy_minibatches": 5,
-    "pretrain_policy_batch": 16,
-    "pretrain_discriminator_minibatches": 5,
-}
-"""Changes to a `Config` that show in seconds that everything runs, and nothing else."""
 
 
 OBJECT_SUBSTEPS = {"substeps": 8}
@@ -161,12 +152,10 @@ def td3(
     }
     presets = {}
     for platform, (usual, learner) in _TD3_SIZES.items():
-        config = Config(learner, layer_norm=True, **usual).replace(
-            **(sizes or {}).get(platform, {})
-        )  # norm: untried without
+        config = Config(learner, layer_norm=True, **usual)  # untried without the norm
         own = hyperparameters | (dict(on_cpu or {}) if platform == "cpu" else {})
         presets[platform] = Preset(
-            config,
+            config.replace(**(sizes or {}).get(platform, {})),
             Hyperparameters(**shared | own),
             method if isinstance(method, str) else method[platform],
             task_options or {},

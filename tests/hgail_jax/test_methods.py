@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments import FEW_UPDATES
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.point import Point
 from hgail_envs.tasks.push import Push
@@ -16,7 +17,6 @@ from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.settings.defaults import DEFAULTS
-from hgail_jax.settings.presets import FEW_UPDATES
 from hgail_jax.trainer.options import TrainOptions, choose, plan
 
 SEEDS = 2

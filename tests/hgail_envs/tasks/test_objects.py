@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import kstest, uniform
 
 import hgail_envs
+from experiments import FEW_UPDATES
 from hgail_jax import PPO, Config, init_state, phase_table, train_step
 from hgail_jax.play.recording import run_controller
 from hgail_jax.settings.defaults import DEFAULTS
-from hgail_jax.settings.presets import FEW_UPDATES
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
