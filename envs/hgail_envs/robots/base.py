@@ -47,7 +47,6 @@ class Robot(abc.ABC):
       scene: name of the scene, `assets/scenes/<scene>.xml`.
       base_x: position of the robot along x, metres.
       start_height: nominal height of the gripper's start above the table, metres.
-
     """
 
     def __init__(self, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
