@@ -81,7 +81,7 @@ def compiled_run(task, config):
 
 @pytest.mark.parametrize(
     ("method", "rounds", "bc_batch"),
-    [("ppo", 20, 0), pytest.param("gcsl", 5, 64, marks=pytest.mark.slow), ("hgail", 8, 64)],
+    [*(pytest.param(*row, marks=pytest.mark.slow) for row in [("ppo", 20, 0), ("gcsl", 5, 64)]), ("hgail", 8, 64)],
     ids=["ppo", "gcsl", "hgail"],
 )
 def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, bc_batch):

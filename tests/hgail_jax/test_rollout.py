@@ -32,9 +32,16 @@ def passing(observation, rng):
     return 10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]], -jnp.square(observation).sum(axis=-1)
 
 
+def roll_out(rng, lift_test):
+    return rollout(Lifted(), passing, rng, NUM_ENVS, lift_test=lift_test)
+
+
+built_in, traced = jax.jit(roll_out, static_argnums=1), jax.jit(roll_out)
+
+
 @pytest.mark.parametrize("lift_test", [False, True, jnp.array(False), jnp.array(True)])
 def test_a_roll_out_is_the_loop_over_its_steps_and_its_lift_test(lift_test):
-    episodes = jax.jit(lambda rng: rollout(Lifted(), passing, rng, NUM_ENVS, lift_test=lift_test))(jax.random.key(0))
+    episodes = (built_in if isinstance(lift_test, bool) else traced)(jax.random.key(0), lift_test)
     goal = np.asarray(episodes.desired[0], np.float64)
     assert len(np.unique(goal)) == goal.size
     position = np.zeros((NUM_ENVS, 3))
@@ -61,15 +68,15 @@ def test_a_roll_out_is_the_loop_over_its_steps_and_its_lift_test(lift_test):
     assert ((position[:, 0] < 0.0) != (before[:, 0] < 0.0)).any() == bool(lift_test)
 
 
+side_by_side = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))
+
+
 @pytest.mark.parametrize("lift_test", [False, True])
 def test_seeds_side_by_side_roll_out_as_alone(lift_test):
-    def roll_out(rng, lift_test):
-        return rollout(Lifted(), passing, rng, NUM_ENVS, lift_test=lift_test)
-
     keys = jax.random.split(jax.random.key(1), 3)
-    together = jax.jit(jax.vmap(roll_out, in_axes=(0, None)))(keys, lift_test)
+    together = jax.device_get(side_by_side(keys, jnp.array(lift_test)))
     for seed, key in enumerate(keys):
-        alone, of_seed = jax.jit(roll_out)(key, lift_test), jax.tree.map(lambda leaf, seed=seed: leaf[seed], together)
+        alone, of_seed = traced(key, jnp.array(lift_test)), jax.tree.map(lambda leaf, seed=seed: leaf[seed], together)
         jax.tree.map(lambda *leaves: np.testing.assert_allclose(*leaves, atol=1e-5), alone, of_seed)
 
 
@@ -100,7 +107,7 @@ def test_an_episode_whose_simulation_breaks_down_in_the_lift_test_is_not_valid(l
     def policy(observation, rng):
         return jnp.where(observation[:, 4:5] > 0.0, jnp.array([0.0, 1.0, 0.0]), 0.0), jnp.zeros(len(observation))
 
-    episodes = rollout(Fragile(), policy, jax.random.key(2), NUM_ENVS, lift_test=lift_test)
+    episodes = jax.jit(lambda rng: rollout(Fragile(), policy, rng, NUM_ENVS, lift_test=lift_test))(jax.random.key(2))
     far = np.asarray(episodes.achieved[-1, :, 1]) > 1.0
     if lift_test:
         assert 0 < episodes.valid.sum() < NUM_ENVS

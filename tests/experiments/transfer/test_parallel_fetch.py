@@ -57,6 +57,7 @@ def linear(task, weights, **more):
     return MeanPolicy(task, 4, np.zeros(size, np.float32), np.ones(size, np.float32), layers, **more)
 
 
+@pytest.mark.slow
 def test_a_tracked_cube_is_seen_with_the_goal_s_error():
     """The hand moves by what the cube in the features is away from the goal, which no error must part."""
     weights = np.zeros((15, 4))

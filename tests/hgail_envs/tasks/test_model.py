@@ -38,6 +38,11 @@ PADS = ("right_pad", "left_pad")
 KEYS = jax.random.split(jax.random.key(0), 300)
 
 
+def fields_of(robot, factors):
+    """The fields of a robot's scene under factors."""
+    return jax.device_get(jax.jit(SceneModel(robot).fields)(factors))
+
+
 @functools.cache
 def compiled(task, impl="c", substeps=8):
     """A task, its start, and programs that vary its model and step it, compiled once for all tests."""
@@ -96,7 +101,7 @@ def test_what_derives_from_masses_is_what_mujoco_derives(scene):
     """All of the model's numbers, changed or not; the fingers' part in the arm's inverse weights is left out."""
     robot = Fetch(scene)
     model = robot.model
-    ours, theirs = SceneModel(robot).fields(FACTORS), edited(model, FACTORS)
+    ours, theirs = fields_of(robot, FACTORS), edited(model, FACTORS)
     for name in dir(model):
         before = getattr(model, name)
         if isinstance(before, np.ndarray) and before.dtype.kind == "f" and name not in NOT_IN_A_STEP:
@@ -118,26 +123,26 @@ def test_each_environment_is_stepped_with_its_own_model_as_by_hand():
     ]
     scene = SceneModel(ROBOT)
     batch = jax.tree.map(lambda *leaves: jnp.array(leaves, jnp.float32), *factors)
-    engine = make_engine("c", MODEL, PERIOD, substeps, worlds=1)
+    engine, fields = make_engine("c", MODEL, PERIOD, substeps, worlds=1), jax.jit(scene.fields)
 
+    @jax.jit
+    @jax.vmap
     def step(state, control, factors):
         return engine.step(state, control.replace(model=scene.fields(factors)))
 
-    after = jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), batch)
+    after = step(engine_state(qpos, qvel), engine_control(control), batch)
     plain = jax.jit(jax.vmap(engine.step))(engine_state(qpos, qvel), engine_control(control))
     for index in range(count):
         model = copy.copy(MODEL)
-        for name, values in scene.fields(jax.tree.map(lambda leaf, i=index: leaf[i], batch)).items():
+        for name, values in fields(jax.tree.map(lambda leaf, i=index: leaf[i], batch)).items():
             getattr(model, name)[...] = np.asarray(values)
         own_qpos, own_qvel = step_by_hand(model, qpos[index], qvel[index], control[index], substeps)
         np.testing.assert_allclose(after.qpos[index], own_qpos, atol=1e-6)
         np.testing.assert_allclose(after.qvel[index], own_qvel, atol=1e-4)
     assert np.abs(np.asarray(after.qpos - plain.qpos)).max() > 1e-3
     # and the models go back to what they were, and on to others
-    again = jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), jax.tree.map(jnp.flip, batch))
-    np.testing.assert_array_equal(
-        jax.jit(jax.vmap(step))(engine_state(qpos, qvel), engine_control(control), batch).qpos, after.qpos
-    )
+    again = step(engine_state(qpos, qvel), engine_control(control), jax.tree.map(jnp.flip, batch))
+    np.testing.assert_array_equal(step(engine_state(qpos, qvel), engine_control(control), batch).qpos, after.qpos)
     assert np.abs(np.asarray(again.qpos - after.qpos)).max() > 1e-6
 
 
@@ -217,6 +222,12 @@ def test_a_narrow_hand_opens_as_far_as_c_mujoco_opens_one_that_is_made_so(impl):
 
 
 @functools.cache
+def fields_in(task):
+    """Returns a program for the fields of the model under factors."""
+    return jax.jit(SceneModel(compiled(task).env.robot).fields)
+
+
+@functools.cache
 def opened(task):
     """Returns a program for the gaps of the hand at many starts."""
     env = compiled(task).env
@@ -241,7 +252,7 @@ def opened(task):
 def test_a_narrow_hand_has_room_for_the_object(task, width, size, widest):
     env, varied = compiled(task).env, compiled(task).varied(compiled(task).start, hand_width=width, object_size=size)
     assert float(env.widest_gap(varied)) == pytest.approx(widest, abs=1e-6)
-    fields = SceneModel(env.robot).fields(jax.device_get(varied.factors))
+    fields = fields_in(task)(varied.factors)
     if env.model.nu:  # else the fingers stay closed
         reach = sum(float(fields["jnt_range"][env.model.joint(name).id, 1]) for name in FINGERS)
         assert reach == pytest.approx(widest, abs=1e-6)
@@ -385,6 +396,6 @@ def test_a_field_that_an_engine_cannot_vary_is_refused():
 def test_warp_has_all_fields_for_each_world(scene):
     """By MJX's own table of what its implementation on Warp may be given a batch of."""
     types = pytest.importorskip("mujoco.mjx.warp.types")
-    fields = SceneModel(Fetch(scene)).fields(FACTORS)
+    fields = jax.eval_shape(SceneModel(Fetch(scene)).fields, FACTORS)
     assert "pair_friction" in fields
     assert all(types._BATCH_DIM["Model"][name] for name in fields)

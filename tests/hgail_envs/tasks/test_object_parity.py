@@ -120,7 +120,7 @@ def test_starts_and_goals_are_distributed_as_the_reference_s(env, reference):
 
 def test_the_arm_starts_as_the_reference_s(env, reference):
     seen = reference.reset(seed=0)[0]["observation"]
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     np.testing.assert_allclose(env.initial_gripper_position, reference.initial_gripper_xpos, atol=1e-3)
     np.testing.assert_allclose(state.info["features"][:3], seen[:3], atol=1e-3)
     np.testing.assert_allclose(state.info["features"][9:11], seen[9:11], atol=1e-4)

@@ -189,7 +189,9 @@ SHIPPED = {path.stem for path in (assets_directory() / "policies").glob("*.npz")
 OTHERS = sorted(SHIPPED & set(hgail_envs.TASKS) - {"reach", "grasp", "tower"})
 
 
-@pytest.mark.parametrize("task", OTHERS)
+@pytest.mark.parametrize(
+    "task", [pytest.param(task, marks=() if task == "push" else pytest.mark.slow) for task in OTHERS]
+)
 def test_a_policy_that_is_shipped_follows_a_target_that_is_moved(task):
     """Of three targets it comes to two at least, by where MuJoCo has the body that the goal is about."""
     session = Session(hgail_envs.make(task, impl="c"), load_policy(assets_directory() / "policies" / f"{task}.npz"))
