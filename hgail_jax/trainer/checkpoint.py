@@ -232,12 +232,8 @@ class _History:
         text = "".join(json.dumps(row) + "\n" for row in rows).encode()
         self._path.touch()
         os.truncate(self._path, self._bytes)
-        try:
-            with self._path.open("ab") as file:
-                file.write(text)
-        except OSError:
-            os.truncate(self._path, self._bytes)
-            raise
+        with self._path.open("ab") as file:
+            file.write(text)
         self._hash.update(text)
         self._bytes, self.rows = self._bytes + len(text), self.rows + len(rows)
 

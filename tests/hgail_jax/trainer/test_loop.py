@@ -14,7 +14,7 @@ from hgail_jax import Checkpoints, EpisodeMetrics, Hyperparameters, RoundMetrics
 from hgail_jax.learners import PPO
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer import loop
-from hgail_jax.trainer.loop import Program, SavingPolicy, begin, round_record, save, train
+from hgail_jax.trainer.loop import Program, SavingPolicy, begin, diverged_seeds, round_record, save, train
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")
@@ -165,6 +165,22 @@ def test_a_training_that_is_stopped_ends_with_its_round_and_a_checkpoint(tmp_pat
     train(program(), steps_of(), progress, stop=stop)  # it stays stopped
     train(program(), steps_of(*rounds[2:]), progress)
     assert progress.rounds == 8
+
+
+def test_a_resumed_training_remembers_its_rounds_and_the_seeds_that_diverged(tmp_path):
+    of, rounds = (
+        program(rounds=2),
+        [measured([0.0] * 2, [1.0] * 2, diverged=np.array([0.0, rate])) for rate in (0.5, 0)],
+    )
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        first = start(of)
+        train(program(rounds=1), steps_of(*rounds), first, checkpoints)
+    with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
+        resumed = begin(of, of.init(), checkpoints.restore(first.states))
+        assert (resumed.history, resumed.seconds, resumed.saved) == (first.history, first.seconds, 2)
+        train(of, steps_of(rounds[1]), resumed, checkpoints)
+    assert diverged_seeds(of, resumed) == ["seed 1"]
+    assert Checkpoints(tmp_path / "checkpoints", {}).restore(first.states).history == resumed.history
 
 
 def test_a_round_is_saved_once(tmp_path):
