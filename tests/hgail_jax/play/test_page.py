@@ -193,7 +193,7 @@ def test_a_visitor_drags_the_target_and_the_policy_follows(page):
             wait_for(lambda: session.target[2] > before[2] + 0.05)
             np.testing.assert_allclose(session.target[:2], before[:2], atol=1e-3)
             wait_for(lambda: session.status.phase is Phase.STAYING)
-            visitor.get_by_text("Success").wait_for()
+            visitor.get_by_text("Success", exact=True).wait_for()
             session.pose()
             assert np.linalg.norm(session.data.site("grip").xpos - session.target) < 0.05
             own = f"127.0.0.1:{page.port}"  # a page that needs nothing of the internet
