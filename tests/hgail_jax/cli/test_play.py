@@ -14,7 +14,6 @@ from PIL import Image
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
-from hgail_envs.scenes import load_scene
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import caption, film, frames
@@ -247,7 +246,7 @@ class BlackPictures:
     """A renderer that shows nothing, and needs no GL."""
 
     def __init__(self):
-        self.scene = mujoco.MjvScene(load_scene("fetch/reach"), 10)
+        self.scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 10)
 
     def update_scene(self, *_):
         self.scene.ngeom = 0
