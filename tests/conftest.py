@@ -5,21 +5,14 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
+
+# The packages are imported within functions: the process that starts the workers runs no test, and does without them.
+
 # One cache for all tests and for the processes that they start: the same program is compiled once.
 ROOT = Path(__file__).parent.parent
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
-
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-
-import hgail_envs  # noqa: E402
-from hgail_envs.robots.fetch import Fetch  # noqa: E402
-from hgail_envs.scenes import assets_directory  # noqa: E402
-from hgail_envs.vision.rendering import open_renderer  # noqa: E402
-from hgail_envs.workarounds import configure_xla  # noqa: E402
-
-configure_xla()  # as the command does, before JAX starts
 
 _MUCH_MEMORY, _MORE_MEMORY = 1.2e9, 0.5e9  # bytes; freeing them takes a second
 _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
@@ -27,6 +20,11 @@ _QUICKLY = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_
 
 def pytest_configure(config):
     """Has XLA compile quickly, which is most of what these tests do; not the slow ones, which compute."""
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
+        return  # of the process that starts the workers
+    from hgail_envs.workarounds import configure_xla
+
+    configure_xla()  # as the command does, before JAX starts
     flags = os.environ.get("XLA_FLAGS", "")
     if config.option.markexpr == "not slow" and "optimization_level" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {_QUICKLY}".strip()
@@ -64,19 +62,25 @@ def programs_of_a_few_files():
 @pytest.fixture(scope="session")
 def shipped_policy():
     """The policy for reach that comes with the package."""
+    from hgail_envs.scenes import assets_directory
+
     return assets_directory() / "policies" / "reach.npz"
 
 
 @pytest.fixture(scope="session")
 def grasp_policy():
     """The policy for grasp that comes with the package."""
+    from hgail_envs.scenes import assets_directory
+
     return assets_directory() / "policies" / "grasp.npz"
 
 
 @pytest.fixture(scope="session")
 def tracking_policy():
     """A policy of grasp that is given where the cube is at each step: it goes there, and opens the hand."""
-    from hgail_jax.policy import MeanPolicy  # here, so that JAX starts with the tests that need it
+    import numpy as np
+
+    from hgail_jax.policy import MeanPolicy
 
     weights, bias = np.zeros((15, 4), np.float32), np.array([0, 0, 0, 1], np.float32)
     weights[[8, 9, 10], [0, 1, 2]] = 20.0
@@ -97,6 +101,9 @@ def forks(tmp_path_factory):
 @pytest.fixture(scope="session")
 def rendering():
     """Skips where MuJoCo cannot render."""
+    from hgail_envs.robots.fetch import Fetch
+    from hgail_envs.vision.rendering import open_renderer
+
     try:
         open_renderer(Fetch("reach").model, 8, 8).close()
     except RuntimeError as error:
@@ -106,6 +113,7 @@ def rendering():
 @pytest.fixture(scope="session")
 def step_of_two():
     """The compiled step of two states side by side, tiny ones of point."""
+    import hgail_envs
     from hgail_jax import Hyperparameters, phase_table
     from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
     from tests.support import TINY
