@@ -11,6 +11,7 @@ from scipy import stats
 
 import hgail_envs
 from hgail_envs.base import GoalEnv
+from hgail_envs.past import Past
 from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv, randomize
@@ -387,3 +388,28 @@ def test_its_task_is_prepared(monkeypatch):
     task = Point()
     RandomizedEnv(task, Randomization(delay=(0, 1))).prepare()
     assert prepared == [task]
+
+
+# The past of a policy on a robot
+
+
+@pytest.mark.parametrize(("known", "history"), [(0, 0), (0, 3), (2, 0), (2, 1), (4, 2)])
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_the_past_on_a_robot_is_what_the_policy_read_in_training(known, history, delay):
+    delay = min(delay, known or delay)
+    sizes = Randomization(delay=(delay, delay), robot_noise=0.01, history=history, known_delay=known)
+    env, past = RandomizedEnv(Point(), sizes), Past(sizes, delay, action_size=3)
+    state = env.reset(jax.random.key(0))
+    for action in ACTIONS[:7]:
+        features = np.asarray(state.info["features"])
+        seen = features[-3:]
+        np.testing.assert_array_equal(np.append(past.before(seen), seen), features)
+        past.add(action, seen)
+        state = env.step(state, action)
+
+
+@pytest.mark.parametrize("delay", [-1, 3])
+def test_a_delay_that_the_policy_does_not_know_is_refused(delay):
+    with pytest.raises(ValueError, match=f"delay is {delay}; the policy knows delays from 0 to 2"):
+        Past(Randomization(known_delay=2), delay)
+    Past(Randomization(history=1), 3)
