@@ -62,7 +62,7 @@ TESTS = {
     "envs/hgail_envs/tasks/objects": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/tasks/push": [OBJECTS, OBJECT_PARITY],
     "envs/hgail_envs/tasks/pick_and_place": [OBJECTS, OBJECT_PARITY],
-    "envs/hgail_envs/tasks/cubes": [CUBES, STACK, TOWER],
+    "envs/hgail_envs/tasks/cubes": [CUBES, STACK, TOWER, GOALS, MODEL],
     "envs/hgail_envs/tasks/stack": [CUBES, STACK],
     "envs/hgail_envs/tasks/tower": [CUBES, TOWER],
 }

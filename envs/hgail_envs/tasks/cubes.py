@@ -77,7 +77,7 @@ class CubeGoals(ArmEnv):
 
     def is_left_as_wanted(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether the cube of each goal is left, or not, as the goal wants it, `[...]`; True for any other."""
-        gap, wanted = features[..., self.features_layout["gap between the fingers"]], jnp.ones(goal.shape[:-1], bool)
+        gap, wanted = features[..., self.features_layout["gap between the fingers"]], jnp.asarray(True)
         for number, cube in enumerate(self.cubes[: self.cubes_to_leave]):
             apart = features[..., self.features_layout[f"{cube} position less gripper position"]]
             left = is_left(apart, features[..., self.features_layout[f"{cube} velocity"]], gap)
