@@ -24,32 +24,36 @@ from hgail_envs.randomization import LEVELS, Randomization
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
-PAGES = ("README.md", *(f"docs/{page}.md" for page in ("index", "suite", "off-policy", "robust", "tasks", "transfer")))
+_WITH_TABLES = ("index", "adversary", "suite", "off-policy", "robust", "tasks", "transfer")
+PAGES = ("README.md", *(f"docs/{page}.md" for page in _WITH_TABLES))
 """Pages with tables."""
 
 Row = dict[str, Any]
 
-_HEADLINE = (  # a run, its task's name, and the methods whose figures stand beside it
-    ("reach-hgail", "reach", ("the paper",)),
-    ("grasp-hgail", "grasp, with a lift test", ("the paper",)),
-    ("grasp-td3", "grasp, the cube seen at each step", ()),
-    ("push-td3", "push", ("RHER", "DDPG + HER")),
-    ("pick-and-place-td3-no-reward", "pick and place", ("RHER", "DDPG + HER")),
-    ("pick-and-place-td3", "pick and place", ("RHER", "DDPG + HER")),
-    ("slide-td3", "slide", ("TQC + HER",)),
-    ("slide-hgail", "slide", ("TQC + HER",)),
-    ("stack-td3", "put a cube on another, and let go", ()),
-    ("tower-td3", "put three cubes on one another, in a given order", ()),
+_HEADLINE = (  # a run, its task's name, the run by HER, and the methods whose figures stand beside it
+    ("reach-hgail", "reach", None, ("the paper",)),
+    ("grasp-hgail", "grasp, with a lift test", None, ("the paper",)),
+    ("grasp-td3", "grasp, the cube seen at each step", "grasp-td3-her", ()),
+    ("push-td3", "push", "push-td3-her", ("RHER", "DDPG + HER")),
+    ("pick-and-place-td3", "pick and place", "pick-and-place-td3-her", ("RHER", "DDPG + HER")),
+    ("slide-td3", "slide", "slide-td3-her", ("TQC + HER",)),
+    ("stack-td3", "put a cube on another, and let go", "stack-td3-her", ()),
+    ("tower-td3", "put three cubes on one another, in a given order", "tower-td3-her", ()),
 )
 _SUITE = ("reach-hgail", "grasp-hgail", "push-td3", "pick-and-place-td3", "slide-td3")
+_WITH_HER = ("push", "pick-and-place", "grasp", "slide", "stack", "tower")
 _OFF_POLICY = (
-    *("reach-td3", "push-td3", "pick-and-place-td3", "pick-and-place-td3-no-reward", "slide-td3"),
-    *("stack-td3", "tower-td3", "grasp-td3"),
+    "reach-td3",
+    *(f"{task}-td3{method}" for task in _WITH_HER for method in ("", "-her")),
     *(f"{task}-hgail" for task in ("reach", "push", "pick-and-place", "slide", "grasp")),
 )
+_CPU = (
+    *(f"{task}-td3-cpu" for task in ("push", "pick-and-place", "grasp", "slide")),
+    *("stack-td3-cpu", "stack-td3-cpu-2", "grasp-hgail-cpu"),
+)
 _BESIDE_PUBLISHED = (  # a run, and the success looked for, or None for how it ended
-    *((run, "0.95") for run in ("push-td3", "push-hgail", "pick-and-place-td3", "pick-and-place-td3-no-reward")),
-    *(("pick-and-place-hgail", "0.95"), ("slide-td3", "0.80"), ("slide-td3", None), ("slide-hgail", None)),
+    *((run, "0.95") for run in ("push-td3", "push-hgail", "pick-and-place-td3", "pick-and-place-hgail")),
+    *(("slide-td3", "0.80"), ("slide-td3", None), ("slide-hgail", None)),
 )
 _RANDOMISED = ("-robust", "-other-arms", "-known-delay")
 _POLICIES = {"other arms": "under `other-arms`", "known delay": "known delay", "robust": "robust policy"}
@@ -82,17 +86,30 @@ def headline() -> list[list[str]]:
     """Figures of the front page, the unflattering ones too."""
     sizes = _study("ablations", "reach", setting="the paper's sizes", panel="with pre-training")
     success = plus_minus(float(np.mean(sizes["success"])), sizes["success_ci95"])
-    ends = ["never", _count(sizes["env_steps_per_seed"]), "", _elsewhere("reach", "the paper")]
+    ends = ["never", _count(sizes["env_steps_per_seed"]), "", "", _elsewhere("reach", "the paper")]
+    header = ["task", "learner", "success without reward", "worst seed", "steps to .95", "steps in all", "training"]
     return [
-        ["task", "method", "learner", "reward", "success", "steps to .95", "steps in all", "training", "elsewhere"],
-        *(_headline(_run(run), name, beside) for run, name, beside in _HEADLINE),
-        ["reach with the paper's own sizes", "HGAIL", "PPO", "none", success, *ends],
+        [*header, "HER, with the goal test", "elsewhere"],
+        *(_headline(_run(run), name, _run(her) if her else None, beside) for run, name, her, beside in _HEADLINE),
+        ["reach with the paper's own sizes", "PPO", success, f"{min(sizes['success']):.3f}", *ends],
     ]
 
 
-def _headline(run: Row, name: str, beside: Iterable[str]) -> list[str]:
+def _headline(run: Row, name: str, her: Row | None, beside: Iterable[str]) -> list[str]:
     elsewhere = "; ".join(_elsewhere(run["task"], what) for what in beside)
-    return [name, *_trained_by(run), _success(run), *_steps(run), _seconds(run["seconds"]["train"]), elsewhere]
+    figures = [name, run["learner"].upper(), _success(run), f"{run['worst']:.3f}", *_steps(run)]
+    return [*figures, _seconds(run["seconds"]["train"]), _beside(her, run), elsewhere]
+
+
+def _beside(her: Row | None, run: Row) -> str:
+    """Returns success and steps to .95 of a run by HER, with a dagger if it is of another version of MuJoCo."""
+    if her is None:
+        return ""
+    return f"{her['success']['mean']:.3f}, {_steps(her)[0]}" + _other_version(her, run)
+
+
+def _other_version(row: Row, other: Row) -> str:
+    return "" if _mujoco(row) == _mujoco(other) else " †"
 
 
 def _elsewhere(task: str, what: str) -> str:
@@ -117,25 +134,49 @@ def _suite(run: Row) -> list[str]:
 def off_policy() -> list[list[str]]:
     """Eight seeds of each task by either learner."""
     header = ["task", "method", "learner", "reward", "success", "worst seed", "steps to .95", "all steps", "training"]
-    return [[*header, "whole run"], *map(_off_policy, map(_run, _OFF_POLICY))]
+    return [[*header, "whole run", "MuJoCo"], *map(_off_policy, map(_run, _OFF_POLICY))]
 
 
 def _off_policy(run: Row) -> list[str]:
-    return [run["task"], *_trained_by(run), _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
+    sizes = [f"{run['worst']:.3f}", *_steps(run), *_times(run), _mujoco(run)]
+    return [run["task"], *_trained_by(run), _success(run), *sizes]
+
+
+def adversary() -> list[list[str]]:
+    """Eight seeds of the tasks with an object, by the discriminator's reward alone and by the goal test alone."""
+    header = ["task", "no reward", "worst seed", "steps to .95", "HER", "worst seed", "steps to .95", "all steps"]
+    return [header, *(_adversary(_run(f"{task}-td3"), _run(f"{task}-td3-her")) for task in _WITH_HER)]
+
+
+def _adversary(run: Row, her: Row) -> list[str]:
+    figures = [part for each in (run, her) for part in (_success(each), f"{each['worst']:.3f}", _steps(each)[0])]
+    return [run["task"] + _other_version(her, run), *figures, _steps(run)[1]]
+
+
+def on_a_cpu() -> list[list[str]]:
+    """One seed of each task with a CPU's sizes."""
+    header = ["task", "method", "learner", "seed", "success", "all steps", "whole run", "cores", "MuJoCo"]
+    return [header, *map(_on_a_cpu, map(_run, _CPU))]
+
+
+def _on_a_cpu(run: Row) -> list[str]:
+    (seed,) = run["seeds"]
+    figures = [f"{seed}", f"{run['success']['mean']:.3f}", _count(run["env_steps"]), _seconds(run["seconds"]["total"])]
+    return [run["task"], *_trained_by(run)[:2], *figures, f"{run['cpu_cores']}", _mujoco(run)]
 
 
 def robust() -> list[list[str]]:
     """Success of randomised trainings on the Fetch, under their level and undisturbed."""
     header = ["task", "method", "learner", "level", "success under it", "undisturbed", "worst seed, undisturbed"]
     runs = sorted((run for run in _read("runs") if run["name"].endswith(_RANDOMISED)), key=lambda run: run["name"])
-    return [[*header, "plain policies, undisturbed", "env steps", "start to end"], *map(_robust, runs)]
+    return [[*header, "plain policies, undisturbed", "env steps", "start to end", "MuJoCo"], *map(_robust, runs)]
 
 
 def _robust(run: Row) -> list[str]:
     plain = _run(next(run["name"].removesuffix(end) for end in _RANDOMISED if run["name"].endswith(end)))
     nominal = run["nominal_success"]
     rates = [run["success"]["mean"], nominal["mean"], min(nominal["per_seed"]), plain["success"]["mean"]]
-    ends = [_count(run["env_steps"]), _seconds(run["seconds"]["total"])]
+    ends = [_count(run["env_steps"]), _seconds(run["seconds"]["total"]), _mujoco(run)]
     return [run["task"], *_trained_by(run)[:2], f"`{run['level']}`", *(f"{rate:.3f}" for rate in rates), *ends]
 
 
@@ -190,11 +231,10 @@ def _ours(run: Row, least: str | None) -> Row:
     end = {"env_steps": run["env_steps"], "seconds": run["seconds"]["train"]}
     there = end if least is None else run["reached"][least]
     method, learner, _ = _trained_by(run)
-    part = " and a quarter of the goal test" if run["environment_reward"] == 0.25 else ""
     gpu = run["device"]["kind"].split()[1]
     return {
         "task": run["task"],
-        "what": f"{method} with {learner}{part}, here",
+        "what": f"{method} with {learner}, here",
         "success": f"{run['success']['mean']:.2f}" if least is None else least,
         "env_steps": _rate(there["env_steps"]),
         "time": f"{_seconds(there['seconds'])} for eight seeds on one {gpu}",
@@ -239,6 +279,11 @@ def _steps(run: Row) -> list[str]:
 
 def _times(run: Row) -> list[str]:
     return [_seconds(run["seconds"][part]) for part in ("train", "total")]
+
+
+def _mujoco(run: Row) -> str:
+    """Returns the version of MuJoCo that a run was made with, without its last number."""
+    return run["versions"]["mujoco"].rpartition(".")[0]
 
 
 def _rate(value: float) -> str:

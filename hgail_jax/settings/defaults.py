@@ -163,7 +163,6 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
                 "gpu": {"num_envs": 256, "rounds": 34, "rollouts": 10, "batch": 2048, **_LARGE_BUFFER},
             },
             OBJECT_SUBSTEPS | {"achieved": "passed"},
-            {"cpu": "her", "gpu": "hgail"},  # on a CPU the adversary is untried
             goal_jitter=1.0,
             negative_p_ht=0.0,
             negative_weight=2.0,
