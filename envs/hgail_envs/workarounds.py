@@ -1,8 +1,10 @@
-"""Works around faults of the installed JAX and MJX."""
+"""Works around faults of the installed JAX, MJX and Warp."""
 
 import contextlib
+import functools
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jaxlib.version
@@ -39,3 +41,22 @@ def promotion() -> Iterator[None]:
     """Lets lines of a library promote ranks and types where the user's settings of JAX forbid it in all programs."""
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
         yield
+
+
+def keep_registered(stream: Any) -> None:
+    """Has `warp.Stream` never unregister a stream of another library. JAX's last as long as the process.
+
+    Warp (1.18 at least) wraps JAX's stream anew in each callback, and unregisters it with the wrapper. A function that
+    a callback defines with `@warp.func` keeps the wrapper alive, in a cycle of frames, until Python collects garbage.
+    If that is while a later callback records a graph on the same stream, recording fails: "unknown stream".
+    """
+    release = stream.__del__
+    if hasattr(release, "__wrapped__"):
+        return
+
+    @functools.wraps(release)
+    def release_own(self: Any) -> None:
+        if self.owner:
+            release(self)
+
+    stream.__del__ = release_own

@@ -51,3 +51,27 @@ def test_xla_is_configured_once_and_as_the_user_says(monkeypatch):
     workarounds.configure_xla()
     assert workarounds.os.environ["XLA_FLAGS"] == "--a=1 --xla_cpu_use_fusion_emitters=false"
     assert workarounds.os.environ["NPROC"] == "3"
+
+
+def test_a_stream_of_another_library_stays_registered():
+    """As Warp's class does it: the wrapper of a stream takes it off the register when it is freed, the last or not."""
+    registered = set()
+
+    class Stream:
+        def __init__(self, handle, owner):
+            self.handle, self.owner = handle, owner
+            registered.add(handle)
+
+        def __del__(self):
+            registered.discard(self.handle)
+
+    earlier, later = Stream("theirs", owner=False), Stream("theirs", owner=False)
+    del earlier
+    assert not registered  # the fault: the later one is still in use
+    for _ in range(2):  # once is enough, and twice is no harm
+        workarounds.keep_registered(Stream)
+    earlier, own = Stream("theirs", owner=False), Stream("own", owner=True)
+    del earlier, own
+    assert registered == {"theirs"}
+    del later
+    assert registered == {"theirs"}

@@ -13,7 +13,7 @@ import numpy as np
 from mujoco import mjx
 
 from hgail_envs.engines.base import Control, Engine, StateT
-from hgail_envs.workarounds import promotion
+from hgail_envs.workarounds import keep_registered, promotion
 
 _MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp builds it all the same
@@ -102,6 +102,7 @@ class WarpEngine(MjxEngine):
 
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
+        keep_registered(importlib.import_module("warp").Stream)
         self.max_worlds = worlds
         overflows = importlib.import_module(_MUJOCO_WARP).OverflowType
         # Flags of full buffers. The solver stops at its limit of iterations by intent, which is flagged, and printed.
