@@ -27,12 +27,12 @@ FILM, STARTS = _IMAGES / "policies.webp", _IMAGES / "tasks.webp"
 """Replaced by each run."""
 
 _PANELS = {
-    "reach": "reach",
     "grasp": "grasp",
     "push": "push",
     "pick and place": "pick-and-place",
     "slide": "slide",
     "stack": "stack",
+    "tower": "tower",
 }
 """Titles, and the policies below them; a multiple of `_COLUMNS`, so that no panel stays empty."""
 _SECONDS = 10.0
