@@ -315,8 +315,11 @@ def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
     wait_until(page, "demo.status().simulated > 0.1")
     page.get_by_role("button", name="Nudge the cube").click()
     page.get_by_text("Slow motion").click()
+    assert page.get_by_text("Robust policy").is_hidden()  # as push has none
     page.get_by_role("radio", name="Reach").check(force=True)
     wait_until(page, "demo.status().task === 'reach'")
+    assert page.get_by_role("button", name="Nudge the cube").is_hidden()
+    assert page.locator("#distance").text_content().endswith(" cm away; success within 5 cm")
     page.get_by_text("Robust policy").click()
     wait_until(page, "demo.status().simulated > 0.2")
 
