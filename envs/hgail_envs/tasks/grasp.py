@@ -16,8 +16,6 @@ CUBES = ("at-start", "tracked")
 """Values of `cube`."""
 CUBE_WIDTH = 0.05
 """Metres along each edge."""
-WIDEST_GAP = 0.1
-"""Metres between the fingers of an open hand."""
 
 CUBE_RANGE = 0.15
 """Metres around the gripper's start, along x and y, in which the cube starts."""

@@ -7,7 +7,6 @@ which an action lasts `CONTROL_PERIOD`.
 import numpy as np
 
 from hgail_envs.robots.fetch import LEAD
-from hgail_envs.tasks.grasp import WIDEST_GAP
 
 # The weld of assets/robots/fetch.xml is critically damped. With its own 0.95 × 0.02 s steps would be 5 % too long,
 # as the gripper drags the arm along; this constant fits the reference.
@@ -19,6 +18,7 @@ _MASS = 104.0  # kilograms, with the armature
 _STIFFNESS = 30_000.0  # newtons per metre
 _DAMPING = 1_000.0  # newton seconds per metre
 _FARTHEST = 0.2  # metres, farthest target of the servo
+_OPEN = 0.05  # metres from the middle, of a finger of an open hand
 _SQUEEZE = 0.01  # metres, most distance between a finger and its reference, which bounds its squeeze of a cube
 
 
@@ -80,6 +80,6 @@ class FingerResponse:
         """Moves each finger towards a target, metres, for a short time, seconds: about a physics step."""
         self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
         moved = self._finger + time * self._velocity
-        self._finger = min(max(moved, 0.0), WIDEST_GAP / 2)
+        self._finger = min(max(moved, 0.0), _OPEN)
         if moved != self._finger:  # at its limit
             self._velocity = 0.0

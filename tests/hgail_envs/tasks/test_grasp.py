@@ -106,11 +106,6 @@ def test_success_takes_a_lift(start, above):
     )
 
 
-@pytest.mark.parametrize("grip", [-1.0, 0.25])
-def test_the_lift_test_goes_straight_up_with_the_hand_as_it_was(grip):
-    np.testing.assert_array_equal(ENV.lift_test_action(jnp.array([0.5, -0.5, -0.75, grip])), [0.0, 0.0, 1.0, grip])
-
-
 def test_a_closed_hand_grasps_nothing(start):
     assert not holding(play(CLOSED, start)).any()
 
