@@ -66,7 +66,10 @@ def init_sweep(
     arrays = [setting.as_arrays() for setting in settings]
     swept = jax.tree.map(lambda *values: jnp.repeat(jnp.stack(values), len(keys), axis=0), *arrays)
     init = functools.partial(init_state, env, config, demonstrations=demonstrations)
-    return jax.jit(jax.vmap(init))(swept, jnp.tile(keys, len(settings)))
+    jitted, tiled = jax.jit(jax.vmap(init)), jnp.tile(keys, len(settings))
+    if isinstance(tiled, jax.core.Tracer):  # within another program, or where shapes alone are asked for
+        return jitted(swept, tiled)
+    return compile_program(jitted, swept, tiled)(swept, tiled)
 
 
 def split_sweep(results: Any, settings: int) -> Any:
