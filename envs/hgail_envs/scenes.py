@@ -19,7 +19,8 @@ TABLE_HEIGHT = 0.4
 _CAMERA_DISTANCE = 2.15  # in a scene's extent; the arm stays in the picture wherever it goes
 _CAMERA_RISE = 0.06  # metres from a scene's centre to the picture's, for the elbow
 _SIZE = (480, 640)  # height, width
-_VISUAL_GROUP = 2  # of geoms that collide with nothing
+VISUAL_GROUP = 2
+"""Group of geoms that collide with nothing."""
 
 
 def assets_directory() -> Path:
@@ -36,8 +37,10 @@ def read_scene(name: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
 
 def without_visuals(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Returns a scene without the geoms that have no effect."""
-    for geom in [geom for geom in spec.geoms if geom.group == _VISUAL_GROUP]:
+    for geom in [geom for geom in spec.geoms if geom.group == VISUAL_GROUP]:
         spec.delete(geom)
+    for mesh in list(spec.meshes):  # they alone use meshes, which take long to compile
+        spec.delete(mesh)
     return spec
 
 

@@ -78,21 +78,22 @@ def _check(options: Options) -> None:
     options.check(options.episodes)
     if options.impl is not None:
         check_name("impl", options.impl, ["auto", *ENGINES])
-    if options.reference and (options.impl is not None or options.randomize not in (None, "none")):
-        raise ValueError("the reference has one engine and is not randomised; leave out --impl and --randomize")
+    if options.reference and (options.impl or options.robot or options.randomize not in (None, "none")):
+        raise ValueError(
+            "the reference is one robot on one engine, not randomised; leave out --impl, --robot and --randomize"
+        )
 
 
 def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, int, list[Measure]]:
     """Returns the engine's name, the number of episodes, and functions that measure the policies in the task here."""
     if options.impl and "impl" not in hgail_envs.accepted_options(task):
         raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
-    physics: dict[str, Any] = {"impl": options.impl} if options.impl else {}
     evaluations: dict[str, Evaluation] = {}
     measures: list[Measure] = []
     for policy in policies:
         trained = repr((policy.task_options, policy.randomization, policy.observation_size))
         if trained not in evaluations:
-            env = make_task(policy, task, options.randomize, **physics)
+            env = make_task(policy, task, options.randomize, impl=options.impl, robot=options.robot)
             evaluations[trained] = Evaluation(env, options.seed, options.episodes)
         measures.append(functools.partial(evaluations[trained], policy))
     return getattr(env, "impl", "JAX"), evaluations[trained].episodes, measures

@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
         path = options.out or _free_name(task.replace(":", "."))
         if not shows:
             check_new_file(path, FORMATS)
-        env, policy = _load(task, options.policy, options.randomize)
+        env, policy = _load(task, options.policy, options.randomize, robot=options.robot)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     try:
@@ -92,7 +92,9 @@ def _check_scene(task: str, path: Path | None) -> None:
         raise ValueError(f"task {task!r} has no scene to show; {other}choose from {played}")
 
 
-def _load(task: str, path: Path | None, level: str | None, **physics: str) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
+def _load(
+    task: str, path: Path | None, level: str | None, **physics: str | None
+) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
     """Returns the task and the policy, and prints the policy's file and level; see `find_policies` and `make_task`."""
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)
@@ -111,7 +113,7 @@ def _serve(options: Options, shown: str) -> None:
 
     def open_session(task: str, seed: int) -> Session:
         path = options.policy if task == shown else None
-        env, policy = _load(task, path, options.randomize, impl="c")
+        env, policy = _load(task, path, options.randomize, impl="c", robot=options.robot)
         return Session(env, policy, seed)
 
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for any other request

@@ -12,6 +12,7 @@ from typing import Annotated
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
+from hgail_envs.robots import ROBOTS
 from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_jax.io.files import from_here
@@ -35,6 +36,8 @@ class PolicyOptions:
     the plain one, or with --randomize the one trained under that level, else the robust one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
+    robot: Annotated[str | None, unless_given("the policy's", "|".join(ROBOTS))] = None
+    """The robot that acts, of a task of an arm; another than the policy's is new to it."""
     seed: int = 0
     """Of the episodes."""
 
@@ -44,6 +47,8 @@ class PolicyOptions:
         check_count("seed", self.seed, least=0, most=MOST_SEED)
         if self.randomize is not None:
             check_name("randomize", self.randomize, LEVELS)
+        if self.robot is not None:
+            check_name("robot", self.robot, ROBOTS)
 
 
 def policy_files(path: Path) -> list[Path]:
@@ -129,9 +134,12 @@ def _none_is_shipped(task: str | None, level: str | None) -> str:
     return f"no policy of {task} for --randomize {level} comes with the package; name one by --policy, e.g. {known}"
 
 
-def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int) -> hgail_envs.GoalEnv:
+def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int | None) -> hgail_envs.GoalEnv:
     """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
-    taken = {name: value for name, value in physics.items() if name in hgail_envs.accepted_options(task)}
+    accepted = hgail_envs.accepted_options(task)
+    if physics.get("robot") is not None and "robot" not in accepted:
+        raise ValueError(f"--robot is for the tasks of an arm; {task!r} is none")
+    taken = {name: value for name, value in physics.items() if name in accepted and value is not None}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
     for kind, verb in (("observation", "reads"), ("goal", "has goals of"), ("action", "commands")):
         given, needed = (getattr(one, f"{kind}_size") for one in (policy, env))

@@ -40,9 +40,9 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
 
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
     to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
-    frame of each number, and mean and standard deviation in training), `frames`, `control_period` in seconds, of Fetch
-    tasks the gripper's `start` and the `table_height`, metres, `known_delay`, `history`, `randomization` and
-    `task_options` of the training, `versions` and, if it is known, the rate of `success`.
+    frame of each number, and mean and standard deviation in training), `frames`, `control_period` in seconds, of tasks
+    of an arm the `robot`, its gripper's `start` and the `table_height`, metres, `known_delay`, `history`,
+    `randomization` and `task_options` of the training, `versions` and, if it is known, the rate of `success`.
 
     Only if `trusted` is the class of a task imported that is not of this package, to name its numbers.
 
@@ -135,7 +135,7 @@ def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[
     env = make(policy.task, **policy.task_options) if of_class else None
     place = {} if env is None else {"control_period": env.control_period}
     if isinstance(env, ArmEnv):
-        place |= {"start": env.initial_gripper_position.tolist(), "table_height": TABLE_HEIGHT}
+        place |= {"robot": env.robot.name, "start": env.initial_gripper_position.tolist(), "table_height": TABLE_HEIGHT}
     seen = [
         {**row, "mean": float(mean), "std": float(std)}
         for row, mean, std in zip(_rows(described.observation), policy.mean, policy.std, strict=True)

@@ -16,6 +16,7 @@ import hgail_envs
 from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
+from hgail_envs.robots import ROBOTS
 from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
 from hgail_jax.devices.processes import choose_mesh
@@ -65,7 +66,8 @@ class TrainOptions:
     preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
     pretrain: bool = True
     """Fit policy and discriminator to the first roll-out before the rounds begin."""
-    impl: Annotated[str, _choices("Physics engine of the Fetch tasks", ["auto", *ENGINES])] = "auto"
+    robot: Annotated[str, _choices("Robot of the tasks of an arm", ROBOTS)] = "fetch"
+    impl: Annotated[str, _choices("Physics engine of the tasks of an arm", ["auto", *ENGINES])] = "auto"
     substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
     """Physics steps per action in training, 4 to 20. The final evaluation has 20."""
     randomize: Annotated[str, _choices("How much each episode is randomised, see docs/robust.md", LEVELS)] = "none"
@@ -158,6 +160,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     defaults = {name: value for name, value in preset.task_options.items() if name not in _PHYSICS}
     task_options = defaults | dict(_parse_task_option(option) for option in options.task_options)
+    if options.robot != TrainOptions.robot:
+        task_options["robot"] = options.robot
     worlds = options.seeds * preset.config.num_envs // mesh.size
     env = _make(options, preset.task_options, worlds, task_options)
     if options.task not in hgail_envs.TASKS:  # those have tests
@@ -259,7 +263,9 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     given = {"impl": options.impl, "worlds": worlds} | defaults | _given({"substeps": options.substeps})
     asks_for_physics = options.substeps is not None or options.impl != "auto"
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
-        raise ValueError(f"--substeps and --impl are for the Fetch tasks; {options.task!r} is none")
+        raise ValueError(f"--substeps and --impl are for the tasks of an arm; {options.task!r} is none")
+    if "robot" in task_options and "robot" not in accepted:
+        raise ValueError(f"--robot is for the tasks of an arm; {options.task!r} is none")
     with _one_error(f"cannot make task {options.task!r}"):
         return hgail_envs.make(options.task, **{name: given[name] for name in accepted if name in given} | task_options)
 
@@ -288,7 +294,7 @@ def _parse_setting(setting: str) -> tuple[str, Any]:
 
 def _parse_task_option(option: str) -> tuple[str, Any]:
     name, value = parse_option("task", option)
-    if name in _PHYSICS:
+    if name in (*_PHYSICS, "robot"):
         instead = "follows from the numbers of seeds and environments" if name == "worlds" else f"is --{name} here"
         raise ValueError(f"task option {option!r}: {name} {instead}")
     return name, value

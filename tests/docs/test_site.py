@@ -92,7 +92,7 @@ def test_public_names_are_documented():
             assert re.search(rf"\b(hgail_jax|hgail_envs)\.{name}\b", written), name
 
 
-QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust", "real-robot", "tasks"]
+QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust", "real-robot", "tasks", "add-a-robot"]
 TRAINING = ["README", "index", "getting-started", "sweeps", "off-policy"]
 
 
@@ -113,6 +113,8 @@ def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if page == "real-robot":
         pytest.importorskip("onnxruntime")
+    if page == "add-a-robot":
+        pytest.importorskip("gymnasium_robotics")
     for name in ("experiments", "assets"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.setitem(hgail_jax.METHODS, "mine", None)  # whatever the page sets is undone

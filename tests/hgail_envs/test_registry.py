@@ -58,7 +58,7 @@ class Closed(Forwarding):
 
 def test_options_pass_through_a_constructor_that_hands_them_on():
     forwarding, closed = f"{__name__}:Forwarding", f"{__name__}:Closed"
-    assert hgail_envs.accepted_options(forwarding) == ("impl", "substeps", "worlds", "observation", "shift")
+    assert hgail_envs.accepted_options(forwarding) == ("impl", "substeps", "worlds", "robot", "observation", "shift")
     env = hgail_envs.make(forwarding, substeps=7, observation="official", shift=2.0)
     assert (env.substeps, env.feature_size, env.shift) == (7, 25, 2.0)
     assert hgail_envs.accepted_options(closed) == ("substeps",)

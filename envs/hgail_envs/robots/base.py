@@ -3,7 +3,6 @@
 import abc
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -48,6 +47,9 @@ class Robot(abc.ABC):
       base_x: position of the robot along x, metres.
       start_height: nominal height of the gripper's start above the table, metres.
     """
+
+    name: str
+    """Its name in `hgail_envs.robots.ROBOTS`."""
 
     def __init__(self, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
         self.scene, self.base_x, self.start_height = scene, base_x, start_height
@@ -101,7 +103,3 @@ class Robot(abc.ABC):
     @abc.abstractmethod
     def hand_fields(self, factors: ModelFactors, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
         """Returns the model's fields that differ for other pads and fingers, where `others` already differ."""
-
-    def field(self, name: str) -> jax.Array:
-        """Returns a field of the model in single precision."""
-        return jnp.asarray(getattr(self.model, name), jnp.float32)

@@ -10,6 +10,7 @@ import numpy as np
 
 from hgail_envs.engines import Control
 from hgail_envs.robots.base import REFERENCE_SUBSTEPS, ArmPhysics, Robot
+from hgail_envs.robots.hand import field, finger_fields, pad_fields
 from hgail_envs.scenes import assets_directory, read_scene
 from hgail_envs.variation import ModelFactors
 
@@ -23,19 +24,18 @@ _DOWNWARD = np.array([1.0, 0.0, 1.0, 0.0])  # quaternion, not normalised, that p
 _FINGERS = ("right_finger", "left_finger")  # names of joints and actuators, as an observation has their positions
 _GRIPPER_OFFSET = np.array([-0.498, 0.005, -0.431])  # metres from the gripper's outstretched position to the table
 _SETTLE_PERIODS = 10  # actions, as in the reference
-_PADS = ("right_pad", "left_pad")
-_HEIGHT, _WIDTH = 0, 2  # axes of a pad, along the first of which the gripper points downward; it closes along the other
 
 
 class Fetch(Robot):
     """The Fetch; see `Robot`. Where a scene includes no `hand.xml` its fingers are blocked."""
+
+    name = "fetch"
 
     def __init__(self, *args: str | float, **kwargs: float) -> None:
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
         model = self.model
         self._fingers = np.array([model.joint(name).id for name in _FINGERS])
         self._finger_qpos, self._finger_dofs = model.jnt_qposadr[self._fingers], model.jnt_dofadr[self._fingers]
-        self._pads = np.array([model.geom(name).id for name in _PADS])
         self._widest = model.jnt_range[self._fingers, 1].sum()
 
     def spec(self) -> mujoco.MjSpec:
@@ -78,43 +78,9 @@ class Fetch(Robot):
         return physics.qpos[self._finger_qpos], physics.qvel[self._finger_dofs]
 
     def hand_fields(self, factors: ModelFactors, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        fields = self._pad_fields(factors.pad_size, others)
+        fields = pad_fields(self.model, factors.pad_size, others)
         if self.model.nu:
-            fields |= self._finger_fields(factors.finger_force, factors.finger_speed, others)
-            fields["jnt_range"] = self.field("jnt_range").at[self._fingers, 1].multiply(factors.hand_width)
+            servos = np.array([self.model.actuator(name).id for name in _FINGERS])
+            fields |= finger_fields(self.model, servos, factors.finger_force, factors.finger_speed, others)
+            fields["jnt_range"] = field(self.model, "jnt_range").at[self._fingers, 1].multiply(factors.hand_width)
         return fields
-
-    def _pad_fields(self, size: jax.Array | float, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        """Returns the fields that differ for pads `size` times as wide and high, whose lower ends stay in place."""
-        pads, axes = self._pads, np.array([_HEIGHT, _WIDTH])
-        of_pads = (pads[:, None], axes)
-        shorter = self.model.geom_size[pads, _HEIGHT].astype(np.float32) * (1.0 - size)
-        sizes = others.get("geom_size", self.field("geom_size")).at[of_pads].multiply(size)
-        radii = others.get("geom_rbound", self.field("geom_rbound"))
-        boxes = others.get("geom_aabb", self.field("geom_aabb"))  # centres, then half sizes
-        return {
-            "geom_size": sizes,
-            "geom_rbound": radii.at[pads].set(jnp.linalg.norm(sizes[pads], axis=-1)),
-            "geom_aabb": boxes.at[pads[:, None], 3 + axes].multiply(size),
-            "geom_pos": self.field("geom_pos").at[pads, _HEIGHT].add(shorter),
-        }
-
-    def _finger_fields(
-        self, force: jax.Array | float, speed: jax.Array | float, others: dict[str, jax.Array]
-    ) -> dict[str, jax.Array]:
-        """Returns the fields that differ for servos of other force and speed.
-
-        A servo is a mass on a spring with a damper, m x″ + d x′ + k x = k u. With time scaled by `speed` it is
-        m / speed², d / speed and k; scaling all three by `force` scales the force alone.
-        """
-        dofs, servos = self._finger_dofs, np.array([self.model.actuator(name).id for name in _FINGERS])
-        heavier = force / speed**2
-        mass = self.model.dof_M0[dofs]
-        more = (mass * (heavier - 1.0)).astype(jnp.float32)  # all of it armature: the finger's weight stays
-        return {
-            "dof_armature": self.field("dof_armature").at[dofs].add(more),
-            "dof_damping": self.field("dof_damping").at[dofs].multiply(force / speed),
-            "dof_invweight0": others.get("dof_invweight0", self.field("dof_invweight0")).at[dofs].divide(heavier),
-            "actuator_gainprm": self.field("actuator_gainprm").at[servos].multiply(force),
-            "actuator_biasprm": self.field("actuator_biasprm").at[servos].multiply(force),
-        }

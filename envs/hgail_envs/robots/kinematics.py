@@ -33,15 +33,19 @@ class Pose(NamedTuple):
 
 
 class Chain:
-    """The bodies from the world to the one that carries the site of a name, joined by hinges and slides alone."""
+    """The bodies to the one that carries the site of a name, joined by hinges and slides alone.
 
-    def __init__(self, model: mujoco.MjModel, site: str) -> None:
+    They begin at the world, or at the body named `base`, in whose frame poses then are.
+    """
+
+    def __init__(self, model: mujoco.MjModel, site: str, base: str = "world") -> None:
         self._model = model
         self._site = model.site(site).id
-        body = int(model.site_bodyid[self._site])
-        self._bodies = [body]
-        while body := int(model.body_parentid[body]):
+        body, first = int(model.site_bodyid[self._site]), model.body(base).id
+        self._bodies: list[int] = []
+        while body != first:
             self._bodies.insert(0, body)
+            body = int(model.body_parentid[body])
         self._joints = np.flatnonzero(np.isin(model.jnt_bodyid, self._bodies))
         kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         if not np.isin(model.jnt_type[self._joints], kinds).all():
@@ -52,10 +56,33 @@ class Chain:
         moving = qvel[self._model.jnt_dofadr[self._joints]]
         rates = jnp.zeros_like(qpos).at[self._model.jnt_qposadr[self._joints]].set(moving)
         # The site's velocity is the Jacobian times the joints' velocities: one forward-mode derivative.
-        (site, body, quaternion), (velocity, _, _) = jax.jvp(self._follow, (qpos,), (rates,))
+        (site, body, quaternion), (velocity, _, _) = jax.jvp(self.follow, (qpos,), (rates,))
         return Pose(site, velocity, body, quaternion)
 
-    def _follow(self, qpos: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def jacobian(self, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Returns the body's quaternion, `[4]`, and the derivatives by each joint of the chain, `[6, joints]`.
+
+        The first three rows are of the site's position, in metres, the others of the rotation, in radians.
+        """
+        joints: list[tuple[_Numbers, _Numbers, _Numbers]] = []
+        site, _, quaternion = self.follow(qpos, joints)
+        columns = []
+        for before, axis, anchor in joints:
+            turning = _rotate(before, axis)
+            columns.append([*_cross(turning, tuple(map(_difference, site, anchor))), *turning])
+        return quaternion, jnp.stack([jnp.stack(column) for column in columns], axis=1)
+
+    def site(self, qpos: jax.Array) -> jax.Array:
+        """Returns the site's position, `[3]`, metres."""
+        return self.follow(qpos)[0]
+
+    def follow(
+        self, qpos: jax.Array, hinges: list[tuple[_Numbers, _Numbers, _Numbers]] | None = None
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Returns the site's position, `[3]`, and the body's, and its quaternion, `[4]`.
+
+        To `hinges` it adds each one's frame, its axis there, and its anchor.
+        """
         model = self._model
         position: _Numbers = (0.0, 0.0, 0.0)
         quaternion: _Numbers = (1.0, 0.0, 0.0, 0.0)
@@ -72,6 +99,8 @@ class Chain:
                     continue
                 # A hinge turns the body about its anchor, which stays in place: the body's origin moves around it.
                 anchor = _add(position, _rotate(quaternion, offset))
+                if hinges is not None:
+                    hinges.append((quaternion, axis, anchor))
                 turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
                 position = tuple(map(_difference, anchor, _rotate(quaternion, offset)))

@@ -10,8 +10,8 @@ import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, check_impl, jax_has_started, make_engine
+from hgail_envs.robots import make_robot
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, REFERENCE_SUBSTEPS, START_HEIGHT, ArmPhysics
-from hgail_envs.robots.fetch import Fetch
 from hgail_envs.tasks import layouts
 from hgail_envs.tasks.model import SceneModel
 from hgail_envs.validation import check_count
@@ -62,11 +62,13 @@ class ArmEnv(GoalEnv):
     least_widest_gap: float = 0.0
     """Metres to which the hand must be able to open in this task, however wide the object is."""
 
-    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
+    def __init__(
+        self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, robot: str = "fetch"
+    ) -> None:
         check_count("substeps", substeps, FAST_SUBSTEPS, REFERENCE_SUBSTEPS)
         check_count("worlds", worlds)
         check_impl(impl)
-        self.robot = Fetch(self.scene, self.base_x, self.start_height)
+        self.robot = make_robot(robot, self.scene, self.base_x, self.start_height)
         self.model = self.robot.model
         self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         settled = self.robot.settle()
@@ -89,7 +91,7 @@ class ArmEnv(GoalEnv):
 
     @functools.cached_property
     def _initial_physics(self) -> ArmPhysics:
-        of_task = type(self), self.scene, self.base_x, self.start_height, jnp.result_type(float)
+        of_task = type(self), self.robot.name, self.scene, self.base_x, self.start_height, jnp.result_type(float)
         if of_task not in _INITIAL_PHYSICS:
             with jax.ensure_compile_time_eval():
                 placed = jax.jit(self.place)(self._start_qpos, self._start_qvel)

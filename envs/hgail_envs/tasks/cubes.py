@@ -20,20 +20,10 @@ OF_GRIPPER = -1
 
 _MOST_ASIDE, _MOST_HIGH = 0.025, 0.01  # metres of a cube from its place, in the plane and in height
 _LEAST_AWAY = 0.05  # metres between the gripper and a cube that it has let go of
-_LEAST_GAP = 0.08  # metres between the fingers of an open hand
+_LEAST_GAP, _LEAST_OPENING = 0.08, 0.9  # metres between the fingers of an open hand, or a fraction of its widest gap
 _AT_REST = 0.05  # metres per second, of a cube that lies where it was left
 _OVER = 0.02  # metres in the plane from its place, within which a relay lowers a cube
 _ABOVE = 0.05  # metres above its place, to which a relay first brings a cube
-
-
-def is_left(apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
-    """Returns whether a cube rests where the hand has let go of it: booleans `[...]`.
-
-    `apart`, `[..., 3]`, is the cube's position less the gripper's, metres; its `velocity`, `[..., 3]`, is in metres per
-    action and the `gap` between the fingers, `[...]`, in metres.
-    """
-    away = (jnp.linalg.norm(apart, axis=-1) >= _LEAST_AWAY) & (gap >= _LEAST_GAP)
-    return away & (jnp.linalg.norm(velocity, axis=-1) <= _AT_REST * CONTROL_PERIOD)
 
 
 def is_in_place(apart: jax.Array) -> jax.Array:
@@ -53,6 +43,18 @@ class CubeGoals(ArmEnv):
     """The first so many are those that a goal may want left."""
     lift_test_steps = 12
     least_widest_gap = 0.085  # a little more than an open hand must have
+
+    def is_left(self, apart: jax.Array, velocity: jax.Array, gap: jax.Array) -> jax.Array:
+        """Returns whether a cube rests where the hand has let go of it: booleans `[...]`.
+
+        `apart`, `[..., 3]`, is the cube's position less the gripper's, metres; its `velocity`, `[..., 3]`, is in metres
+        per action and the `gap` between the fingers, `[...]`, in metres.
+        """
+        least = min(
+            _LEAST_GAP, _LEAST_OPENING * float(self.robot.widest_gap())
+        )  # a hand may open less than the Fetch's
+        away = (jnp.linalg.norm(apart, axis=-1) >= _LEAST_AWAY) & (gap >= least)
+        return away & (jnp.linalg.norm(velocity, axis=-1) <= _AT_REST * CONTROL_PERIOD)
 
     def goal_of(self, position: jax.Array, cube: jax.Array | int, left: jax.Array | bool = False) -> jax.Array:
         """Returns the goal, `[goal_size]`, of a position, `[3]`, of a cube by its number, else of the gripper."""
@@ -80,7 +82,7 @@ class CubeGoals(ArmEnv):
         gap, wanted = features[..., self.features_layout["gap between the fingers"]], jnp.asarray(True)
         for number, cube in enumerate(self.cubes[: self.cubes_to_leave]):
             apart = features[..., self.features_layout[f"{cube} position less gripper position"]]
-            left = is_left(apart, features[..., self.features_layout[f"{cube} velocity"]], gap)
+            left = self.is_left(apart, features[..., self.features_layout[f"{cube} velocity"]], gap)
             wanted &= ~self.whose(goal)[..., number] | (left == self.is_to_be_left(goal))
         return wanted
 

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.robots.base import Robot
+from hgail_envs.robots.hand import field
 from hgail_envs.variation import ModelFactors
 
 ROOM = 0.01
@@ -70,8 +71,8 @@ class SceneModel:
             "geom_rbound": (geoms, size),  # else the broad phase would miss contacts of a larger object
             "geom_aabb": (geoms, size),
         }
-        fields = {name: self._robot.field(name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
+        fields = {name: field(self._model, name).at[index].multiply(factor) for name, (index, factor) in scaled.items()}
         subtrees = (
-            self._robot.field("body_subtreemass").at[bodies].add(heavier).at[0].add(heavier.sum())
+            field(self._model, "body_subtreemass").at[bodies].add(heavier).at[0].add(heavier.sum())
         )  # 0 is the world's
         return fields | {"body_subtreemass": subtrees}

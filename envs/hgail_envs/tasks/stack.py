@@ -9,7 +9,7 @@ from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
 from hgail_envs.tasks import controllers
 from hgail_envs.tasks.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
-from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place, is_left
+from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
 from hgail_envs.tasks.grasp import CUBE_WIDTH
 from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, of_object
 from hgail_envs.tasks.objects import MOVED, ObjectPhysics
@@ -52,8 +52,10 @@ class Stack(CubeGoals, PickAndPlace):
     reference = None
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.stack})
 
-    def __init__(self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096) -> None:
-        super().__init__(impl, substeps, worlds)
+    def __init__(
+        self, impl: str = "auto", substeps: int = REFERENCE_SUBSTEPS, worlds: int = 4096, robot: str = "fetch"
+    ) -> None:
+        super().__init__(impl, substeps, worlds, robot)
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> StackPhysics:
         start = jnp.asarray(qpos[self.qpos_of("cube_b")], jnp.float32)
@@ -99,7 +101,7 @@ class Stack(CubeGoals, PickAndPlace):
         a_moved = jnp.linalg.norm(a - physics.object_start) > MOVED
         b_moved = jnp.linalg.norm(b - physics.b_start) > MOVED
         of_others = jnp.where(b_moved, self.goal_of(b, B), self.goal_of(gripper, OF_GRIPPER))
-        left = is_left(a - gripper, physics.qvel[self.qvel_of("cube_a")] * CONTROL_PERIOD, self.gap(physics))
+        left = self.is_left(a - gripper, physics.qvel[self.qvel_of("cube_a")] * CONTROL_PERIOD, self.gap(physics))
         return jnp.where(a_moved, self.goal_of(a, A, left), of_others)
 
     def sample_goal(self, rng: jax.Array, physics: Any) -> jax.Array:

@@ -10,7 +10,7 @@ from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
 from hgail_envs.tasks import controllers
 from hgail_envs.tasks.arm import CONTROL_PERIOD, ArmPhysics
-from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place, is_left
+from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
 from hgail_envs.tasks.grasp import CUBE_WIDTH, is_held
 from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, gripper_values, of_object
 from hgail_envs.tasks.objects import MOVED
@@ -112,7 +112,7 @@ class Tower(CubeGoals):
     def are_left(self, physics: TowerPhysics) -> jax.Array:
         """Returns of each cube whether it rests where the hand has let go of it: booleans `[3]`."""
         apart = self.cube_positions(physics) - physics.gripper_position
-        return is_left(apart, self.cube_velocities(physics), self.gap(physics))
+        return self.is_left(apart, self.cube_velocities(physics), self.gap(physics))
 
     def holding(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether both pads touch one of the cubes and stand as far apart as it is wide, a boolean `[]`."""

@@ -5,6 +5,7 @@ import pytest
 
 from hgail_envs.robots.fetch import Fetch
 from hgail_envs.robots.kinematics import Chain
+from hgail_envs.robots.servo_arm import ServoArm
 
 MODEL = Fetch("grasp").model
 
@@ -41,6 +42,26 @@ def test_the_chain_agrees_with_c_mujoco_in_any_configuration(model):
         found = pose(qpos.astype(np.float32), qvel.astype(np.float32))
         for ours, expected in zip(found, by_c_mujoco(model, qpos, qvel), strict=True):
             np.testing.assert_allclose(ours, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("base", ["world", "arm/panda0_link2"])
+def test_the_jacobian_is_that_of_c_mujoco(base):
+    """From a base on the way, in its frame, without the joints before it."""
+    pytest.importorskip("gymnasium_robotics")
+    model, rng = ServoArm("franka", "reach").model, np.random.default_rng(0)
+    found = np.zeros((6, model.nv))
+    chain, data, skipped = Chain(model, "grip", base), mujoco.MjData(model), 0 if base == "world" else 2
+    jacobian, follow = jax.jit(chain.jacobian), jax.jit(chain.follow)
+    for _ in range(20):
+        data.qpos[:9] = rng.uniform(*model.jnt_range[:9].T)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, found[:3], found[3:], model.site("grip").id)
+        frame, origin = data.body(base).xmat.reshape(3, 3), data.body(base).xpos
+        expected = np.concatenate([frame.T @ found[:3], frame.T @ found[3:]])[:, skipped:7]
+        np.testing.assert_allclose(jacobian(np.float32(data.qpos))[1], expected, atol=2e-5)
+        place = frame.T @ (data.site("grip").xpos - origin)
+        np.testing.assert_allclose(follow(np.float32(data.qpos))[0], place, atol=2e-5)
 
 
 def test_a_chain_with_a_free_joint_is_refused():

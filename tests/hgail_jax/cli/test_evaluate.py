@@ -15,8 +15,11 @@ import hgail_envs
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
+from hgail_envs.randomized import randomize
 from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export
+from hgail_jax.cli.policies import make_task
+from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.trainer.statistics import success_interval
 
 
@@ -88,6 +91,18 @@ def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_p
     assert 0.0 <= shown["mean"]["low"] < shown["mean"]["success"] < shown["mean"]["high"] == 1.0  # Student's is beyond
 
 
+def test_a_policy_acts_on_the_robot_of_its_training_unless_another_is_named(tmp_path, capsys, shipped_policy):
+    pytest.importorskip("gymnasium_robotics")
+    policy = dataclasses.replace(load_policy(shipped_policy), task_options={"robot": "franka"})
+    save_policy(tmp_path / "p.npz", policy)
+    env = make_task(load_policy(tmp_path / "p.npz"), "reach", None)
+    assert env.robot.name == randomize(env, "mild").robot.name == "franka"
+    for robot, named in (("franka", []), ("fetch", ["--robot", "fetch"])):
+        (row,) = report(["--policy", str(tmp_path / "p.npz"), "--episodes", "4", *named], capsys)["policies"]
+        expected = Evaluation(hgail_envs.make("reach", robot=robot), 0, 4)(policy)
+        assert row["distance_l2"] == pytest.approx(float(expected.distance_l2), abs=1e-6)
+
+
 def test_distances_that_no_episode_has_are_null():
     broken = EpisodeMetrics(success=0.0, achieved=0.0, success_l1=0.0, distance_l1=np.inf, distance_l2=np.inf)
     row = evaluate._row(Path("broken.npz"), broken, 5)
@@ -132,7 +147,9 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
         (["--reference", "--impl", "c"], "leave out --impl"),
         (["--policy", "small.npz", "--task", "push"], "the policy reads 9 numbers; observations of push have 19"),
         (["--policy", "small.npz", "--reference"], "the policy reads 9 numbers; observations of push have 19"),
-        (["--reference", "--randomize", "mild"], "leave out --impl and --randomize"),
+        (["--reference", "--randomize", "mild"], "leave out --impl, --robot and --randomize"),
+        (["--reference", "--robot", "franka"], "leave out --impl, --robot and --randomize"),
+        (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
     ],
 )
 def test_bad_input_to_evaluate_is_one_line(arguments, message, capsys, tmp_path, monkeypatch, shipped_policy):

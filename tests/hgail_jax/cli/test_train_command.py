@@ -174,7 +174,10 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--task-options", "substeps=5"], "substeps is --substeps here"),
         (["--task-options", "worlds=5"], "worlds follows from the numbers of seeds and environments"),
         (["--task-options", "height=1.5"], "no option 'height'; it takes impl, substeps, worlds"),
-        (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the Fetch tasks"),
+        (["--task", "point", "--substeps", "4"], "--substeps and --impl are for the tasks of an arm"),
+        (["--task", "point", "--robot", "franka"], "--robot is for the tasks of an arm; 'point' is none"),
+        (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
+        (["--task-options", "robot=franka"], "robot is --robot here"),
         (["--method", "magic"], "method is 'magic'; choose from hgail, hgail-no"),
         (["--seeds", "many"], "--seeds INT: invalid literal for int() with base 10: 'many'"),
         (["--seed", "8"], "Unrecognized options: --seed, 8; did you mean --first-seed or --seeds?"),
@@ -257,7 +260,7 @@ HANDED_ON = {
     "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
 }
 """An option's value, which is no default, and where a run has it."""
-ELSEWHERE = {"task", "method", "learner", "preset", "demos", "devices", "out", "resume"}
+ELSEWHERE = {"task", "method", "learner", "preset", "demos", "devices", "out", "resume", "robot"}
 """Options with tests of their own."""
 
 
@@ -268,6 +271,13 @@ def test_every_option_is_handed_on():
     for name, (value, found) in HANDED_ON.items():
         assert found(plan(TrainOptions(**others, **{name: value}), "cpu")) == value, name
         assert name == "randomize" or found(plain) != value, name
+
+
+def test_the_robot_is_an_option_of_the_task():
+    pytest.importorskip("gymnasium_robotics")
+    run = plan(TrainOptions(task="push", robot="franka"), "cpu")
+    assert run.task_options == {"robot": run.env.robot.name} == {"robot": "franka"}
+    assert plan(TrainOptions(task="push"), "cpu").task_options == {}  # as in runs of before
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,7 @@ def test_the_metadata_describe_each_number(path, tmp_path):
     np.testing.assert_array_equal(np.asarray(state.obs)[position], state.info["desired_goal"][:3])
     start = (1.363, 0.749, 0.416) if policy.task == "push" else (1.342, 0.749, 0.535)  # as docs/real-robot.md has them
     np.testing.assert_allclose(metadata["start"] + [metadata["table_height"]], [*start, 0.4], atol=6e-4)
+    assert metadata["robot"] == "fetch"
 
 
 def knowing(task):
@@ -94,6 +95,14 @@ def test_the_actions_on_their_way_are_described(task, tmp_path):
 def test_a_tracked_cube_s_place_is_named(tracking_policy):
     names = [number.name for number in check_described(tracking_policy).features.numbers]
     assert names[8:] == [f"cube position less gripper position {axis}" for axis in "xyz"]
+
+
+def test_a_policy_of_another_robot_names_it_and_its_start(shipped_policy, tmp_path):
+    pytest.importorskip("gymnasium_robotics")
+    policy = dataclasses.replace(load_policy(shipped_policy), task_options={"robot": "franka"})
+    _, metadata = exported(policy, tmp_path / "p.onnx")
+    assert metadata["robot"] == "franka"
+    np.testing.assert_allclose(metadata["start"], [1.344, 0.749, 0.6], atol=1e-3)
 
 
 def test_success_is_written_if_it_is_known(shipped_policy, tmp_path):

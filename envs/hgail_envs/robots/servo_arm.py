@@ -1,0 +1,165 @@
+"""Arms whose joints have position servos, led by damped least squares."""
+
+import copy
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from brax import math
+
+from hgail_envs.engines import Control
+from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, START_HEIGHT, ArmPhysics, Robot
+from hgail_envs.robots.description import PREFIX, attach_arm, read_description
+from hgail_envs.robots.hand import PADS, finger_fields, pad_fields, rotation
+from hgail_envs.robots.inverse_kinematics import damped_step
+from hgail_envs.robots.kinematics import Chain, Pose
+from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene
+from hgail_envs.variation import ModelFactors
+
+_START = (1.344, 0.749, TABLE_HEIGHT)  # below the gripper's start, as the Fetch's, metres
+_LOWEST = 0.02  # metres of the gripper above the table, to which it is led at the least: its pads end 18.5 mm lower
+_DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
+_SHARE = 0.5  # of its lead, at least, that a joint covers in an action
+_LONGEST = 0.05  # metres of a step in the search for a posture
+_SEARCH_STEPS, _SETTLE_STEPS = 300, 400
+_OPENINGS = 9  # of the hand, at which its joints and its gap are tabulated
+
+
+class ServoArm(Robot):
+    """An arm with servos, above the table of the Fetch's scenes; `name` is that of a file in `assets/robots`.
+
+    Its base stands on the table's level, so far from it that the gripper starts where the Fetch's does. An action leads
+    the joints from where they are, at most twice as far as their speed allows. The arm is weightless, as a real one is
+    to its user once its payload is set.
+    """
+
+    def __init__(self, name: str, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
+        self.name, self._arm = name, read_description(name)
+        self._start = np.add(_START, [base_x - BASE_X, 0.0, max(start_height, _LOWEST)])
+        super().__init__(scene, base_x, start_height)
+        model, hand, tool = self.model, self._arm.hand, self._arm.tool
+        joints = [model.joint(PREFIX + joint).id for joint in self._arm.joints]
+        self._joints, self._dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._limits = np.asarray(model.jnt_range[joints].T, np.float32)
+        self._most = np.asarray(self._arm.top_speed, np.float32) * np.float32(CONTROL_PERIOD / _SHARE)
+        self._closed, self._opened = np.asarray(hand.closed, np.float32), np.asarray(hand.opened, np.float32)
+        self._hand_servos = len(joints) + np.arange(len(hand.joints))
+        of_hand = (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE) & ~np.isin(np.arange(model.njnt), joints)
+        self._hand_joints, self._hand_dofs = model.jnt_qposadr[of_hand], model.jnt_dofadr[of_hand]
+        self._pads = [Chain(model, pad, PREFIX + tool.body) for pad in PADS]
+        self._closing = np.asarray(rotation(tool.quat)[:, 1], np.float32)
+        self._thickness = self._arm.right_pad.size[1] + self._arm.left_pad.size[1]
+        self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
+        self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
+        self._gaps, self._openings = self._tabulate_hand()
+
+    def spec(self) -> mujoco.MjSpec:
+        spec = read_scene(self.scene, dict.fromkeys(("robot.xml", "hand.xml"), b"<mujoco><worldbody/></mujoco>"))
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos of small inertia need it at 5 ms
+        x, y = self._start[:2] - self._arm.reach
+        attach_arm(self.name, spec, [x, y, TABLE_HEIGHT])
+        pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
+        pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
+        pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
+        return spec
+
+    def settle(self, offset: np.ndarray | float = 0.0) -> mujoco.MjData:
+        data = mujoco.MjData(self.model)
+        data.qpos[self._joints] = posture = self._posture(self._home, offset)
+        data.ctrl[:] = [*posture, *self._closed]
+        mujoco.mj_step(self.model, data, nstep=_SETTLE_STEPS)
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def gripper(self, qpos: jax.Array, qvel: jax.Array) -> Pose:
+        """Returns the gripper's pose and velocity, by the Jacobian that `control` needs, too; see `Robot`."""
+        quaternion, jacobian = self._chain.jacobian(qpos)
+        site, body, _ = self._chain.follow(qpos)
+        return Pose(site, (jacobian[:3] * qvel[self._dofs]).sum(axis=1), body, quaternion)
+
+    def _posture(self, near: np.ndarray, offset: np.ndarray | float = 0.0) -> np.ndarray:
+        """Returns joint positions with the gripper `offset` from its start, pointing downward, `[joints]`."""
+        model, data, jacobian = self.model, mujoco.MjData(self.model), np.zeros((6, self.model.nv))
+        site, posture = model.site("grip").id, near.copy()
+        for _ in range(_SEARCH_STEPS):
+            data.qpos[self._joints] = posture
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+            way = self._start + offset - data.site_xpos[site]
+            turn = 0.5 * np.cross(data.site_xmat[site].reshape(3, 3), _DOWNWARD, axis=0).sum(axis=1)
+            way *= _LONGEST / max(_LONGEST, float(np.linalg.norm(way)))
+            posture += damped_step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
+        return posture
+
+    def _tabulate_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns gaps, `[openings]`, and the joints of the hand at them, `[openings, joints]`."""
+        model = copy.copy(self.model)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        data, rows = mujoco.MjData(model), []
+        data.qpos[self._joints] = self._home
+        right, left, tool = (model.site(name).id for name in (*PADS, "grip"))
+        for share in np.linspace(0.0, 1.0, _OPENINGS):
+            data.ctrl[:] = [*self._home, *(self._closed + share * (self._opened - self._closed))]
+            mujoco.mj_step(model, data, nstep=_SETTLE_STEPS)
+            mujoco.mj_kinematics(model, data)
+            apart = (data.site_xpos[right] - data.site_xpos[left]) @ data.site_xmat[tool].reshape(3, 3)[:, 1]
+            rows.append([apart - self._thickness, *data.qpos[self._hand_joints]])
+        gaps, *openings = np.asarray(rows, np.float32).T
+        return gaps, np.transpose(openings)
+
+    def control(self, physics: ArmPhysics, displacement: jax.Array, grip: jax.Array | None) -> Control:
+        """Returns what the servos are led to: joints for the displacement, and fingers by `grip` metres each."""
+        joints = physics.qpos[self._joints]
+        quaternion, jacobian = self._chain.jacobian(physics.qpos)
+        turn = math.quat_mul(self._downward, math.quat_inv(quaternion))
+        rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
+        way = self._arm.lead * displacement
+        way = way.at[2].max(TABLE_HEIGHT + _LOWEST - physics.gripper_position[2])  # servos would press on the table
+        step = damped_step(way, rotation, jacobian, self._home - joints, self._limits - joints)
+        step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
+        return Control(
+            mocap_pos=jnp.zeros((0, 3)),
+            mocap_quat=jnp.zeros((0, 4)),
+            ctrl=jnp.concatenate([joints + step, self._hand_control(physics, grip)]),
+        )
+
+    def _hand_control(self, physics: ArmPhysics, grip: jax.Array | None) -> jax.Array:
+        if grip is None:
+            return jnp.asarray(self._closed)
+        gap = jnp.clip(self.gap(physics.qpos) + 2.0 * grip, 0.0, self.widest_gap(physics.factors))
+        return self._closed + gap / self._gaps[-1] * (self._opened - self._closed)
+
+    def keep_closed(self, qpos: jax.Array) -> jax.Array:
+        return qpos  # its servos do
+
+    def opened(self, qpos: jax.Array, gap: jax.Array) -> jax.Array:
+        joints = [jnp.interp(gap, self._gaps, column) for column in self._openings.T]
+        return qpos.at[self._hand_joints].set(jnp.stack(joints))
+
+    def gap(self, qpos: jax.Array) -> jax.Array:
+        """Returns the distance between the pads' faces by the kinematics of both; see `Robot`."""
+        right, left = (pad.site(qpos) for pad in self._pads)
+        return ((right - left) * self._closing).sum() - self._thickness
+
+    def widest_gap(self, factors: ModelFactors | None = None) -> jax.Array | float:
+        return self._gaps[-1] if factors is None else self._gaps[-1] * factors.hand_width
+
+    def hand_fields(self, factors: ModelFactors, others: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        fingers = factors.finger_force, factors.finger_speed
+        return pad_fields(self.model, factors.pad_size, others) | finger_fields(
+            self.model, self._hand_servos, *fingers, others
+        )
+
+    def fingers(self, physics: ArmPhysics) -> tuple[jax.Array, jax.Array]:
+        rates = jnp.zeros_like(physics.qpos).at[self._hand_joints].set(physics.qvel[self._hand_dofs])
+        gap, rate = jax.jvp(self.gap, (physics.qpos,), (rates,))
+        return jnp.full(2, gap / 2), jnp.full(2, rate / 2)
+
+
+def _quaternion(axes: np.ndarray) -> np.ndarray:
+    """Returns the quaternion, `[4]`, of a rotation matrix."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    return quaternion

@@ -1,0 +1,163 @@
+"""Arms with servos, against C MuJoCo and their data sheets."""
+
+import functools
+import importlib.util
+import pickle
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.robots import ROBOTS, description
+from hgail_envs.variation import ModelFactors
+from hgail_jax.play.recording import run_controller
+
+pytest.importorskip("gymnasium_robotics")  # it has the Franka's model
+
+ARMS = [name for name in ROBOTS if name != "fetch"]
+
+
+@functools.cache
+def made(task, robot="franka", **options):
+    return hgail_envs.make(task, robot=robot, **options)
+
+
+def pad_distance(model, qpos):
+    """Returns the distance between the pads by MuJoCo's collision detection."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    return mujoco.mj_geomDistance(model, data, *(model.geom(f"{side}_pad").id for side in ("right", "left")), 1.0, None)
+
+
+def acted(env, actions, state=None):
+    """Returns the physics after each of the actions, which the task takes from its start or a state."""
+    state = jax.jit(env.reset)(jax.random.key(0)) if state is None else state
+    return jax.jit(lambda s, a: jax.lax.scan(lambda s, one: (env.step(s, one),) * 2, s, a)[1].pipeline_state)(
+        state, jnp.asarray(actions, jnp.float32)
+    )
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_hand_starts_above_the_table_pointing_downward(robot):
+    env = made("reach", robot)
+    data = env.robot.settle()
+    x, y, _z = data.site("grip").xmat.reshape(3, 3).T
+    np.testing.assert_allclose([x, y], [[0, 0, -1], [0, 1, 0]], atol=2e-3)
+    np.testing.assert_allclose(data.site("grip").xpos, [1.344, 0.749, 0.6], atol=1e-3)
+    pads = [env.model.geom(f"{side}_pad") for side in ("right", "left")]
+    assert (data.geom_xpos[pads[0].id] - data.geom_xpos[pads[1].id]) @ y > 0
+    for pad in pads:  # they end 18.5 mm below the gripper
+        lowest = data.geom_xpos[pad.id][2] - pad.size[0]
+        assert data.site("grip").xpos[2] - lowest == pytest.approx(0.0185, abs=1e-3)
+
+
+def test_what_the_model_weighs_is_what_it_weighed():
+    env, (original, _) = made("reach"), description._compiled("franka")
+    for body in range(1, original.nbody):
+        ours, theirs = env.model.body(f"arm/{original.body(body).name}"), original.body(body)
+        np.testing.assert_allclose([*ours.mass, *ours.inertia], [*theirs.mass, *theirs.inertia], rtol=1e-6)
+    np.testing.assert_array_equal(env.model.body_gravcomp[1:], 1.0)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_gap_is_the_distance_between_the_pads(robot):
+    env = made("grasp", robot)
+    start = env._start_qpos
+    for gap in (0.005, 0.4 * env.robot.widest_gap(), 0.9 * env.robot.widest_gap()):
+        qpos = np.asarray(env.robot.opened(jnp.asarray(start, jnp.float32), gap))
+        assert env.robot.gap(qpos) == pytest.approx(gap, abs=2e-4)
+        assert pad_distance(env.model, qpos) == pytest.approx(gap, abs=5e-4)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
+    for axis in np.eye(3):
+        ends = acted(made("reach", robot), [[*axis, 0.0]] * 4).gripper_position
+        moved = np.diff(ends, axis=0)
+        assert (moved @ axis)[1:].min() > 0.022 and (moved @ axis).max() < 0.042
+        assert np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1).max() < 0.004
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_joints_keep_to_their_top_speed(robot):
+    env, arm = made("reach", robot), description.read_description(robot)
+    physics = acted(env, np.random.default_rng(0).choice([-1.0, 1.0], (40, 4)))
+    assert np.abs(physics.qvel[:, env.robot._dofs] / np.array(arm.top_speed)).max() < 1.2
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_hand_does_not_press_on_the_table(robot):
+    env = made("push", robot)
+    heights = acted(env, [[0.3, 0.3, -1.0, 0.0]] * 10).gripper_position[:, 2]
+    assert heights.min() > 0.4185 and heights.max() < 0.423
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_a_script_grasps_every_cube(robot):
+    outcome = run_controller(made("grasp", robot, substeps=8, worlds=16), "from-above", 16, seed=0).outcome
+    assert outcome.success.mean() == 1.0
+
+
+@pytest.mark.slow  # MJX-JAX compiles for half a minute
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_engines_agree_where_no_servo_is_at_its_limit(robot):
+    actions = np.random.default_rng(0).uniform(-0.2, 0.2, (5, 4)) * [1, 1, 1, 0]
+    ends = [acted(made("reach", robot, impl=impl), actions) for impl in ("c", "jax")]
+    np.testing.assert_allclose(ends[0].qpos, ends[1].qpos, atol=2e-5)
+    assert np.abs(ends[0].gripper_position[-1] - ends[0].gripper_position[0]).max() > 3e-3
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_hand_and_pads_are_varied_as_the_fetch_s(robot):
+    env = made("grasp", robot, substeps=8)
+    factors = ModelFactors(hand_width=0.8, finger_force=0.5, pad_size=0.7)
+    start = env.reset(jax.random.key(0))
+    varied = env.vary_model(start.pipeline_state, factors)
+    opened = acted(env, [[0.0, 0.0, 0.0, 1.0]] * 15, start.replace(pipeline_state=varied))
+    assert env.robot.gap(opened.qpos[-1]) == pytest.approx(0.8 * env.robot.widest_gap(), abs=2e-3)
+    fields = env.robot.hand_fields(factors, {})
+    pad = env.model.geom("right_pad")
+    ends = [pos + axes[:, 0] * size for pos, axes, size in _pads(env.model, fields, pad.id)]
+    np.testing.assert_allclose(*ends, atol=1e-6)  # its lower end stays
+
+
+def _pads(model, fields, pad):
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.geom_quat[pad])
+    for pos, size in ((model.geom_pos, model.geom_size), (fields["geom_pos"], fields["geom_size"])):
+        yield np.asarray(pos[pad]), axes.reshape(3, 3), float(size[pad, 0])
+
+
+def test_pictures_show_the_maker_s_meshes_and_change_no_dynamics():
+    robot = made("reach").robot
+    physics, pictures = robot.model, robot.load(visual=True)
+    assert physics.nmesh == 0 < pictures.nmesh
+    assert (physics.nq, physics.nu, physics.npair) == (pictures.nq, pictures.nu, pictures.npair)
+    np.testing.assert_array_equal(physics.body_inertia, pictures.body_inertia)
+
+
+def test_a_task_on_an_arm_is_pickled():
+    env = made("reach")
+    state, step = env.reset(jax.random.key(0)), np.array([1.0, 0.0, 0.0, 0.0])
+    ends = [jax.jit(one.step)(state, step).obs for one in (env, pickle.loads(pickle.dumps(env)))]
+    np.testing.assert_array_equal(*ends)
+
+
+def test_gymnasium_makes_it():
+    env = gymnasium.make("hgail_envs/FetchReach-v0", robot="franka")
+    assert env.unwrapped.vector.env.robot.name == "franka"
+    assert env.reset(seed=0)[0]["observation"][:3] == pytest.approx([1.344, 0.749, 0.6], abs=1e-3)
+
+
+def test_bad_robots_are_refused_in_a_line(monkeypatch):
+    with pytest.raises(ValueError, match="robot is 'panda'; choose from fetch, franka"):
+        hgail_envs.make("reach", robot="panda")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    line = r"robot 'franka' needs the package gymnasium_robotics; pip install 'hgail-jax\[franka\]'"
+    with pytest.raises(ValueError, match=line):
+        hgail_envs.make("reach", robot="franka")
