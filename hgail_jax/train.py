@@ -194,7 +194,8 @@ def _learn(
     env: GoalEnv, config: Config, phase: jax.Array, state: TrainState, trajectory: Trajectory, rng: jax.Array
 ) -> tuple[TrainState, PhaseMetrics]:
     """Returns the learner after a phase's update, or as it was where there is nothing valid to learn."""
-    updates = config.learner.phase_updates()
+    occurring = phase_table(config)  # an update that no round makes need not be compiled
+    updates = {kind: update for kind, update in config.learner.phase_updates().items() if kind in occurring}
 
     def branch(kind: Phase) -> Any:
         def run(state: TrainState, trajectory: Trajectory, rng: jax.Array) -> tuple[TrainState, Metrics, jax.Array]:

@@ -290,7 +290,8 @@ def test_an_evaluation_tells_of_one_environment_of_one_roll_out_of_one_seed_with
 
 
 def test_a_phase_tells_the_fraction_of_environments_without_room_for_contacts_or_broken():
-    nothing = types.SimpleNamespace(learner=types.SimpleNamespace(phase_updates=dict, metrics=()))
+    learner = types.SimpleNamespace(phase_updates=dict, metrics=(), phase_table=lambda config: PHASES)
+    nothing = types.SimpleNamespace(learner=learner)
 
     @jax.jit
     def measure(state, rng):
