@@ -235,7 +235,7 @@ def test_the_learner_is_the_one_named_or_else_the_task_s_or_the_method_s(task, m
     [
         ("push", "gpu", None, "none", "hgail"),
         ("push", "gpu", None, "full", "her"),
-        ("slide", "cpu", None, "none", "her"),
+        ("slide", "cpu", None, "none", "hgail"),
         ("slide", "gpu", None, "none", "hgail"),
         ("slide", "cpu", "ppo", "none", "hgail"),
         ("grasp", "cpu", "td3", "none", "her"),
@@ -284,7 +284,7 @@ def test_off_policy_a_discriminator_is_trained_where_it_has_a_say(task, changes,
         ({"method": "her", "environment_reward": 0.5}, "--environment-reward is decided by the method her"),
         ({"method": "ppo", "environment_reward": 0.5}, "--environment-reward is decided by the method ppo"),
         (
-            {"task": "slide", "environment_reward": 0.5},
+            {"task": "reach", "learner": "td3", "environment_reward": 0.5},
             "is decided by the method her, the task's default",
         ),
         (
