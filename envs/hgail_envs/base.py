@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 import jax
@@ -84,9 +85,10 @@ class GoalEnv(HasLayouts, Env):
     """Environments that its physics can step at once; None is any number."""
     control_period: float = 0.04
     """Seconds between two actions, at which an episode is played."""
-    scene: str | None = None
-    """Name of the MJCF scene in `assets/scenes/`, e.g. `"reach"`; None for a task that cannot be rendered. The physics
-    of a task with a scene have `qpos`, and its goals begin with the target's position, metres, world frame."""
+    scene: str | Path | None = None
+    """MJCF scene: the name of one of the package, e.g. `"reach"`, or a path that ends with `.xml`, relative to the
+    class's own file; None for a task that cannot be rendered. The physics of a task with a scene have `qpos`, and its
+    goals begin with the target's position, metres, world frame."""
     robot: Any = None
     """The `hgail_envs.robots.base.Robot` in its scene; None for a task without a scene."""
     target_body: str | None = None

@@ -1,9 +1,11 @@
 """Scenes: a table and objects around a robot, as MJCF, and pictures of them.
 
-They are found in a checkout and in an installed wheel alike.
+They are found in a checkout and in an installed wheel alike, and one of a user's own beside the task's file.
 """
 
-from collections.abc import Mapping
+import contextlib
+import inspect
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ _CAMERA_RISE = 0.06  # metres from a scene's centre to the picture's, for the el
 _SIZE = (480, 640)  # height, width
 VISUAL_GROUP = 2
 """Group of geoms that collide with nothing."""
+_PARTS = ("room.xml", "cube.xml")  # parts of scenes, which are none themselves
 
 
 def assets_directory() -> Path:
@@ -30,9 +33,80 @@ def assets_directory() -> Path:
     return installed if installed.is_dir() else package.parent.parent / "assets"
 
 
-def read_scene(name: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
-    """Reads the scene `assets/scenes/<name>.xml`, with the files of a robot that it includes, by their names there."""
-    return mujoco.MjSpec.from_file(str(assets_directory() / "scenes" / f"{name}.xml"), include=parts)
+def find_scene(task: type[GoalEnv]) -> str:
+    """Returns a task's scene: the name of one of the package, or the absolute path of an MJCF file of one's own.
+
+    `GoalEnv.scene` is a path if it ends with `.xml`. A relative one is relative to the file of the class that sets it,
+    or of a class without a file, as in a notebook, to the working folder.
+
+    Raises:
+      ValueError: there is no such scene.
+    """
+    owner = next(base for base in task.__mro__ if "scene" in vars(base))
+    scene = str(vars(owner)["scene"])
+    if scene.endswith(".xml"):
+        path = (_folder_of(owner) / scene).resolve()
+        if not path.is_file():
+            raise ValueError(f"{owner.__name__}.scene is {scene!r}, and there is no file {path}")
+        return str(path)
+    names = sorted(path.stem for path in _scene_file("").parent.glob("*.xml") if path.name not in _PARTS)
+    if scene not in names:
+        file = "or name a file of your own, whose name ends with .xml"
+        raise ValueError(f"{owner.__name__}.scene is {scene!r}; choose from {', '.join(names)}, {file}")
+    return scene
+
+
+def _scene_file(scene: str) -> Path:
+    return Path(scene) if scene.endswith(".xml") else assets_directory() / "scenes" / f"{scene}.xml"
+
+
+def _folder_of(owner: type) -> Path:
+    try:
+        return Path(inspect.getfile(owner)).parent
+    except (TypeError, OSError):  # written in a notebook
+        return Path.cwd()
+
+
+def read_scene(scene: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
+    """Reads a scene, see `find_scene`, with the files of a robot that it includes, by their names there.
+
+    One of one's own may include the package's `room.xml` and `cube.xml`, too, unless it has such files itself.
+    """
+    path = _scene_file(scene)
+    shared = {name: _scene_file(name[:-4]).read_bytes() for name in _PARTS if not (path.parent / name).exists()}
+    with explained(scene):
+        return mujoco.MjSpec.from_file(str(path), include={**shared, **parts})
+
+
+@contextlib.contextmanager
+def explained(scene: str) -> Iterator[None]:
+    """Turns MuJoCo's errors, in several lines and without the file's name, into a ValueError of one line."""
+    try:
+        yield
+    except ValueError as error:
+        text = "; ".join(str(error).strip().splitlines())
+        raise ValueError(text if scene in text else f"scene {scene}: {text}") from error
+
+
+def check_names(model: mujoco.MjModel, scene: str, kind: str, *names: str) -> None:
+    """Raises a ValueError for the first name that is of no `"joint"`, `"site"` or `"geom"` of a model."""
+    count = getattr(model, {"joint": "njnt", "site": "nsite", "geom": "ngeom"}[kind])
+    there = [getattr(model, kind)(index).name for index in range(count)]
+    for name in names:
+        if name not in there:
+            raise ValueError(f"scene {scene} has no {kind} {name!r}; it has {', '.join(filter(None, there)) or 'none'}")
+
+
+def check_contacts(model: mujoco.MjModel, scene: str) -> None:
+    """Raises a ValueError for geoms that would touch without a `<pair>`, which buffers and friction do not know."""
+    collides = (model.geom_contype[:, None] & model.geom_conaffinity[None]) != 0
+    apart = model.geom_bodyid[:, None] != model.geom_bodyid[None]
+    for first, second in np.argwhere((collides | collides.T) & apart)[:1]:
+        names = [model.geom(int(index)).name or f"number {index}" for index in (first, second)]
+        raise ValueError(
+            f"scene {scene}: the geoms {' and '.join(names)} would touch without a <pair>; give them contype and"
+            ' conaffinity "0", and a <pair> to those that are to touch'
+        )
 
 
 def without_visuals(spec: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -47,7 +47,7 @@ class CEngine(Engine):
     def __init__(self, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> None:
         super().__init__(model, period, substeps, worlds)
         self._host = HostRollout(self.model, substeps, usable_cores())
-        self._name = f"rollout.{_digest(self.model)}.{substeps}"
+        self._name = f"rollout.{digest(self.model)}.{substeps}"
 
     def step(self, state: StateT, control: Control) -> StateT:
         """Steps on the host, without use of the warm start; see `Engine`."""
@@ -179,7 +179,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_close_all)
 
 
-def _digest(model: mujoco.MjModel) -> str:
+def digest(model: mujoco.MjModel) -> str:
     """Returns a hash of a scene, the same in every process."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)

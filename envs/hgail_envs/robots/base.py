@@ -8,7 +8,7 @@ import numpy as np
 
 from hgail_envs.engines import Control, EngineState
 from hgail_envs.robots.kinematics import Chain, Pose
-from hgail_envs.scenes import without_visuals
+from hgail_envs.scenes import check_names, explained, without_visuals
 from hgail_envs.variation import ModelFactors
 
 CONTROL_PERIOD = 0.04
@@ -43,7 +43,7 @@ class Robot(abc.ABC):
     `right_pad` and `left_pad`, which the scene lets collide. A task knows no other name of it.
 
     Args:
-      scene: name of the scene, `assets/scenes/<scene>.xml`.
+      scene: a scene of the package by its name, or the path of an MJCF file, see `hgail_envs.scenes.find_scene`.
       base_x: position of the robot along x, metres.
       start_height: nominal height of the gripper's start above the table, metres.
     """
@@ -54,11 +54,15 @@ class Robot(abc.ABC):
     def __init__(self, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
         self.scene, self.base_x, self.start_height = scene, base_x, start_height
         self.model = self.load()
+        check_names(self.model, scene, "site", "grip", "target")
+        check_names(self.model, scene, "geom", "palm", "right_pad", "left_pad")
         self._chain = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
 
     def load(self, visual: bool = False) -> mujoco.MjModel:
         """Compiles the scene with the robot in it; `visual` keeps geoms without an effect."""
-        return (self.spec() if visual else without_visuals(self.spec())).compile()
+        spec = self.spec()
+        with explained(self.scene):
+            return (spec if visual else without_visuals(spec)).compile()
 
     @abc.abstractmethod
     def spec(self) -> mujoco.MjSpec:

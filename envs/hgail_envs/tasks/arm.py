@@ -6,12 +6,15 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, check_impl, jax_has_started, make_engine
+from hgail_envs.engines.c import digest
 from hgail_envs.robots import make_robot
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, REFERENCE_SUBSTEPS, START_HEIGHT, ArmPhysics
+from hgail_envs.scenes import check_contacts, check_names, find_scene
 from hgail_envs.tasks import layouts
 from hgail_envs.tasks.model import SceneModel
 from hgail_envs.validation import check_count
@@ -68,8 +71,9 @@ class ArmEnv(GoalEnv):
         check_count("substeps", substeps, FAST_SUBSTEPS, REFERENCE_SUBSTEPS)
         check_count("worlds", worlds)
         check_impl(impl)
-        self.robot = make_robot(robot, self.scene, self.base_x, self.start_height)
+        self.robot = make_robot(robot, find_scene(type(self)), self.base_x, self.start_height)
         self.model = self.robot.model
+        check_contacts(self.model, self.robot.scene)
         self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         settled = self.robot.settle()
         self._start_qpos, self._start_qvel = settled.qpos.copy(), settled.qvel.copy()
@@ -91,7 +95,8 @@ class ArmEnv(GoalEnv):
 
     @functools.cached_property
     def _initial_physics(self) -> ArmPhysics:
-        of_task = type(self), self.robot.name, self.scene, self.base_x, self.start_height, jnp.result_type(float)
+        # A scene's file may change between two tasks, as in a notebook.
+        of_task = type(self), digest(self.model), self.base_x, self.start_height, jnp.result_type(float)
         if of_task not in _INITIAL_PHYSICS:
             with jax.ensure_compile_time_eval():
                 placed = jax.jit(self.place)(self._start_qpos, self._start_qvel)
@@ -135,14 +140,18 @@ class ArmEnv(GoalEnv):
         return places[jnp.argmax(far)]
 
     def qpos_of(self, joint: str) -> slice:
-        """Returns where the position of a body with a free joint is in `qpos`."""
-        first = int(self.model.joint(joint).qposadr[0])
-        return slice(first, first + 3)
+        """Returns where a joint's position is in `qpos`: three numbers of a free one, else one."""
+        return self._numbers_of(joint, "qposadr")
 
     def qvel_of(self, joint: str) -> slice:
-        """Returns where the velocity of a body with a free joint is in `qvel`."""
-        first = int(self.model.joint(joint).dofadr[0])
-        return slice(first, first + 3)
+        """Returns where a joint's velocity is in `qvel`: three numbers of a free one, else one."""
+        return self._numbers_of(joint, "dofadr")
+
+    def _numbers_of(self, joint: str, address: str) -> slice:
+        check_names(self.model, self.robot.scene, "joint", joint)
+        found = self.model.joint(joint)
+        first = int(getattr(found, address)[0])
+        return slice(first, first + (3 if found.type[0] == mujoco.mjtJoint.mjJNT_FREE else 1))
 
     def put_down(self, physics: PhysicsT, joint: str, position: jax.Array) -> PhysicsT:
         """Returns the physics with the body of a free joint at `position`, `[3]`, upright and at rest."""
