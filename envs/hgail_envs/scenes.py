@@ -34,7 +34,7 @@ def assets_directory() -> Path:
 
 
 def find_scene(task: type[GoalEnv]) -> str:
-    """Returns a task's scene: the name of one of the package, or the absolute path of an MJCF file of one's own.
+    """Returns a task's scene: the name of one of the package, or the absolute path of a user's MJCF file.
 
     `GoalEnv.scene` is a path if it ends with `.xml`. A relative one is relative to the file of the class that sets it,
     or of a class without a file, as in a notebook, to the working folder.
@@ -70,7 +70,7 @@ def _folder_of(owner: type) -> Path:
 def read_scene(scene: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
     """Reads a scene, see `find_scene`, with the files of a robot that it includes, by their names there.
 
-    One of one's own may include the package's `room.xml` and `cube.xml`, too, unless it has such files itself.
+    A user's file may include the package's `room.xml` and `cube.xml`, unless files of these names lie beside it.
     """
     path = _scene_file(scene)
     shared = {name: _scene_file(name[:-4]).read_bytes() for name in _PARTS if not (path.parent / name).exists()}
