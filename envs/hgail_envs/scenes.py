@@ -113,7 +113,8 @@ def without_visuals(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Returns a scene without the geoms that have no effect."""
     for geom in [geom for geom in spec.geoms if geom.group == VISUAL_GROUP]:
         spec.delete(geom)
-    for mesh in list(spec.meshes):  # they alone use meshes, which take long to compile
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:  # they take long to compile
         spec.delete(mesh)
     return spec
 

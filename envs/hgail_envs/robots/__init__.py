@@ -8,7 +8,7 @@ from hgail_envs.robots.fetch import Fetch
 from hgail_envs.robots.servo_arm import ServoArm
 from hgail_envs.validation import check_name
 
-_ARMS = ("franka",)
+_ARMS = ("franka", "ur5e")
 
 ROBOTS: dict[str, Callable[..., Robot]] = {"fetch": Fetch} | {name: functools.partial(ServoArm, name) for name in _ARMS}
 """Robots by name; those of `assets/robots/<name>.toml` are arms with servos."""

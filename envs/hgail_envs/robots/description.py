@@ -60,7 +60,8 @@ class Description:
     extra: str
     """Extra of this package that installs it."""
     model: str
-    """MJCF of the arm with its hand, its base at the origin; `{package}` stands for the package's folder."""
+    """MJCF of the arm, its base at the origin: a file of the package, or the text, in which `{package}` stands for the
+    package's folder."""
     joints: Sequence[str]
     """Names of the arm's joints, all hinges, from the base on."""
     torque: Sequence[float]
@@ -80,6 +81,10 @@ class Description:
     hand: Hand
     armature: float = 0.1
     """Inertia of the joints' drives, kg m²."""
+    hand_model: str = ""
+    """MJCF of the hand, whose names get the prefix `hand/`, where it is not in that of the arm."""
+    flange: str = ""
+    """Site of the arm that such a hand is attached to."""
     servo_frequency: float = 6.0
     """Natural frequency of the joints' servos, Hz, the same for all, or the gripper would not move straight. They are
     critically damped at the joint's largest inertia."""
@@ -125,11 +130,21 @@ def _read_model(name: str) -> mujoco.MjSpec:
     if package is None or not package.submodule_search_locations:
         raise ValueError(f"robot {name!r} needs the package {arm.package}; pip install 'hgail-jax[{arm.extra}]'")
     folder = package.submodule_search_locations[0]
-    spec = mujoco.MjSpec.from_string(arm.model.replace("{package}", folder))
+    spec = _read(arm.model, folder)
+    if arm.hand_model:
+        hand = _read(arm.hand_model, folder)
+        hand.option.cone, hand.option.impratio = spec.option.cone, spec.option.impratio  # else MuJoCo warns
+        spec.attach(hand, site=spec.site(arm.flange), prefix="hand/")
     for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *spec.actuators):
         spec.delete(element)
     spec.nuser_actuator = -1  # MuJoCo would warn that there are none
     return spec
+
+
+def _read(model: str, folder: str) -> mujoco.MjSpec:
+    if model.endswith(".xml"):
+        return mujoco.MjSpec.from_file(f"{folder}/{model}")
+    return mujoco.MjSpec.from_string(model.replace("{package}", folder))
 
 
 @functools.cache

@@ -18,7 +18,7 @@ def damped_step(way: Any, turn: Any, jacobian: Any, home: Any, limits: Any, xp: 
       way: `[3]`, metres that the tool is to move.
       turn: `[3]`, rotation vector that it is to turn by, radians.
       jacobian: `[6, joints]`, of the tool's velocity and then of its angular velocity.
-      home: `[joints]`, step to the posture to which the joints tend where the tool leaves a choice.
+      home: `[joints]`, step to the posture to which more than six joints tend, whose places the tool leaves open.
       limits: `[2, joints]`, least and most step by the limits of the joints.
       xp: the array module.
 
@@ -26,9 +26,11 @@ def damped_step(way: Any, turn: Any, jacobian: Any, home: Any, limits: Any, xp: 
     weights = np.repeat([1.0, _TURN_WEIGHT], 3)
     error, rows = weights * xp.concatenate([way, turn]), weights[:, None] * jacobian
 
+    to_home = _TO_HOME if len(home) > len(error) else 0.0  # without a choice it would be an error
+
     def attempt(_: int, state: tuple[Any, Any]) -> tuple[Any, Any]:
         free, step = state  # joints that move, and the step that the others make
-        movable, bias = rows * free, _TO_HOME * home * free
+        movable, bias = rows * free, to_home * home * free
         remaining = error - (rows * xp.where(free, bias, step)).sum(axis=1)
         # Sums of products, which XLA fuses: products and LAPACK take a hundred times as long for matrices of this size.
         normal = (movable[:, None] * movable).sum(axis=2) + _DAMPING * np.eye(6)

@@ -18,7 +18,7 @@ from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene
 from hgail_envs.variation import ModelFactors
 
 _START = (1.344, 0.749, TABLE_HEIGHT)  # below the gripper's start, as the Fetch's, metres
-_LOWEST = 0.02  # metres of the gripper above the table, to which it is led at the least: its pads end 18.5 mm lower
+_CLEARANCE = 0.0015  # metres between the table and the lowest end of the pads, below which the gripper is not led
 _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
 _LONGEST = 0.05  # metres of a step in the search for a posture
@@ -36,7 +36,7 @@ class ServoArm(Robot):
 
     def __init__(self, name: str, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
         self.name, self._arm = name, read_description(name)
-        self._start = np.add(_START, [base_x - BASE_X, 0.0, max(start_height, _LOWEST)])
+        self._start = np.add(_START, [base_x - BASE_X, 0.0, start_height])
         super().__init__(scene, base_x, start_height)
         model, hand, tool = self.model, self._arm.hand, self._arm.tool
         joints = [model.joint(PREFIX + joint).id for joint in self._arm.joints]
@@ -52,7 +52,9 @@ class ServoArm(Robot):
         self._thickness = self._arm.right_pad.size[1] + self._arm.left_pad.size[1]
         self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
-        self._gaps, self._openings = self._tabulate_hand()
+        self._gaps, self._openings, depth = self._tabulate_hand()
+        self._lowest = TABLE_HEIGHT + depth + _CLEARANCE
+        self._start[2] = max(self._start[2], self._lowest)
 
     def spec(self) -> mujoco.MjSpec:
         spec = read_scene(self.scene, dict.fromkeys(("robot.xml", "hand.xml"), b"<mujoco><worldbody/></mujoco>"))
@@ -93,21 +95,26 @@ class ServoArm(Robot):
             posture += damped_step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
         return posture
 
-    def _tabulate_hand(self) -> tuple[np.ndarray, np.ndarray]:
-        """Returns gaps, `[openings]`, and the joints of the hand at them, `[openings, joints]`."""
+    def _tabulate_hand(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Returns gaps, `[openings]`, the hand's joints at them, `[openings, joints]`, and the pads' greatest depth.
+
+        That is the distance of their ends below the gripper, metres.
+        """
         model = copy.copy(self.model)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         data, rows = mujoco.MjData(model), []
         data.qpos[self._joints] = self._home
-        right, left, tool = (model.site(name).id for name in (*PADS, "grip"))
+        pads, tool = [model.site(name).id for name in PADS], model.site("grip").id
+        half_heights, depth = [self._arm.right_pad.size[0], self._arm.left_pad.size[0]], 0.0
         for share in np.linspace(0.0, 1.0, _OPENINGS):
             data.ctrl[:] = [*self._home, *(self._closed + share * (self._opened - self._closed))]
             mujoco.mj_step(model, data, nstep=_SETTLE_STEPS)
             mujoco.mj_kinematics(model, data)
-            apart = (data.site_xpos[right] - data.site_xpos[left]) @ data.site_xmat[tool].reshape(3, 3)[:, 1]
-            rows.append([apart - self._thickness, *data.qpos[self._hand_joints]])
+            places = (data.site_xpos[pads] - data.site_xpos[tool]) @ data.site_xmat[tool].reshape(3, 3)
+            depth = max(depth, float((places[:, 0] + half_heights).max()))
+            rows.append([places[0, 1] - places[1, 1] - self._thickness, *data.qpos[self._hand_joints]])
         gaps, *openings = np.asarray(rows, np.float32).T
-        return gaps, np.transpose(openings)
+        return gaps, np.transpose(openings), depth
 
     def control(self, physics: ArmPhysics, displacement: jax.Array, grip: jax.Array | None) -> Control:
         """Returns what the servos are led to: joints for the displacement, and fingers by `grip` metres each."""
@@ -116,7 +123,7 @@ class ServoArm(Robot):
         turn = math.quat_mul(self._downward, math.quat_inv(quaternion))
         rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
         way = self._arm.lead * displacement
-        way = way.at[2].max(TABLE_HEIGHT + _LOWEST - physics.gripper_position[2])  # servos would press on the table
+        way = way.at[2].max(self._lowest - physics.gripper_position[2])  # servos would press on the table
         step = damped_step(way, rotation, jacobian, self._home - joints, self._limits - joints)
         step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
         return Control(
