@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import os
+import re
 import resource
 import socket
 from pathlib import Path
@@ -21,6 +22,13 @@ ROOT = Path(__file__).parent.parent
 """The project's folder."""
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 """README and the pages of `docs`."""
+
+
+def files_of(page):
+    """Returns the files that a page gives, each after its name and a colon: content by name."""
+    return dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE))
+
+
 SOURCES = f"{ROOT}:{ROOT / 'envs'}"
 """PYTHONPATH of a process that imports this checkout, whichever is installed."""
 

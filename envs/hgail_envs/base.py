@@ -95,6 +95,8 @@ class GoalEnv(HasLayouts, Env):
     """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
     reference: str | None = None
     """Name of the Gymnasium environment that the task is compared with."""
+    not_randomized: tuple[str, ...] = ()
+    """Fields of `Randomization` that cannot apply to it, and are refused."""
     controllers: ClassVar[Mapping[str, Controller]] = {}
     """Scripted controllers by name; the first demonstrates the task."""
     training: ClassVar[Mapping[str, Mapping[str, TrainingDefaults]]] = {}

@@ -143,6 +143,9 @@ def _check(size: dataclasses.Field, value: Any) -> None:
 MODEL_FACTORS = tuple(size.name for size in dataclasses.fields(ModelFactors))
 """Fields of `Randomization` that are ranges of the fields of `ModelFactors`."""
 
+OF_OBJECT = tuple(size.name for size in dataclasses.fields(Randomization) if size.name.startswith("object_"))
+"""Fields of `Randomization` that are of an object."""
+
 _MILD = Randomization(
     delay=(0, 1),
     step_size=(0.8, 1.2),

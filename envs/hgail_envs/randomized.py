@@ -47,6 +47,12 @@ class RandomizedEnv(GoalEnv):
             if is_needed and getattr(type(task), method) is getattr(GoalEnv, method):
                 lacking = f"{type(task).__name__} cannot be randomised so: it has no {method}"
                 raise ValueError(f"{lacking}; write it, or take a randomisation that needs none")
+        given = [name for name in task.not_randomized if getattr(randomization, name) != getattr(Randomization, name)]
+        if given:
+            raise ValueError(
+                f"{type(task).__name__} cannot be randomised so: its object has no free joint, to which {given[0]}"
+                f" would apply; take a randomisation without {', '.join(given)}"
+            )
         self.task, self.randomization = task, randomization
         self._sizes = dict(vars(randomization))
         for name in _SAME:

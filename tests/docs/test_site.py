@@ -15,7 +15,7 @@ import hgail_envs
 import hgail_jax
 from docs import tables
 from experiments import film
-from tests.support import PAGES, ROOT
+from tests.support import PAGES, ROOT, files_of
 
 _PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(?:\]\(|src=\")([^)\"#{]+)")
@@ -118,6 +118,8 @@ def test_examples_run(page, tmp_path, monkeypatch):
     for name in ("experiments", "assets"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.setitem(hgail_jax.METHODS, "mine", None)  # whatever the page sets is undone
+    for name, content in files_of(ROOT / "docs" / f"{page}.md").items() if page != "README" else ():
+        (tmp_path / name).write_text(content)
     names = {"__name__": "example"}
     for block in blocks(page):
         exec(compile(block, page, "exec"), names)

@@ -12,6 +12,7 @@ import numpy as np
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import Control, Engine, check_impl, jax_has_started, make_engine
 from hgail_envs.engines.c import digest
+from hgail_envs.randomization import OF_OBJECT
 from hgail_envs.robots import make_robot
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, REFERENCE_SUBSTEPS, START_HEIGHT, ArmPhysics
 from hgail_envs.scenes import check_contacts, check_names, find_scene
@@ -76,12 +77,21 @@ class ArmEnv(GoalEnv):
         check_contacts(self.model, self.robot.scene)
         self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         settled = self.robot.settle()
-        self._start_qpos, self._start_qvel = settled.qpos.copy(), settled.qvel.copy()
-        self.initial_gripper_position = settled.site("grip").xpos.copy()
         self._scene_model = SceneModel(self.robot)
+        # What the arm may have touched on its way, a drawer for instance, starts as the scene has it.
+        parts = self._scene_model.of_parts_qpos, self._scene_model.of_parts_qvel
+        self._start_qpos = np.where(parts[0], self.model.qpos0, settled.qpos)
+        self._start_qvel = np.where(parts[1], 0.0, settled.qvel)
+        self.initial_gripper_position = settled.site("grip").xpos.copy()
         self._settled: dict[float, ArmPhysics] = {}
         if jax_has_started():  # at once: later it would wait for a GPU that is loading kernels
             self.engine, self._initial_physics  # noqa: B018
+
+    @functools.cached_property
+    def not_randomized(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Sizes of a randomisation that are of free objects, in a scene that has parts on joints instead."""
+        parts_alone = self._scene_model.of_parts_qpos.any() and not self._scene_model.has_object
+        return OF_OBJECT if parts_alone else ()
 
     @functools.cached_property
     def engine(self) -> Engine:

@@ -14,7 +14,10 @@ ROOM = 0.01
 
 
 class SceneModel:
-    """A scene's fields, and the indices of its objects, the bodies of its free joints, in them."""
+    """A scene's fields, and the indices of its objects, the bodies of its free joints, in them.
+
+    Joints outside the robot that are not free are of parts: drawers, doors, buttons.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self._robot, self._model = robot, robot.model
@@ -26,8 +29,12 @@ class SceneModel:
         self._geoms = model.body_geomadr[self._bodies]
         self._dofs = first_qvel + np.arange(6)
         self.object_qpos, self.object_qvel = first_qpos + np.arange(3), self._dofs[:, :3]  # [objects, 3]
-        self.of_arm_qpos, self.of_arm_qvel = np.ones(model.nq, bool), np.ones(model.nv, bool)
-        self.of_arm_qpos[first_qpos + np.arange(7)] = self.of_arm_qvel[self._dofs] = False
+        root = model.body_rootid[model.site_bodyid[model.site("grip").id]]
+        of_arm = model.body_rootid[model.jnt_bodyid] == root
+        sizes = np.diff(np.append(model.jnt_qposadr, model.nq))
+        self.of_arm_qpos, self.of_arm_qvel = np.repeat(of_arm, sizes), of_arm[model.dof_jntid]
+        parts = ~of_arm & (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE)
+        self.of_parts_qpos, self.of_parts_qvel = np.repeat(parts, sizes), parts[model.dof_jntid]
         self._object_width = 2.0 * model.geom_size[self._geoms, 0].max(initial=0.0)
         are_cylinders = model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_CYLINDER  # else boxes
         self.object_half_heights = model.geom_size[self._geoms, np.where(are_cylinders, 1, 2)].astype(np.float32)

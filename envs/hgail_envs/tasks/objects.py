@@ -1,11 +1,13 @@
 """Base class of push, pick and place and slide: an object is brought to a place."""
 
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from brax import math
+from flax import struct
 
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
@@ -28,12 +30,27 @@ _GRIPPER, _OBJECT = 0.0, 1.0  # fourth number of a goal: its position is the gri
 _IN_THE_AIR = 0.45  # metres of height; on the table a cube's centre is at 0.425
 _BELOW_THE_TABLE = 0.35  # metres of height, of an object that fell
 
+_ROAMING = 0.5  # fraction of the training episodes whose goals are waypoints
+_EVERY = 12  # steps from one waypoint to the next: a hand at full speed moves 0.4 m
+_LEAST_OFFSET, _MOST_OFFSET = (-0.12, -0.12, -0.01), (0.12, 0.12, 0.05)  # metres from the object to a waypoint
+
 
 class ObjectPhysics(ArmPhysics, kw_only=True):
     """`ArmPhysics` and the object's start."""
 
     object_start: jax.Array
     """`[3]`: metres."""
+
+
+class WaypointPlan(struct.PyTreeNode):
+    """The goals of an episode."""
+
+    goal: jax.Array
+    """`[goal_size]`: the object's goal."""
+    roams: jax.Array
+    """`[]` boolean: whether the goals are waypoints of the gripper instead."""
+    offsets: jax.Array
+    """`[waypoints, 3]`: from the object to each waypoint, metres."""
 
 
 class ObjectEnv(ArmEnv):
@@ -46,6 +63,9 @@ class ObjectEnv(ArmEnv):
     Evaluation episodes have the reference's goals, with 1. A goal is reached within 5 cm, by the object's position
     alone: one that starts at its target is a success, though its position is not yet an achieved goal. An episode's
     success is that of its last step. Distances are between object and goal.
+
+    In half the training episodes the goals are waypoints of the gripper near the object, another one every 12 steps,
+    unless a task has a `plan_goals` and a `current_goal` of its own.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
@@ -76,7 +96,11 @@ class ObjectEnv(ArmEnv):
         if observation == "official":
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(*args, **kwargs)
-        self.object_height = float(np.float32(self._start_qpos[self.qpos_of(self.object_name)][2]))
+
+    @functools.cached_property
+    def object_height(self) -> float:
+        """Height of the object's centre at the start, metres."""
+        return float(np.float32(self._start_qpos[self.qpos_of(self.object_name)][2]))
 
     @classmethod
     def features_with(cls, **options: Any) -> Layout:
@@ -153,6 +177,21 @@ class ObjectEnv(ArmEnv):
         offset = jax.random.uniform(rng, (2,), minval=-self.target_range, maxval=self.target_range)
         middle = self.initial_gripper_position[:2] + jnp.array([self.target_offset, 0.0])
         return object_goal(jnp.append(middle + offset, self.object_height))
+
+    def plan_goals(self, rng: jax.Array, physics: ObjectPhysics, training_goals: jax.Array | bool) -> Any:
+        kind_rng, goal_rng, offset_rng = jax.random.split(rng, 3)
+        least, most = jnp.array(_LEAST_OFFSET), jnp.array(_MOST_OFFSET)
+        waypoints = -(-self.episode_length // _EVERY)  # rounded up: the last may be cut short
+        return WaypointPlan(
+            goal=self.sample_goal(goal_rng, physics),
+            roams=training_goals & jax.random.bernoulli(kind_rng, _ROAMING),
+            offsets=jax.random.uniform(offset_rng, (waypoints, 3), minval=least, maxval=most),
+        )
+
+    def current_goal(self, plan: Any, physics: Any, step: jax.Array | int) -> jax.Array:
+        # A waypoint follows the object, so that the hand stays near one that it has pushed away.
+        waypoint = self.object_position(physics) + plan.offsets[step // _EVERY]
+        return jnp.where(plan.roams, gripper_goal(waypoint), plan.goal)
 
     def aim(self, plan: Any, position: jax.Array) -> Any:
         """Sets the field `goal` that the plans of these tasks have; see `GoalEnv`."""
