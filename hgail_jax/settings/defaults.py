@@ -10,7 +10,7 @@ from hgail_envs import TASKS, GoalEnv
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.validation import check_name
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.learners import LEARNERS, PPO
+from hgail_jax.learners import LEARNERS, PPO, TD3
 from hgail_jax.settings.methods import METHODS
 from hgail_jax.settings.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, td3, wide
 
@@ -75,10 +75,14 @@ def _td3_randomized(gpu_rounds: int, **options: Any) -> dict[str, Preset]:
 
 
 SHARED: dict[str, dict[str, Preset]] = {
+    # a task without contacts is learnt in few gradient steps, as the point is
+    "td3": td3({"cpu": {"rounds": 6, "updates": 64}, "gpu": {"rounds": 4}}),
     "ppo": {"cpu": Preset(Config(PPO(), num_envs=64, rounds=6)), "gpu": Preset(Config(PPO(), num_envs=256, rounds=4))},
-    "td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 10}}),
 }
 """Settings of tasks that have none here, by learner and platform; `GoalEnv.training` changes them."""
+
+SHARED_WITH_SCENE = SHARED | {"td3": td3({"cpu": {"rounds": 10}, "gpu": {"rounds": 10}}, OBJECT_SUBSTEPS)}
+"""The same of tasks that have a scene: TD3 with push's sizes, since there are things to be moved."""
 
 
 DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
@@ -201,13 +205,13 @@ RANDOMIZED: dict[str, dict[str, dict[str, Preset]]] = {
 
 
 def default_learner(task_class: type[GoalEnv]) -> str:
-    """Returns the name of a task's default learner: the first in its settings, or PPO's where it has none.
+    """Returns the name of a task's default learner: the first in its settings, or TD3's where it has none.
 
     Raises:
       ValueError: the task's `training` names no learner.
     """
     name = _name(task_class)
-    return next(iter(DEFAULTS[name] if name else _training(task_class)), PPO.name)
+    return next(iter(DEFAULTS[name] if name else _training(task_class)), TD3.name)
 
 
 def platform_name() -> str:
@@ -227,8 +231,8 @@ def task_preset(
     Only `parallel` takes a task's own sizes and hyperparameters; another preset has its own for all tasks.
 
     Args:
-      task_class: the task; one that is not in `DEFAULTS` has those of the class it extends, or `SHARED` with the
-        changes of its own `training`.
+      task_class: the task; one that is not in `DEFAULTS` has those of the class it extends, or `SHARED`
+        (with a scene `SHARED_WITH_SCENE`) with the changes of its own `training`.
       platform: `"cpu"` or `"gpu"`.
       preset: a name in `PRESETS`.
       learner: a name in `hgail_jax.LEARNERS`.
@@ -242,7 +246,8 @@ def task_preset(
         raise ValueError(f"the preset {preset} is of the learner {PPO.name}")
     name = _name(task_class)
     if name is None:
-        own = _changed(SHARED[learner][platform], task_class, learner, platform)
+        shared = SHARED if task_class.scene is None else SHARED_WITH_SCENE
+        own = _changed(shared[learner][platform], task_class, learner, platform)
     else:
         usual = DEFAULTS[name].get(learner, SHARED[learner])
         own = (RANDOMIZED.get(name, {}).get(learner, usual) if randomized else usual)[platform]
@@ -261,7 +266,7 @@ def _changed(shared: Preset, task_class: type[GoalEnv], learner: str, platform: 
             shared.config.replace(**changes.config),
             shared.hyperparameters.replace(**changes.hyperparameters),
             changes.method,
-            changes.options,
+            {**shared.task_options, **changes.options},
             changes.evaluate_every,
         )
     except (TypeError, AttributeError, ValueError) as error:

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,7 +17,7 @@ from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.robots import ROBOTS
-from hgail_envs.validation import check_count, check_name, parse_option
+from hgail_envs.validation import check_count, check_name, parse_option, plain_number
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
@@ -276,6 +276,16 @@ def _check_effect(name: str, config: Config) -> None:
         raise ValueError(f"--settings {name} changes nothing for the learner {config.learner.name}")
     if not config.discriminator_minibatches and (name in OF_SAMPLES or name.startswith("discriminator_")):
         raise ValueError(f"--settings {name} changes nothing for the method her, which has no discriminator")
+
+
+def with_settings(options: TrainOptions, settings: Mapping[str, Any]) -> TrainOptions:
+    """Returns options with further `settings`, Python values by the names of their fields."""
+    given = {name: plain_number(value) for name, value in settings.items()}
+    try:
+        written = tuple(f"{name}={json.dumps(value)}" for name, value in sorted(given.items()))
+    except TypeError as error:
+        raise ValueError(f"settings {given} are not numbers, True, False or lists of numbers") from error
+    return dataclasses.replace(options, settings=(*options.settings, *written))
 
 
 def _parse_setting(setting: str) -> tuple[str, Any]:

@@ -26,7 +26,7 @@ from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
-from hgail_jax.trainer.options import TrainOptions, plan
+from hgail_jax.trainer.options import TrainOptions, plan, with_settings
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
 
@@ -40,7 +40,8 @@ class Trainer:
         summary = trainer.train()
         action = trainer.policy(seed=0)(observation)
 
-    Its arguments are fields of `TrainOptions`, in which it may differ from `options`. Nothing is written before
+    Its arguments are fields of `TrainOptions`, in which it may differ from `options`, and any other field of `Config`,
+    its learner or `Hyperparameters`, such as `updates=512` and `tau=0.01`. Nothing is written before
     `train`. A training that was stopped resumes, in this process or another, with `resume=trainer.folder`, and ends
     with the bits of one that was not. Of several processes that train together each has a trainer; the first writes the
     folder.
@@ -50,7 +51,9 @@ class Trainer:
     """
 
     def __init__(self, options: TrainOptions | None = None, **changes: Any) -> None:
-        given = dataclasses.replace(options or TrainOptions(), **changes)
+        named = {field.name for field in dataclasses.fields(TrainOptions)}
+        settings = {name: changes.pop(name) for name in set(changes) - named}
+        given = with_settings(dataclasses.replace(options or TrainOptions(), **changes), settings)
         numbers = {field.name: plain_number(getattr(given, field.name)) for field in dataclasses.fields(given)}
         self.options = dataclasses.replace(given, **numbers)
         self.run: Run = plan(self.options, platform_name())

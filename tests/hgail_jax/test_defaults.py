@@ -1,3 +1,4 @@
+import dataclasses
 import functools
 import itertools
 import json
@@ -7,17 +8,17 @@ import pytest
 
 import hgail_envs
 from experiments import RESULTS
-from hgail_envs.base import TrainingDefaults
+from hgail_envs.base import GoalEnv, TrainingDefaults
 from hgail_envs.point import Point
 from hgail_envs.tasks.reach import Reach
 from hgail_jax import METHODS, PRESETS, Hyperparameters, TrainOptions
 from hgail_jax.config import OF_TD3
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
-from hgail_jax.settings.defaults import DEFAULTS, SHARED, default_learner, task_preset
+from hgail_jax.settings.defaults import DEFAULTS, SHARED, SHARED_WITH_SCENE, default_learner, task_preset
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.options import plan, with_settings
 
 EIGHT = {"substeps": 8}
 
@@ -100,9 +101,51 @@ def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwis
         assert preset.hyperparameters == PRESETS["parallel"].hyperparameters.replace(p_ht=0.5)
         assert (preset.task_options, preset.evaluate_every) == (EIGHT, 3)
         off_policy = task_preset(task, "cpu", learner="td3")
-        assert off_policy.config == SHARED["td3"]["cpu"].config.replace(updates=9)
-        assert (off_policy.method, off_policy.task_options) == ("her", {})
-        assert task_preset(task, "gpu", learner="td3") == SHARED["td3"]["gpu"]
+        assert off_policy.config == SHARED_WITH_SCENE["td3"]["cpu"].config.replace(updates=9)
+        assert (off_policy.method, off_policy.task_options) == ("her", EIGHT)
+        assert task_preset(task, "gpu", learner="td3") == SHARED_WITH_SCENE["td3"]["gpu"]
+
+
+class Moved(GoalEnv):
+    """A task of one's own, without settings."""
+
+
+class InScene(Moved):
+    """The same with a scene."""
+
+    scene = "push"
+
+
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_a_task_of_one_s_own_is_trained_by_td3_and_with_a_scene_as_push_is(platform):
+    for task in (Moved, InScene):
+        assert default_learner(task) == "td3"
+    found = task_preset(InScene, platform, learner="td3")
+    push = DEFAULTS["push"]["td3"][platform]
+    rounds = push.config.rounds if platform == "cpu" else 10
+    assert found.config == push.config.replace(rounds=rounds)
+    assert (found.hyperparameters, found.task_options, found.method) == (push.hyperparameters, EIGHT, "hgail")
+    assert task_preset(Moved, platform, learner="td3") == SHARED["td3"][platform]
+
+
+BY_THE_METHOD = {"expert_source", "learner"}
+
+
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_every_size_and_hyperparameter_is_an_option_or_a_setting(learner):
+    chosen = task_preset(Point, "cpu", learner=learner)
+    of_options = {field.name for field in dataclasses.fields(TrainOptions)}
+    sizes = vars(chosen.config) | vars(chosen.config.learner)
+    hyperparameters = chosen.hyperparameters.as_dict(chosen.config.learner)
+    for name, value in (sizes | hyperparameters).items():
+        if name in of_options | BY_THE_METHOD:
+            continue
+        other = not value if isinstance(value, bool) else value + 1 if isinstance(value, int) else (8,)
+        if isinstance(value, float):
+            other = 0.5 * value or 0.25
+        run = plan(with_settings(TrainOptions("point", learner=learner, seeds=1), {name: other}), "cpu")
+        found = {**vars(run.config), **vars(run.config.learner), **vars(run.hyperparameters)}
+        assert found[name] == other != value, name
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.quantities import describe
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.tasks.reach import Reach
@@ -161,6 +162,14 @@ def test_names_that_the_scene_lacks_are_refused(drawer):
         odd = type("Odd", (type(drawer),), {name: "knob"})
         with pytest.raises(ValueError, match=rf"drawer\.xml has no {kind} 'knob'; it has "):
             odd().reset_physics(jax.random.key(0))
+
+
+def test_numbers_have_names_and_units_wherever_a_policy_is_described(folder):
+    described = describe("drawer:Drawer")
+    names = [number.name for number in described.observation.numbers]
+    assert names[6] == "handle position less gripper position x" and len(set(names)) == 19
+    assert all(number.unit for number in described.observation.numbers)
+    assert [number.unit for number in described.action.numbers][:3] == ["1 is about 0.033 m"] * 3
 
 
 def test_the_reference_s_numbers_are_not_offered(folder):

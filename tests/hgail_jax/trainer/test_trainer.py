@@ -183,8 +183,13 @@ def test_a_training_may_be_stopped_before_it_begins_and_a_folder_is_trained_in_o
 def test_options_are_changed_by_name():
     options = Trainer(SMALL, seeds=1, reward="r3").options
     assert (options.seeds, options.reward, options.num_envs) == (1, "r3", 4)
-    with pytest.raises(TypeError, match="colour"):
-        Trainer(SMALL, colour="red")
+    changed = Trainer(SMALL, discriminator_batch=np.int64(16), solved_weight=0.5, policy_hidden=(8, 8)).run
+    assert (changed.config.discriminator_batch, changed.config.policy_hidden) == (16, (8, 8))
+    assert changed.hyperparameters.solved_weight == 0.5
+    with pytest.raises(ValueError, match="are not numbers, True, False or lists of numbers"):
+        Trainer(SMALL, discriminator_batch=object())
+    with pytest.raises(ValueError, match="Config has no field 'colour'"):
+        Trainer(SMALL, colour=3)
     with pytest.raises(ValueError, match="seeds is 0; it must be at least 1"):
         Trainer(SMALL, seeds=0)
     assert not list(Path().iterdir())
