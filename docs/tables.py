@@ -89,7 +89,7 @@ def headline() -> list[list[str]]:
     ends = ["never", _count(sizes["env_steps_per_seed"]), "", "", _elsewhere("reach", "the paper")]
     header = ["task", "learner", "success without reward", "worst seed", "steps to .95", "steps in all", "training"]
     return [
-        [*header, "HER, with the goal test", "elsewhere"],
+        [*header, "HER: success, steps to .95", "elsewhere"],
         *(_headline(_run(run), name, _run(her) if her else None, beside) for run, name, her, beside in _HEADLINE),
         ["reach with the paper's own sizes", "PPO", success, f"{min(sizes['success']):.3f}", *ends],
     ]
