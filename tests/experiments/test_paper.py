@@ -325,8 +325,8 @@ def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_pat
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
         (
-            ["--study", "off-policy", "--task", "slide"],
-            "study 'off-policy' on 'slide': 'as it is' and 'HER' are both HER",
+            ["--study", "off-policy", "--task", "grasp"],
+            "study 'off-policy' on 'grasp': 'as it is' and 'HER' are both HER",
         ),
         (["--study", "parts"], "study 'parts' is for tasks with the option 'observation'; 'reach' has none"),
         (["--plots-only"], "holds no figure's data"),
