@@ -141,6 +141,12 @@ ELSEWHERE = {"device": {"platform": "gpu", "kind": "b", "count": 1}}
 """Places where rows of a benchmark were made."""
 
 
+def starts_of(env, keys):
+    """Returns starts of episodes to be measured and of episodes to learn from, `[keys, ...]`, as NumPy arrays."""
+    reset = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))
+    return [jax.tree.map(np.asarray, reset(keys, training_goals)) for training_goals in (False, True)]
+
+
 def move(robot, actions):
     """Returns a robot's features after each action, from a start."""
     robot.reset(np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""What is measured: the rows of table 4, and sweeps of success over quantities.
+"""Measures the rows of table 4, and sweeps of success over quantities.
 
 Sweeps are of other robots in several processes, and of this project's Fetch in one program.
 """

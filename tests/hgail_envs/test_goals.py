@@ -16,6 +16,7 @@ from hgail_envs.base import EpisodeMetrics, GoalEnv, TrainingDefaults
 from hgail_envs.point import Point
 from hgail_envs.tasks.arm import ArmEnv
 from hgail_envs.tasks.grasp import is_held
+from tests.support import starts_of
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -31,13 +32,7 @@ def tasks():
 
 @pytest.fixture(scope="module")
 def starts(tasks):
-    """Starts of episodes to be measured and of episodes to learn from, by task."""
-
-    def start(env):
-        reset = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))
-        return [jax.tree.map(np.asarray, reset(KEYS, training_goals)) for training_goals in (False, True)]
-
-    return {name: start(env) for name, env in tasks.items()}
+    return {name: starts_of(env, KEYS) for name, env in tasks.items()}
 
 
 def cubes(state):

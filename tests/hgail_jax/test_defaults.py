@@ -107,7 +107,7 @@ def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwis
 
 
 class Moved(GoalEnv):
-    """A task of one's own, without settings."""
+    """A user's own task, without settings."""
 
 
 class InScene(Moved):

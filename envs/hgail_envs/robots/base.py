@@ -1,4 +1,4 @@
-"""What a robot is to a task: an arm and a hand in a scene, whose gripper an action displaces."""
+"""The interface of robots: an arm with a hand in a scene, whose gripper an action moves."""
 
 import abc
 

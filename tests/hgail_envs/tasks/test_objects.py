@@ -13,6 +13,7 @@ from experiments import FEW_UPDATES
 from hgail_jax import PPO, Config, init_state, phase_table, train_step
 from hgail_jax.play.recording import run_controller
 from hgail_jax.settings.defaults import DEFAULTS
+from tests.support import starts_of
 
 MANY = 3000
 KEYS = jax.random.split(jax.random.key(0), MANY)
@@ -27,13 +28,7 @@ def tasks():
 
 @pytest.fixture(scope="module")
 def starts(tasks):
-    """Starts of episodes to be measured and of episodes to learn from, by task."""
-
-    def start(env):
-        reset = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))
-        return [jax.tree.map(np.asarray, reset(KEYS, training_goals)) for training_goals in (False, True)]
-
-    return {name: start(env) for name, env in tasks.items()}
+    return {name: starts_of(env, KEYS) for name, env in tasks.items()}
 
 
 def first(state):

@@ -1,4 +1,4 @@
-"""A scene of one's own: a file beside the task's, and a line for each mistake in it."""
+"""A user's own scene: a file beside the task's, and a line for each mistake in it."""
 
 import importlib
 
