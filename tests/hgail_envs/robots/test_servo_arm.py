@@ -130,6 +130,34 @@ def test_hand_and_pads_are_varied_as_the_fetch_s(robot):
     np.testing.assert_allclose(*ends, atol=1e-6)  # its lower end stays
 
 
+def test_slow_fingers_take_as_much_longer():
+    """Time scales with the inverse of the speed; the force has no part in it."""
+    env = made("grasp", substeps=8)
+    start = env.reset(jax.random.key(0))
+    physics = start.pipeline_state.replace(qpos=env.robot.opened(start.pipeline_state.qpos, 0.0))
+    gaps = []
+    for speed, force, steps in ((1.0, 1.0, 1), (0.5, 1.0, 2), (0.5, 0.5, 2)):
+        varied = env.vary_model(physics, ModelFactors(finger_speed=speed, finger_force=force))
+        opening = acted(env, [[0.0, 0.0, 0.0, 1.0]] * steps, start.replace(pipeline_state=varied))
+        gaps.append(float(env.robot.gap(opening.qpos[-1])))
+    assert 0.005 < gaps[0] < 0.075
+    assert gaps[1:] == pytest.approx([gaps[0]] * 2, rel=0.05)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_fingers_move_by_half_the_gap_s_rate(robot):
+    env, period = made("grasp", robot), 1e-2
+    opening = acted(env, [[0.0, 0.0, 0.0, 1.0]])
+    physics = jax.tree.map(lambda leaf: leaf[-1], opening)
+    later = np.array(physics.qpos, float)
+    mujoco.mj_integratePos(env.model, later, np.asarray(physics.qvel, float), period)
+    places, rates = env.robot.fingers(physics)
+    gap = env.robot.gap(physics.qpos)
+    np.testing.assert_allclose(places, gap / 2)
+    assert np.abs(rates[0]) > 1e-3
+    np.testing.assert_allclose(rates, (env.robot.gap(later.astype(np.float32)) - gap) / 2 / period, rtol=0.1)
+
+
 def _pads(model, fields, pad):
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.geom_quat[pad])
