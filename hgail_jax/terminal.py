@@ -25,6 +25,18 @@ _TICK = 1.0  # seconds
 _WIDTH, _HEIGHT = 80, 24  # of a terminal of unknown size
 
 
+def say(line: str, stream: TextIO | None = None) -> None:
+    """Prints a line at once, on stdout if `stream` is None, of a command whose results are in files.
+
+    Where it cannot be printed, as when the reader of a pipe has left, this line and all later ones are dropped.
+    """
+    stream = stream or sys.stdout
+    try:
+        print(line, file=stream, flush=True)
+    except OSError:
+        _silence(stream.fileno())
+
+
 class StatusLine:
     """Shows the activity within a `with` block, and its time so far.
 
@@ -59,10 +71,7 @@ class StatusLine:
             self._write(self._line())
 
     def _write(self, line: str) -> None:
-        try:
-            print(line, file=self._log, flush=True)
-        except OSError:  # the reader of the log is gone, as `head` is
-            self._log = io.StringIO()
+        say(line, self._log)
 
     def _tick(self) -> None:
         while not (self._bar.disable or self._over.wait(_TICK)):
@@ -129,7 +138,7 @@ def stop_on_signal(refusal: Callable[[], str | None] = lambda: None) -> Iterator
         noted, name, line = time.monotonic(), signal.Signals(number).name, refusal()
         if line is None and stop.is_set():
             line = f"\n{name}: stopped at once; the rounds since the last checkpoint are lost"
-        print(line or f"\n{name}: stopping after this round; once more stops at once", file=sys.stderr, flush=True)
+        say(line or f"\n{name}: stopping after this round; once more stops at once", sys.stderr)
         if line is not None:
             _exit(number)
         stop.set()

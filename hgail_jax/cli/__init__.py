@@ -19,10 +19,11 @@ def main(arguments: list[str] | None = None) -> None:
 
     name, *options = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("-h", "--help"):
-        width = max(map(len, COMMANDS))
-        print("usage: hgail COMMAND [OPTIONS]\n")
-        print("\n".join(f"  {command:{width}}  {text}" for command, text in COMMANDS.items()))
-        print("\nhgail COMMAND --help lists the options of a command.")
+        with one_line_errors("hgail"):
+            width = max(map(len, COMMANDS))
+            print("usage: hgail COMMAND [OPTIONS]\n")
+            print("\n".join(f"  {command:{width}}  {text}" for command, text in COMMANDS.items()))
+            print("\nhgail COMMAND --help lists the options of a command.")
         return
     if name not in COMMANDS:
         fail("hgail", f"there is no command {name!r}; choose from {', '.join(COMMANDS)}", 2)

@@ -19,7 +19,7 @@ import jax
 import tyro
 
 from hgail_envs.workarounds import configure_xla
-from hgail_jax.terminal import stop_in_one_line
+from hgail_jax.terminal import say, stop_in_one_line
 
 OptionsT = TypeVar("OptionsT")
 
@@ -39,7 +39,7 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
     words = sys.argv[1:] if arguments is None else arguments
     for old, new in RENAMED.items():
         if any(word.partition("=")[0] == old for word in words):
-            print(f"{program}: {old} is {new} now; the old name goes with the next release", file=sys.stderr)
+            say(f"{program}: {old} is {new} now; the old name goes with the next release", sys.stderr)
     # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
 
@@ -111,7 +111,11 @@ def one_line_errors(program: str) -> Iterator[None]:
     open_standard_streams()
     with stop_in_one_line(program):
         try:
-            yield
+            try:
+                yield
+            except SystemExit:  # as after the help
+                sys.stdout.flush()
+                raise
             sys.stdout.flush()
         except BrokenPipeError:  # the reader of the output is gone, as `head` once it has its lines
             os.dup2(
@@ -155,7 +159,7 @@ def fail(program: str, message: object, code: int) -> NoReturn:
     """Ends the process with one line."""
     if isinstance(message, OSError) and message.strerror:
         message = ": ".join(map(str, filter(None, (message.filename, message.strerror))))
-    print(f"{program}: {' '.join(str(message).split())}", file=sys.stderr)
+    say(f"{program}: {' '.join(str(message).split())}", sys.stderr)
     raise SystemExit(code)
 
 
@@ -174,7 +178,7 @@ def user_cache() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="hgail-cache-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["XDG_CACHE_HOME"] = str(folder)
-    print(f"compiled programs are not kept: {why}; XDG_CACHE_HOME may name a folder for them", file=sys.stderr)
+    say(f"compiled programs are not kept: {why}; XDG_CACHE_HOME may name a folder for them", sys.stderr)
     return folder
 
 

@@ -9,7 +9,7 @@ from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_new_file
 from hgail_jax.play.recording import make_for_demonstrations, record
-from hgail_jax.terminal import StatusLine
+from hgail_jax.terminal import StatusLine, say
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail demos"
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
         save_demonstrations(path, demonstrations)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
-    print(
+    say(
         f"{counted(options.episodes, 'successful episode')} of {options.task}:"
         f" return {demonstrations.returns.mean():.1f}, L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )

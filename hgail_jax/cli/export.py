@@ -16,7 +16,7 @@ from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.policy import save_policy
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
-from hgail_jax.terminal import StatusLine
+from hgail_jax.terminal import StatusLine, say
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail export"
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
             {".mlirbc": export_policy, ".npz": save_policy}[kind](out, policy)
     except OSError as error:
         fail(PROGRAM, error, 1)
-    print(f"policy {from_here(path)} as {FORMATS[kind]} -> {out}")
+    say(f"policy {from_here(path)} as {FORMATS[kind]} -> {out}")
 
 
 def _check(options: Options) -> None:

@@ -17,6 +17,7 @@ from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies
 from hgail_jax.io.files import check_new_file
 from hgail_jax.play.playback import FORMATS, film, show
 from hgail_jax.policy import MeanPolicy
+from hgail_jax.terminal import say
 from hgail_jax.trainer.options import unless_given
 
 PROGRAM = "hgail play"
@@ -62,10 +63,10 @@ def main(arguments: list[str] | None = None) -> None:
             outcomes = show(env, policy, options.episodes, options.seed)
         else:
             outcomes = film(path, env, policy, options.episodes, options.seed)
-            print(path)
+            say(str(path))
     except (RenderingError, OSError, ValueError) as error:
         fail(PROGRAM, error, 1)
-    print(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
+    say(f"{sum(outcomes)} of {len(outcomes)} episodes succeeded")
 
 
 def _check(options: Options) -> None:
@@ -98,7 +99,7 @@ def _load(
     """Returns the task and the policy, and prints the policy's file and level; see `find_policies` and `make_task`."""
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)
-    print(describe_policy(file, policy, level), flush=True)
+    say(describe_policy(file, policy, level))
     return env, policy
 
 
@@ -116,11 +117,11 @@ def _serve(options: Options, shown: str) -> None:
         env, policy = _load(task, path, options.randomize, impl="c", robot=options.robot)
         return Session(env, policy, seed)
 
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for any other request
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for what is no request
     port = free_port(options.host, options.port, _FIRST_PORT)
     others = [task for task in hgail_envs.TASKS if task != shown and shipped(task, options.randomize)]
-    print(f"compiling {shown} ...", flush=True)
+    say(f"compiling {shown} ...")
     page = Page(open_session, [shown, *others], options.seed, options.host, port)
     host = f"[{options.host}]" if ":" in options.host else options.host
-    print(f"http://{host}:{page.port} shows {shown}; Ctrl-C stops", flush=True)
+    say(f"http://{host}:{page.port} shows {shown}; Ctrl-C stops")
     page.run()

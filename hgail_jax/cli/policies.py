@@ -18,6 +18,7 @@ from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.policy import MeanPolicy
+from hgail_jax.terminal import say
 from hgail_jax.trainer.options import unless_given
 
 DEFAULT_TASK = "grasp"
@@ -105,7 +106,7 @@ def find_policies(
             make_task(policy, task, None)
     except ValueError as error:
         raise ValueError(f"the policy is for {min(trained_on)!r}, not for {task!r}: {error}") from None
-    print(f"{path} was trained on {', '.join(sorted(trained_on))}; --task makes it {task}", file=sys.stderr)
+    say(f"{path} was trained on {', '.join(sorted(trained_on))}; --task makes it {task}", sys.stderr)
     return fitted
 
 

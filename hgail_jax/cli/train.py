@@ -21,7 +21,7 @@ from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.terminal import in_a_thread, stop_on_signal
+from hgail_jax.terminal import in_a_thread, say, stop_on_signal
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
@@ -67,13 +67,13 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
-            print(f"{run.method} on {command.task}, {size} -> {folder.path}")
+            say(f"{run.method} on {command.task}, {size} -> {folder.path}")
         resume_hint = _resume_hint(words, folder.path)
         summary = _train(run, folder, resume_hint)
         if not is_first_process():
             return
         if summary is None:
-            print(f"{_stopped(run, folder)}; {resume_hint}")
+            say(f"{_stopped(run, folder)}; {resume_hint}")
             return
         _report(summary, folder.path)
         if command.video:
@@ -142,17 +142,17 @@ def _film(run: Run, folder: RunFolder) -> None:
     path = folder.path / "rollout.mp4"
     try:
         film(path, run.env.reference_physics(), load_policy(folder.path / "policies" / f"seed-{run.first_seed}.npz"))
-        print(path)
+        say(str(path))
         for logger in folder.loggers:
             logger.film(path)
     except Exception as error:  # rendering and encoding raise errors of many types, and the results are written
-        print(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", file=sys.stderr)
+        say(f"no video: {str(error).splitlines()[0] if str(error) else type(error).__name__}", sys.stderr)
 
 
 def _report(summary: dict[str, Any], folder: Path) -> None:
     success, distance, seconds = summary["success_rate"], summary["distance_l1"], summary["wall_seconds"]
     worst = f" (worst seed {min(success['per_seed']):.3f})" if summary["seeds"] > 1 else ""
-    print(
+    say(
         f"success {_mean(success)}{worst}, L1 distance {distance['mean']:.3f} m, "
         f"{summary['env_steps_per_seed']:,} env steps per seed\n"
         f"compile {seconds['compile']:.1f} s, train {seconds['train']:.1f} s at "
@@ -160,9 +160,9 @@ def _report(summary: dict[str, Any], folder: Path) -> None:
         f"total {seconds['total']:.1f} s -> {folder}"
     )
     if "nominal_success_rate" in summary:
-        print(f"nominal: success {_mean(summary['nominal_success_rate'])}")
+        say(f"nominal: success {_mean(summary['nominal_success_rate'])}")
     if summary["diverged_seeds"]:
-        print(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", file=sys.stderr)
+        say(f"updates that were not finite were undone: {', '.join(summary['diverged_seeds'])}", sys.stderr)
 
 
 def _mean(rate: dict[str, Any]) -> str:

@@ -17,6 +17,7 @@ import jax
 
 from hgail_jax.devices.processes import silent_but_first
 from hgail_jax.devices.sharding import any_process
+from hgail_jax.terminal import say
 from hgail_jax.trainer.checkpoint import Checkpoint, Checkpoints, refuse_another_run
 from hgail_jax.trainer.loggers import Logger
 from hgail_jax.trainer.run import Run
@@ -166,12 +167,12 @@ def _announce(folder: RunFolder, rounds: int) -> None:
     """Prints the round that a run of so many rounds resumes with, and its damaged checkpoints."""
     path, restored = folder.path, folder.restored
     for line in restored.damaged if restored else ():
-        print(line, file=sys.stderr)
+        say(line, sys.stderr)
     if restored is None:
-        print(f"{path} has no checkpoint yet and begins with round 0")
+        say(f"{path} has no checkpoint yet and begins with round 0")
     elif restored.rounds <= rounds:
-        print(f"{path} resumes after round {restored.rounds - 1} of {rounds}")
+        say(f"{path} resumes after round {restored.rounds - 1} of {rounds}")
     elif (path / "summary.json").exists():
-        print(f"{path} is complete; without --resume another run begins")
+        say(f"{path} is complete; without --resume another run begins")
     else:
-        print(f"{path} has all its rounds; its results are written")
+        say(f"{path} has all its rounds; its results are written")
