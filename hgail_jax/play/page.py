@@ -27,6 +27,7 @@ _SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "4 ×": 4.0}
 _BRAND = (22, 107, 184)
 _RED = (226, 45, 45)
 _CAMERA_POSITION, _CAMERA_TARGET = (2.87, -0.37, 1.32), (1.07, 0.9, 0.58)  # metres
+_FARTHER, _HIGHER = 1.8, np.array([0.0, 0.0, 0.6])  # in a window higher than wide; the shown place is metres higher
 _FIELD_OF_VIEW = np.radians(35.0)
 _HANDLE_SIZE = 0.16  # metres
 _LEAST_WIDTH = 1e-3  # metres, of the space along an axis of the handle
@@ -127,6 +128,13 @@ class Page:
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
         server.initial_camera.position, server.initial_camera.look_at = _CAMERA_POSITION, _CAMERA_TARGET
         server.initial_camera.fov = _FIELD_OF_VIEW
+
+        @server.on_client_connect
+        def _(client: viser.ClientHandle) -> None:
+            if client.camera.aspect < 1.0:  # as of a telephone, whose lower half the panel covers
+                position, target = np.array(_CAMERA_POSITION), np.array(_CAMERA_TARGET)
+                client.camera.position = target + _FARTHER * (position - target)
+                client.camera.look_at = target - _HIGHER
 
         @server.on_client_disconnect
         def _(_) -> None:

@@ -184,6 +184,13 @@ def wait_for(condition):
         time.sleep(0.1)
 
 
+def height_of_the_ball(png):
+    """How far from the top the lowest red point of a picture is, as a share of its height; infinity without one."""
+    picture = imageio.imread(io.BytesIO(png))[..., :3].astype(int)
+    red = (picture[..., 0] > 150) & (picture[..., 1:].max(axis=-1) < 90)
+    return np.flatnonzero(red.any(axis=1)).max(initial=-1) / len(picture) if red.any() else np.inf
+
+
 def shows_the_arm(png):
     """Whether blue is on more than a hundredth of the half without the panel, and the rest is not of one colour."""
     picture = imageio.imread(io.BytesIO(png))[:, : _VIEW["width"] // 2, :3].astype(int)
@@ -228,6 +235,11 @@ def test_a_visitor_drags_the_target_and_the_policy_follows(page):
             assert np.linalg.norm(session.data.site("grip").xpos - session.target) < 0.05
             own = f"127.0.0.1:{page.port}"  # a page that needs nothing of the internet
             assert [url for url in requested if own not in url and not url.startswith("data:")] == []
+            telephone = browser.new_page(viewport={"width": 400, "height": 800})
+            telephone.goto(f"http://127.0.0.1:{page.port}")
+            telephone.get_by_text("Drag the red ball").wait_for(timeout=1000 * _PATIENCE)
+            wait_for(lambda: height_of_the_ball(telephone.screenshot()) < 0.5)  # above the panel
+            assert telephone.evaluate("document.documentElement.scrollWidth") == 400
     finally:
         page.close()
         runner.join()
