@@ -22,8 +22,8 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
 OF_SAMPLES = ("discriminator_horizon", "goal_jitter", "shuffled_goals", "negative_p_ht", "negative_weight")
-"""Hyperparameters of the discriminator's samples with TD3."""
-OF_TD3 = ("epsilon", "tau", "target_noise", *OF_SAMPLES)
+"""Hyperparameters of the discriminator's samples."""
+OF_TD3 = ("epsilon", "tau", "target_noise", "discriminator_horizon", "negative_p_ht")
 """Hyperparameters that TD3 alone reads; another learner's own stand beside it, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
@@ -159,15 +159,14 @@ class Hyperparameters(struct.PyTreeNode):
 
     goal_jitter: jax.Array | float = 0.0
     """Edge of the box from which the discriminator's expert samples draw their goals, as a fraction of the task's
-    `GoalEnv.goal_tolerance`; 0 is the paper's, the very position that is achieved next (TD3)."""
+    `GoalEnv.goal_tolerance`; 0 is the paper's, the very position that is achieved."""
     shuffled_goals: jax.Array | float = 0.0
     """Fraction of the discriminator's policy samples that have the goal of another one; 0 is the paper's, the goals
-    that were pursued. With 1 the best logit is log p(goal achieved next | s, a) - log p(goal), as in contrastive RL
-    (TD3)."""
+    that were pursued. With 1 the best logit is log p(goal achieved next | s, a) - log p(goal), as in contrastive RL."""
     negative_p_ht: jax.Array | float = 0.0
     """Probability that a policy sample's goal, before it is shuffled, is one that its episode achieved later (TD3)."""
     negative_weight: jax.Array | float = 1.0
-    """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's (TD3)."""
+    """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's."""
 
     def as_arrays(self) -> "Hyperparameters":
         """Returns itself with arrays for leaves."""

@@ -20,6 +20,7 @@ from hgail_jax.samples import Samples
 from hgail_jax.state import TrainState
 
 _R2_FLOOR = 1e-3  # r2 takes the logarithm of a number that may be 0
+_LEAST_SQUARE = 1e-12  # under a square root, whose gradient is infinite at 0
 
 
 def init_discriminator(env: GoalEnv, config: Config, rng: jax.Array) -> tuple[Any, optax.OptState]:
@@ -58,31 +59,60 @@ def fit_discriminator(
     policy: Samples,
     minibatches: int,
     rng: jax.Array,
-    policy_weight: jax.Array | float = 1.0,
+    decay: jax.Array | float = 1.0,
+    penalty: float = 0.0,
 ) -> tuple[TrainState, dict[str, jax.Array]]:
-    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy."""
-    expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
+    """Trains the discriminator for some minibatches; returns the new state and the mean loss and accuracy.
 
-    def loss(params: Any, indices: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
-        of_expert, of_policy = indices
-        expert_logits = discriminate(config, params, expert_observation[of_expert], expert.action[of_expert])
-        policy_logits = discriminate(config, params, policy_observation[of_policy], policy.action[of_policy])
-        value = discriminator_loss(expert_logits, policy_logits, policy_weight)
-        accuracy = discriminator_accuracy(expert_logits, policy_logits)
-        return value, {"discriminator_loss": value, "discriminator_accuracy": accuracy}
+    Its learning rate is multiplied by `decay`, and `penalty` is the weight of the `gradient_penalty`.
+    """
+    expert_observation, policy_observation = state.normalize(expert.observation), state.normalize(policy.observation)
+    hyper = state.hyperparameters
+
+    def loss(params: Any, indices: tuple[jax.Array, ...]) -> tuple[jax.Array, dict[str, jax.Array]]:
+        of_expert, of_policy, *share = indices
+        shown = expert_observation[of_expert], expert.action[of_expert]
+        own = policy_observation[of_policy], policy.action[of_policy]
+        expert_logits, policy_logits = discriminate(config, params, *shown), discriminate(config, params, *own)
+        value = discriminator_loss(expert_logits, policy_logits, hyper.negative_weight)
+        metrics = {"discriminator_loss": value}
+        metrics["discriminator_accuracy"] = discriminator_accuracy(expert_logits, policy_logits)
+        if penalty:
+            value += penalty * gradient_penalty(config, params, shown, own, *share)
+        return value, metrics
 
     expert_rng, policy_rng = jax.random.split(rng)
     shape = (minibatches, config.discriminator_batch)
-    indices = expert.draw(expert_rng, shape), policy.draw(policy_rng, shape)
+    indices: tuple[jax.Array, ...] = expert.draw(expert_rng, shape), policy.draw(policy_rng, shape)
+    if penalty:
+        indices += (jax.random.uniform(jax.random.fold_in(rng, 2), (*shape, 1)),)
     params, optimizer, metrics = descend(
         _optimizer(),
         loss,
         state.discriminator,
         state.discriminator_optimizer,
-        state.hyperparameters.discriminator_learning_rate,
+        hyper.discriminator_learning_rate * decay,
         indices,
     )
     return state.replace(discriminator=params, discriminator_optimizer=optimizer), metrics
+
+
+def gradient_penalty(
+    config: Config,
+    params: Any,
+    expert: tuple[jax.Array, jax.Array],
+    policy: tuple[jax.Array, jax.Array],
+    share: jax.Array,
+) -> jax.Array:
+    """Mean of (|gradient of the logit by its input| - 1)², `[]`, between samples (Gulrajani et al. 2017).
+
+    Normalised observations and actions, `[B, ...]`, of the expert and of the policy are mixed, each sample with a
+    `share`, `[B, 1]` in [0, 1], of the expert's.
+    """
+    mixed = jax.tree.map(lambda of_expert, of_policy: share * of_expert + (1.0 - share) * of_policy, expert, policy)
+    gradients = jax.vmap(jax.grad(lambda pair: discriminate(config, params, *pair)))(mixed)
+    square = sum(jnp.square(gradient).sum(axis=-1) for gradient in gradients)
+    return jnp.mean(jnp.square(jnp.sqrt(square + _LEAST_SQUARE) - 1.0))
 
 
 def _network(config: Config) -> MLP:

@@ -59,11 +59,17 @@ def init_expert(env: GoalEnv, config: Config, demonstrations: Samples | None) ->
 
 
 def expert_samples(
-    env: GoalEnv, config: Config, hyper: Hyperparameters, expert: Any, trajectory: Trajectory, rng: jax.Array
+    env: GoalEnv,
+    config: Config,
+    hyper: Hyperparameters,
+    expert: Any,
+    trajectory: Trajectory,
+    rng: jax.Array,
+    jitter: jax.Array | float = 0.0,
 ) -> tuple[Any, Samples]:
-    """Returns (new expert buffer, expert samples) after a roll-out."""
+    """Returns (new expert buffer, expert samples) after a roll-out; see `jitter_goals` for `jitter`."""
     if config.expert_source == RELABELLED:
-        return expert, relabelled_samples(env, hyper, trajectory, rng)
+        return expert, relabelled_samples(env, hyper, trajectory, rng, jitter)
     if config.expert_source == FROZEN:
         fresh, empty = relabelled_samples(env, hyper, trajectory, rng), ~(expert.weight > 0).any()
         expert = jax.tree.map(lambda new, old: jnp.where(empty, new, old), fresh, expert)

@@ -63,8 +63,26 @@ def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
     return flatten(pursued_samples(env, trajectory))
 
 
-def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
-    """Returns the samples of a trajectory under goals replaced in hindsight.
+def negative_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
+    """Returns the samples of a trajectory under the goals it pursued, a fraction under another episode's of that step.
+
+    The fraction is `hyper.shuffled_goals`; there must be two episodes.
+    """
+    desired = trajectory.desired[:-1]
+    others = jnp.roll(desired, desired.shape[1] // 2, axis=1)
+    goal = jnp.where(jax.random.bernoulli(rng, hyper.shuffled_goals, (*desired.shape[:2], 1)), others, desired)
+    observation = env.goal_observation(trajectory.features[:-1], goal)
+    return flatten(Samples(observation, trajectory.action, step_weight(trajectory)))
+
+
+def relabelled_samples(
+    env: GoalEnv,
+    hyper: Hyperparameters,
+    trajectory: Trajectory,
+    rng: jax.Array,
+    jitter: jax.Array | float = 0.0,
+) -> Samples:
+    """Returns the samples of a trajectory under goals replaced in hindsight, then jittered, see `jitter_goals`.
 
     Their weights give each kind of goal the share that it has among the goals pursued, see `GoalEnv.goal_kind`. Within
     a kind, samples whose goal is solved already count `hyper.solved_weight` times.
@@ -81,11 +99,12 @@ def relabelled_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Traject
     features = trajectory.features[:-1]
     weight = weight * jnp.where(env.already_solved(features, goal), hyper.solved_weight, 1.0)
     weight = weight * (share / kind_share(env, goal, weight))[env.goal_kind(goal)]
+    goal = jitter_goals(env, goal, jitter, jax.random.fold_in(rng, desired.shape[1]))
     return flatten(Samples(env.goal_observation(features, goal), trajectory.action, weight))
 
 
 def jitter_goals(env: GoalEnv, goal: jax.Array, size: jax.Array | float, rng: jax.Array) -> jax.Array:
-    """Draws a goal uniformly from a box around each of `goal`, `[S, goal_size]`: `size` times the task's tolerance."""
+    """Draws a goal uniformly from a box around each of `goal`, `[..., goal_size]`: `size` times its tolerance."""
     return goal + size * env.goal_tolerance(goal) * jax.random.uniform(rng, goal.shape, minval=-1.0)
 
 

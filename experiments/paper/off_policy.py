@@ -69,8 +69,8 @@ _REWARDS = Study(
 )
 
 
-def _method(name: str, method: str, demonstrations: int = 0) -> Setting:
-    changes = {"environment_reward": 0.0}
+def _method(name: str, method: str, demonstrations: int = 0, **changes: float) -> Setting:
+    changes = {"environment_reward": 0.0} | changes
     return Setting(name, method=method, learner="td3", hyperparameters=changes, demonstrations=demonstrations)
 
 
@@ -81,9 +81,25 @@ _METHODS = Study(
         _method("HGAIL", "hgail"),
         _method("HGAIL-no", "hgail-no"),
         *(_method(f"GAIL-demo ({count})", "gail-demo", count) for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)),
+        *(
+            _method(f"GAIL-demo ({count}), half the negatives shuffled", "gail-demo", count, shuffled_goals=0.5)
+            for count in (PAPER_DEMONSTRATIONS, MOST_DEMONSTRATIONS)
+        ),
         _method("GASIL", "gasil"),
+        _method("GASIL, half the negatives shuffled", "gasil", shuffled_goals=0.5),
         _HER,
     ),
     curves=True,
 )
-OFF_POLICY_STUDIES = (_NUMBERS, _SAMPLES, _SIZES, _REWARDS, _METHODS)
+_PPO_SAMPLES = Study(
+    "ppo-samples",
+    "HGAIL with PPO, other samples of the discriminator",
+    (
+        Setting("the paper's: goals achieved against goals pursued"),
+        Setting("95% of the negatives shuffled", hyperparameters={"shuffled_goals": 0.95}),
+        Setting("positives jittered by 0.5 of the tolerance", hyperparameters={"goal_jitter": 0.5}),
+        Setting("both", hyperparameters={"shuffled_goals": 0.95, "goal_jitter": 0.5}),
+    ),
+    curves=True,
+)
+OFF_POLICY_STUDIES = (_NUMBERS, _SAMPLES, _SIZES, _REWARDS, _METHODS, _PPO_SAMPLES)

@@ -24,7 +24,7 @@ from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP, L
 from hgail_jax.learners.ppo_loss import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.networks import MLP, apply, dense_layers, gaussian_log_prob
 from hgail_jax.rollout import Policy, Trajectory
-from hgail_jax.samples import Samples, flatten, policy_samples, step_weight
+from hgail_jax.samples import Samples, flatten, negative_samples, policy_samples, step_weight
 from hgail_jax.state import TrainState
 
 Metrics = dict[str, jax.Array]
@@ -166,7 +166,7 @@ class PPO(Learner):
         was.
         """
         relabel_rng, policy_rng, discriminator_rng = jax.random.split(rng, 3)
-        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
+        before, (state, expert) = state, _expert_samples(env, config, state, trajectory, relabel_rng)
         # Moving the normaliser shifts the policy's inputs and so undoes the cloning; started on the cloned samples it
         # moves less than if it began with the roll-out's own.
         state = state.count(expert)
@@ -178,17 +178,19 @@ class PPO(Learner):
 
         shape = (self.pretrain_policy_minibatches, self.pretrain_policy_batch)
         state, cloning = self.descend(config, state, loss, expert.draw(policy_rng, shape))
-        minibatches, policy = self.pretrain_discriminator_minibatches, policy_samples(env, trajectory)
-        state, metrics = fit_discriminator(config, state, expert, policy, minibatches, discriminator_rng)
+        jittered = _expert_samples(env, config, before, trajectory, relabel_rng, state.hyperparameters.goal_jitter)[1]
+        policy = negative_samples(env, state.hyperparameters, trajectory, jax.random.fold_in(rng, 3))
+        minibatches = self.pretrain_discriminator_minibatches
+        state, metrics = fit_discriminator(config, state, jittered, policy, minibatches, discriminator_rng)
         return state, cloning | metrics
 
     def update_discriminator(
         self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
     ) -> tuple[TrainState, Metrics]:
         """Trains the discriminator on expert samples against a roll-out's own (Algorithm 2, the d_steps)."""
-        relabel_rng, fit_rng = jax.random.split(rng)
-        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng)
-        policy = policy_samples(env, trajectory)
+        (relabel_rng, fit_rng), hyper = jax.random.split(rng), state.hyperparameters
+        state, expert = _expert_samples(env, config, state, trajectory, relabel_rng, hyper.goal_jitter)
+        policy = negative_samples(env, hyper, trajectory, jax.random.fold_in(rng, 2))
         # The statistics stay: they are the policy's input too, which this phase must not change.
         return fit_discriminator(config, state, expert, policy, config.discriminator_minibatches, fit_rng)
 
@@ -288,9 +290,14 @@ def _bc_loss(
 
 
 def _expert_samples(
-    env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
+    env: GoalEnv,
+    config: Config,
+    state: TrainState,
+    trajectory: Trajectory,
+    rng: jax.Array,
+    jitter: jax.Array | float = 0.0,
 ) -> tuple[TrainState, Samples]:
-    expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
+    expert, samples = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng, jitter)
     return state.replace(expert=expert), samples
 
 

@@ -15,7 +15,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_count, check_fraction
+from hgail_envs.validation import check_count, check_fraction, check_not_negative
 from hgail_jax.buffer import (
     EpisodeBuffer,
     Transitions,
@@ -94,10 +94,16 @@ class TD3(Learner):
     """Critics in the ensemble; targets bootstrap from the least of their values."""
     final_learning_rate: float = 1.0
     """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
+    final_discriminator_learning_rate: float = 1.0
+    """The discriminator's, likewise."""
+    gradient_penalty: float = 0.0
+    """Weight of the discriminator's gradient penalty, see `hgail_jax.discriminator.gradient_penalty`."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        check_fraction("final_learning_rate", self.final_learning_rate)
+        for name in ("final_learning_rate", "final_discriminator_learning_rate"):
+            check_fraction(name, getattr(self, name))
+        check_not_negative("gradient_penalty", self.gradient_penalty)
 
     def validate(self, env: GoalEnv, config: Config) -> None:
         """See `Learner`; a roll-out must fit into the buffer."""
@@ -244,7 +250,10 @@ def _update_discriminator(
         kept, expert = expert_samples(env, config, hyper, state.expert, trajectory, expert_rng)
         state = state.replace(expert=kept)
     policy = draw_negatives(env, hyper, state.buffer, samples, policy_rng, shuffle_rng)
-    return fit_discriminator(config, state, expert, policy, count, fit_rng, hyper.negative_weight)
+    sizes, progress = config.learner, config.learner.progress(config, state)
+    assert isinstance(sizes, TD3)
+    decay = 1.0 + (sizes.final_discriminator_learning_rate - 1.0) * progress
+    return fit_discriminator(config, state, expert, policy, count, fit_rng, decay, sizes.gradient_penalty)
 
 
 def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:

@@ -64,7 +64,8 @@ METHODS = {
         "demonstrations supply the expert samples (Ho & Ermon 2016), with a BC loss (after Jena et al. 2020)",
         {"expert_source": DEMONSTRATIONS, "training_goals": False},
         {"bc_weight": 1.0},
-        {"bc_batch": BC_BATCH},
+        # off-policy with the gradient penalty of the discriminator-actor-critic
+        {"bc_batch": BC_BATCH, "gradient_penalty": 10.0},
         without_effect=("p_ht", "strategy"),
         # with TD3 it is the discriminator-actor-critic (Kostrikov et al. 2019), which relabels nothing
         with_learner={"td3": {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0} | PAPER_SAMPLES},

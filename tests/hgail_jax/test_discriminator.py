@@ -3,10 +3,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hgail_jax import TD3, Config
 from hgail_jax.config import REWARDS
 from hgail_jax.discriminator import (
+    discriminate,
     discriminator_accuracy,
     discriminator_loss,
+    gradient_penalty,
     imitation_reward,
     r1,
     r2,
@@ -26,6 +29,36 @@ def test_loss_and_accuracy_at_chance_and_when_certain():
 def test_sign_expert_samples_are_pushed_up():
     slope_expert, slope_policy = jax.grad(discriminator_loss, argnums=(0, 1))(jnp.zeros(1), jnp.zeros(1))
     assert slope_expert < 0 < slope_policy
+
+
+def test_the_gradient_penalty_is_of_slopes_between_the_samples():
+    """Against central differences of the logit, at points a given share of the way."""
+    config = Config(TD3(), discriminator_hidden=(9,))
+    rng = np.random.default_rng(0)
+    layers = {name: rng.normal(size=shape) for name, shape in (("a", (5, 9)), ("b", 9), ("c", (9, 1)), ("d", 1))}
+    network = {
+        "params": {
+            "Dense_0": {"kernel": layers["a"], "bias": layers["b"]},
+            "Dense_1": {"kernel": layers["c"], "bias": layers["d"]},
+        }
+    }
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), network)
+    expert, policy = ((rng.uniform(-0.9, 0.9, (4, 3)), rng.uniform(-0.9, 0.9, (4, 2))) for _ in range(2))
+    share = rng.uniform(size=(4, 1))
+    mixed = np.concatenate(
+        [share * one + (1 - share) * other for one, other in zip(expert, policy, strict=True)], axis=-1
+    )
+
+    def logit(inputs):
+        return np.tanh(inputs @ layers["a"] + layers["b"]) @ layers["c"][:, 0] + layers["d"][0]
+
+    np.testing.assert_allclose(discriminate(config, params, mixed[:, :3], mixed[:, 3:]), logit(mixed), rtol=1e-4)
+    steps = 1e-5 * np.eye(5)
+    slopes = np.stack([(logit(mixed + step) - logit(mixed - step)) / 2e-5 for step in steps], axis=-1)
+    expected = np.mean((np.linalg.norm(slopes, axis=-1) - 1) ** 2)
+    to_arrays = (jax.tree.map(jnp.float32, pair) for pair in (expert, policy))
+    found = gradient_penalty(config, params, *to_arrays, jnp.float32(share))
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 # Rewards

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binomtest, chi2
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import PPO, Config, Hyperparameters
@@ -17,6 +17,7 @@ from hgail_jax.samples import (
     Samples,
     _first_above,
     flatten,
+    negative_samples,
     policy_samples,
     pursued_samples,
     relabelled_samples,
@@ -110,6 +111,36 @@ def test_policy_samples_are_the_steps_under_the_goals_pursued():
     assert step_weight(given).dtype == jnp.float32
     four = np.arange(120).reshape(2, 3, 4, 5)
     np.testing.assert_array_equal(flatten(four), four.reshape(6, 4, 5))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
+def test_negatives_have_the_goal_of_another_episode_at_that_step(share):
+    given = trajectory(valid=np.arange(EPISODES) % 3 != 0)
+    samples = negative_samples(ENV, Hyperparameters(shuffled_goals=share), given, jax.random.key(0))
+    plain = policy_samples(ENV, given)
+    np.testing.assert_array_equal(samples.observation[:, 0], plain.observation[:, 0])
+    np.testing.assert_array_equal(samples.action, plain.action)
+    np.testing.assert_array_equal(samples.weight, plain.weight)
+    time, own = np.mgrid[:LENGTH, :EPISODES]
+    code = -np.asarray(samples.observation[:, 1]).reshape(LENGTH, EPISODES) - 1  # 100 n + t, see `trajectory`
+    np.testing.assert_array_equal(code % 100, time)
+    another = code // 100 != own
+    if share in (0.0, 1.0):
+        assert (another == bool(share)).all()
+    else:
+        assert binomtest(int(another.sum()), another.size, share).pvalue > 1e-5
+
+
+def test_relabelled_goals_are_jittered_within_the_tolerance_and_nothing_else_is():
+    given, hyper, rng = trajectory(), Hyperparameters(), jax.random.key(0)
+    exact = relabelled_samples(ENV, hyper, given, rng)
+    jittered = relabelled_samples(ENV, hyper, given, rng, jitter=0.5)
+    moved = np.asarray(jittered.observation - exact.observation)[:, 1:]
+    half = 0.5 * np.asarray(ENV.goal_tolerance(exact.observation[:, 1:]))
+    assert (np.abs(moved) <= half + 1e-4).all() and np.abs(moved).max() > 0.8 * half.max()
+    assert len(np.unique(moved[:, 0])) > 0.9 * len(moved)  # each its own
+    np.testing.assert_array_equal(jittered.weight, exact.weight)
+    np.testing.assert_array_equal(jittered.observation[:, 0], exact.observation[:, 0])
 
 
 def test_without_relabelling_goals_stay_as_pursued():

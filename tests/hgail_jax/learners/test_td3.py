@@ -65,7 +65,16 @@ ENV = Plane()
 CONFIG = Config(
     num_envs=EPISODES,
     rounds=2,
-    learner=TD3(rollouts=2, updates=2, batch=100, buffer_episodes=HELD, critics=3, final_learning_rate=0.2),
+    learner=TD3(
+        rollouts=2,
+        updates=2,
+        batch=100,
+        buffer_episodes=HELD,
+        critics=3,
+        final_learning_rate=0.2,
+        final_discriminator_learning_rate=0.3,
+        gradient_penalty=0.5,
+    ),
     discriminator_minibatches=3,
     discriminator_batch=7,
     policy_hidden=(6, 5),
@@ -98,7 +107,7 @@ filled = jax.jit(functools.partial(_fill, ENV))
 add = jax.jit(add_episodes)
 sampled = jax.jit(draw, static_argnums=(0, 4))
 keep = jax.jit(expert_samples, static_argnums=(0, 1))
-fit = jax.jit(fit_discriminator, static_argnums=(0, 4))
+fit = jax.jit(fit_discriminator, static_argnums=(0, 4, 7))
 
 
 def trajectory(seed=0, valid=None):
@@ -277,7 +286,9 @@ def learnt_by_hand(config, state, given, rng):
         others = np.concatenate([own.goal[-(count // 2) :], own.goal[: -(count // 2)]])
         shuffled = np.asarray(jax.random.bernoulli(shuffle_rng, 0.7, (count, 1)))
         own = under(own, np.where(shuffled, others, own.goal))
-        state, metrics = fit(CONFIG, state, expert, own, 3, fit_rng, 1.5)
+        progress = float(state.learner.steps) / (CONFIG.rounds * sizes.rollouts * sizes.updates)
+        decay = 1 - (1 - sizes.final_discriminator_learning_rate) * min(progress, 1)
+        state, metrics = fit(CONFIG, state, expert, own, 3, fit_rng, decay, sizes.gradient_penalty)
     drawn = sampled(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, hyper.p_ht)
     state = state.replace(learner=jax.device_get(state.learner), discriminator=jax.device_get(state.discriminator))
     drawn, hyper = jax.device_get(drawn), jax.device_get(hyper)
@@ -339,9 +350,9 @@ def test_an_update_is_that_of_td3_with_hindsight(source, changes):
         assert len(set(least_critic)) > 1
 
 
-def test_the_learning_rate_ends_at_its_last_fraction():
-    """After the last step it stays: as much is learnt at 8 steps as at 80, and less than at 0."""
-    moved = []
+def test_learning_rates_end_at_their_last_fractions():
+    """After the last step they stay: as much is learnt at 8 steps as at 80, and less than at 0."""
+    moved, told = [], []
     for steps in (0, 8, 80):
         state = make_state(steps=steps)
         after, _ = learn(ENV, CONFIG, state, trajectory(), jax.random.key(5))
@@ -349,8 +360,12 @@ def test_the_learning_rate_ends_at_its_last_fraction():
             after.learner.online.actor["params"]["Dense_0"]["kernel"]
             - state.learner.online.actor["params"]["Dense_0"]["kernel"]
         )
-    np.testing.assert_array_equal(moved[1], moved[2])
-    assert np.abs(moved[1]).sum() < 0.5 * np.abs(moved[0]).sum()
+        told.append(
+            after.discriminator["params"]["Dense_0"]["kernel"] - state.discriminator["params"]["Dense_0"]["kernel"]
+        )
+    for changes in (moved, told):
+        np.testing.assert_array_equal(changes[1], changes[2])
+        assert np.abs(changes[1]).sum() < 0.5 * np.abs(changes[0]).sum()
 
 
 # Rounds
