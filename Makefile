@@ -42,7 +42,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 
 # Pins every dependency with its hashes for Python 3.11 and later; needs uv.
 lock:
-	uv pip compile pyproject.toml --extra compare --extra ur5e --extra franka --extra docs --extra dev --universal --python-version 3.11 \
+	uv pip compile pyproject.toml --extra compare --extra ur5e --extra franka --extra so101 --extra docs --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate --no-header --quiet \
 		--output-file requirements.lock
 

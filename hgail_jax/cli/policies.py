@@ -12,7 +12,7 @@ from typing import Annotated
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
-from hgail_envs.robots import ROBOTS
+from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_jax.io.files import from_here
@@ -37,7 +37,7 @@ class PolicyOptions:
     the plain one, or with --randomize the one trained under that level, else the robust one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
-    robot: Annotated[str | None, unless_given("the policy's", "|".join(ROBOTS))] = None
+    robot: Annotated[str | None, unless_given("the policy's", "|".join((*ROBOTS, "FILE.toml")))] = None
     """The robot that acts, of a task of an arm; another than the policy's is new to it."""
     seed: int = 0
     """Of the episodes."""
@@ -49,7 +49,7 @@ class PolicyOptions:
         if self.randomize is not None:
             check_name("randomize", self.randomize, LEVELS)
         if self.robot is not None:
-            check_name("robot", self.robot, ROBOTS)
+            check_robot(self.robot)
 
 
 def policy_files(path: Path) -> list[Path]:

@@ -66,7 +66,7 @@ class TrainOptions:
     preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
     pretrain: bool = True
     """Fit policy and discriminator to the first roll-out before the rounds begin."""
-    robot: Annotated[str, _choices("Robot of the tasks of an arm", ROBOTS)] = "fetch"
+    robot: Annotated[str, _choices("Robot of the tasks of an arm", (*ROBOTS, "FILE.toml of hgail robot"))] = "fetch"
     impl: Annotated[str, _choices("Physics engine of the tasks of an arm", ["auto", *ENGINES])] = "auto"
     substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
     """Physics steps per action in training, 4 to 20. The final evaluation has 20."""

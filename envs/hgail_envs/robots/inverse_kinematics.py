@@ -6,12 +6,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_TURN_WEIGHT = 0.15  # metres that count as much as a radian
+TURN_WEIGHT = 0.15
+"""Metres that count as much as a radian."""
+
 _DAMPING = 1e-4  # m²
 _TO_HOME = 0.05  # fraction of the way to the home posture, where the tool leaves a choice
 
 
-def damped_step(way: Any, turn: Any, jacobian: Any, home: Any, limits: Any, xp: Any = jnp) -> Any:
+def damped_step(
+    way: Any, turn: Any, jacobian: Any, home: Any, limits: Any, xp: Any = jnp, tilt_weight: float = TURN_WEIGHT
+) -> Any:
     """Returns the step of joints, `[joints]`, that moves a tool by damped least squares.
 
     Args:
@@ -21,9 +25,10 @@ def damped_step(way: Any, turn: Any, jacobian: Any, home: Any, limits: Any, xp: 
       home: `[joints]`, step to the posture to which more than six joints tend, whose places the tool leaves open.
       limits: `[2, joints]`, least and most step by the limits of the joints.
       xp: the array module.
+      tilt_weight: metres that count as much as a radian around the first two axes; `TURN_WEIGHT` is that of the third.
 
     """
-    weights = np.repeat([1.0, _TURN_WEIGHT], 3)
+    weights = np.array([1.0, 1.0, 1.0, tilt_weight, tilt_weight, TURN_WEIGHT])
     error, rows = weights * xp.concatenate([way, turn]), weights[:, None] * jacobian
 
     to_home = _TO_HOME if len(home) > len(error) else 0.0  # without a choice it would be an error

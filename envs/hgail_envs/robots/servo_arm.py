@@ -1,6 +1,7 @@
 """Arms whose joints have position servos, led by damped least squares."""
 
 import copy
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +19,13 @@ from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene
 from hgail_envs.variation import ModelFactors
 
 _START = (1.344, 0.749, TABLE_HEIGHT)  # below the gripper's start, as the Fetch's, metres
-_CLEARANCE = 0.0015  # metres between the table and the lowest end of the pads, below which the gripper is not led
 _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
 _LONGEST = 0.05  # metres of a step in the search for a posture
 _SEARCH_STEPS, _SETTLE_STEPS = 300, 400
+_HAND = "hand"  # text in the model of a scene whose hand opens
+_OF_HAND = f'<mujoco><custom><text name="{_HAND}" data="opens"/></custom></mujoco>'.encode()
+_SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 _OPENINGS = 9  # of the hand, at which its joints and its gap are tabulated
 
 
@@ -38,29 +41,34 @@ class ServoArm(Robot):
         self.name, self._arm = name, read_description(name)
         self._start = np.add(_START, [base_x - BASE_X, 0.0, start_height])
         super().__init__(scene, base_x, start_height)
-        model, hand, tool = self.model, self._arm.hand, self._arm.tool
+        model, hand, tool, scale = self.model, self._arm.hand, self._arm.tool, self._arm.scale
         joints = [model.joint(PREFIX + joint).id for joint in self._arm.joints]
         self._joints, self._dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         self._limits = np.asarray(model.jnt_range[joints].T, np.float32)
         self._most = np.asarray(self._arm.top_speed, np.float32) * np.float32(CONTROL_PERIOD / _SHARE)
-        self._closed, self._opened = np.asarray(hand.closed, np.float32), np.asarray(hand.opened, np.float32)
+        unit = np.where(model.jnt_type[[model.joint(PREFIX + joint).id for joint in hand.joints]] == _SLIDE, scale, 1.0)
+        self._closed, self._opened = (np.asarray(unit * ends, np.float32) for ends in (hand.closed, hand.opened))
         self._hand_servos = len(joints) + np.arange(len(hand.joints))
         of_hand = (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE) & ~np.isin(np.arange(model.njnt), joints)
         self._hand_joints, self._hand_dofs = model.jnt_qposadr[of_hand], model.jnt_dofadr[of_hand]
         self._pads = [Chain(model, pad, PREFIX + tool.body) for pad in PADS]
         self._closing = np.asarray(rotation(tool.quat)[:, 1], np.float32)
-        self._thickness = self._arm.right_pad.size[1] + self._arm.left_pad.size[1]
+        self._thickness = scale * (self._arm.right_pad.size[1] + self._arm.left_pad.size[1])
         self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
+        self._step = functools.partial(damped_step, tilt_weight=self._arm.tilt_weight)
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
         self._gaps, self._openings, depth = self._tabulate_hand()
-        self._lowest = TABLE_HEIGHT + depth + _CLEARANCE
+        self._lowest = TABLE_HEIGHT + depth + scale * self._arm.clearance
         self._start[2] = max(self._start[2], self._lowest)
 
     def spec(self) -> mujoco.MjSpec:
-        spec = read_scene(self.scene, dict.fromkeys(("robot.xml", "hand.xml"), b"<mujoco><worldbody/></mujoco>"))
+        spec = read_scene(self.scene, {"robot.xml": b"<mujoco><worldbody/></mujoco>", "hand.xml": _OF_HAND})
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos of small inertia need it at 5 ms
-        x, y = self._start[:2] - self._arm.reach
-        attach_arm(self.name, spec, [x, y, TABLE_HEIGHT])
+        x, y = self._start[:2] - self._arm.scale * np.asarray(self._arm.reach)
+        attach_arm(self.name, spec, [x, y, TABLE_HEIGHT], stays_closed=spec.text(_HAND) is None)
+        for body in spec.bodies:
+            if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+                body.geoms[0].mass = min(body.geoms[0].mass, self._arm.payload)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
         pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
@@ -92,7 +100,7 @@ class ServoArm(Robot):
             way = self._start + offset - data.site_xpos[site]
             turn = 0.5 * np.cross(data.site_xmat[site].reshape(3, 3), _DOWNWARD, axis=0).sum(axis=1)
             way *= _LONGEST / max(_LONGEST, float(np.linalg.norm(way)))
-            posture += damped_step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
+            posture += self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
         return posture
 
     def _tabulate_hand(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -105,7 +113,7 @@ class ServoArm(Robot):
         data, rows = mujoco.MjData(model), []
         data.qpos[self._joints] = self._home
         pads, tool = [model.site(name).id for name in PADS], model.site("grip").id
-        half_heights, depth = [self._arm.right_pad.size[0], self._arm.left_pad.size[0]], 0.0
+        half_heights, depth = self._arm.scale * np.array([getattr(self._arm, pad).size[0] for pad in PADS]), 0.0
         for share in np.linspace(0.0, 1.0, _OPENINGS):
             data.ctrl[:] = [*self._home, *(self._closed + share * (self._opened - self._closed))]
             mujoco.mj_step(model, data, nstep=_SETTLE_STEPS)
@@ -124,7 +132,7 @@ class ServoArm(Robot):
         rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
         way = self._arm.lead * displacement
         way = way.at[2].max(self._lowest - physics.gripper_position[2])  # servos would press on the table
-        step = damped_step(way, rotation, jacobian, self._home - joints, self._limits - joints)
+        step = self._step(way, rotation, jacobian, self._home - joints, self._limits - joints)
         step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
         return Control(
             mocap_pos=jnp.zeros((0, 3)),
