@@ -95,7 +95,7 @@ class Description:
     """Metres of the scene by which the arm's servos lead the gripper for a unit action."""
     payload: float = 2.0
     """Most mass of an object, kg; heavier ones become as light."""
-    clearance: float = 0.0015
+    clearance: float = 0.004
     """Metres between the table and the lowest end of the pads, below which the gripper is not led. Servos that are at
     their limits let it sink farther."""
     meeting: float = 0.0

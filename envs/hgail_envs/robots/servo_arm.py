@@ -1,6 +1,5 @@
 """Arms whose joints have position servos, led by damped least squares."""
 
-import copy
 import functools
 
 import jax
@@ -12,6 +11,7 @@ from brax import math
 from hgail_envs.engines import Control
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, START_HEIGHT, ArmPhysics, Robot
 from hgail_envs.robots.description import PREFIX, attach_arm, read_description
+from hgail_envs.robots.grip import tabulate_hand, without_weight_beyond_grip
 from hgail_envs.robots.hand import PADS, finger_fields, pad_fields, rotation
 from hgail_envs.robots.inverse_kinematics import damped_step
 from hgail_envs.robots.kinematics import Chain, Pose
@@ -19,14 +19,14 @@ from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene
 from hgail_envs.variation import ModelFactors
 
 _START = (1.344, 0.749, TABLE_HEIGHT)  # below the gripper's start, as the Fetch's, metres
+_RAISE = 2.0  # leads per metre below the lowest height, for a tilted hand whose pads rub the table
 _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
+_ITERATIONS = 10  # of the solver, at least: fingers that are coupled need more than the Fetch's
 _LONGEST = 0.05  # metres of a step in the search for a posture
 _SEARCH_STEPS, _SETTLE_STEPS = 300, 400
 _HAND = "hand"  # text in the model of a scene whose hand opens
 _OF_HAND = f'<mujoco><custom><text name="{_HAND}" data="opens"/></custom></mujoco>'.encode()
-_SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
-_OPENINGS = 9  # of the hand, at which its joints and its gap are tabulated
 
 
 class ServoArm(Robot):
@@ -46,10 +46,11 @@ class ServoArm(Robot):
         self._joints, self._dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         self._limits = np.asarray(model.jnt_range[joints].T, np.float32)
         self._most = np.asarray(self._arm.top_speed, np.float32) * np.float32(CONTROL_PERIOD / _SHARE)
-        unit = np.where(model.jnt_type[[model.joint(PREFIX + joint).id for joint in hand.joints]] == _SLIDE, scale, 1.0)
-        self._closed, self._opened = (np.asarray(unit * ends, np.float32) for ends in (hand.closed, hand.opened))
+        table = tabulate_hand(name)
+        self._gaps, self._openings, self._closed, self._opened = table.gaps, table.openings, table.closed, table.opened
         self._hand_servos = len(joints) + np.arange(len(hand.joints))
-        of_hand = (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE) & ~np.isin(np.arange(model.njnt), joints)
+        of_robot = [joint for joint in range(model.njnt) if model.joint(joint).name.startswith(PREFIX)]
+        of_hand = [joint for joint in of_robot if joint not in joints]
         self._hand_joints, self._hand_dofs = model.jnt_qposadr[of_hand], model.jnt_dofadr[of_hand]
         self._pads = [Chain(model, pad, PREFIX + tool.body) for pad in PADS]
         self._closing = np.asarray(rotation(tool.quat)[:, 1], np.float32)
@@ -57,22 +58,24 @@ class ServoArm(Robot):
         self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
         self._step = functools.partial(damped_step, tilt_weight=self._arm.tilt_weight)
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
-        self._gaps, self._openings, depth = self._tabulate_hand()
-        self._lowest = TABLE_HEIGHT + depth + scale * self._arm.clearance
+        self._lowest = TABLE_HEIGHT + table.depth + scale * self._arm.clearance
         self._start[2] = max(self._start[2], self._lowest)
 
     def spec(self) -> mujoco.MjSpec:
         spec = read_scene(self.scene, {"robot.xml": b"<mujoco><worldbody/></mujoco>", "hand.xml": _OF_HAND})
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos of small inertia need it at 5 ms
+        spec.option.iterations = max(spec.option.iterations, _ITERATIONS)
+        spec.option.ls_iterations = max(spec.option.ls_iterations, _ITERATIONS)
         x, y = self._start[:2] - self._arm.scale * np.asarray(self._arm.reach)
         attach_arm(self.name, spec, [x, y, TABLE_HEIGHT], stays_closed=spec.text(_HAND) is None)
-        for body in spec.bodies:
-            if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-                body.geoms[0].mass = min(body.geoms[0].mass, self._arm.payload)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
         pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
         return spec
+
+    def load(self, visual: bool = False) -> mujoco.MjModel:
+        """Compiles the scene, whose objects weigh no more than the hand can hold; see `Robot`."""
+        return without_weight_beyond_grip(super().load(visual), self.name)
 
     def settle(self, offset: np.ndarray | float = 0.0) -> mujoco.MjData:
         data = mujoco.MjData(self.model)
@@ -103,27 +106,6 @@ class ServoArm(Robot):
             posture += self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
         return posture
 
-    def _tabulate_hand(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Returns gaps, `[openings]`, the hand's joints at them, `[openings, joints]`, and the pads' greatest depth.
-
-        That is the distance of their ends below the gripper, metres.
-        """
-        model = copy.copy(self.model)
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        data, rows = mujoco.MjData(model), []
-        data.qpos[self._joints] = self._home
-        pads, tool = [model.site(name).id for name in PADS], model.site("grip").id
-        half_heights, depth = self._arm.scale * np.array([getattr(self._arm, pad).size[0] for pad in PADS]), 0.0
-        for share in np.linspace(0.0, 1.0, _OPENINGS):
-            data.ctrl[:] = [*self._home, *(self._closed + share * (self._opened - self._closed))]
-            mujoco.mj_step(model, data, nstep=_SETTLE_STEPS)
-            mujoco.mj_kinematics(model, data)
-            places = (data.site_xpos[pads] - data.site_xpos[tool]) @ data.site_xmat[tool].reshape(3, 3)
-            depth = max(depth, float((places[:, 0] + half_heights).max()))
-            rows.append([places[0, 1] - places[1, 1] - self._thickness, *data.qpos[self._hand_joints]])
-        gaps, *openings = np.asarray(rows, np.float32).T
-        return gaps, np.transpose(openings), depth
-
     def control(self, physics: ArmPhysics, displacement: jax.Array, grip: jax.Array | None) -> Control:
         """Returns what the servos are led to: joints for the displacement, and fingers by `grip` metres each."""
         joints = physics.qpos[self._joints]
@@ -131,7 +113,7 @@ class ServoArm(Robot):
         turn = math.quat_mul(self._downward, math.quat_inv(quaternion))
         rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
         way = self._arm.lead * displacement
-        way = way.at[2].max(self._lowest - physics.gripper_position[2])  # servos would press on the table
+        way = way.at[2].max(_RAISE * (self._lowest - physics.gripper_position[2]))  # servos would press on the table
         step = self._step(way, rotation, jacobian, self._home - joints, self._limits - joints)
         step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
         return Control(

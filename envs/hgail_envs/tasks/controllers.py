@@ -15,6 +15,8 @@ Seen = Mapping[str, jax.Array]
 _GAIN = 20.0  # actions per metre: full speed down to 5 cm
 _DESCENT_GAIN = 4.0  # lower than in the plane, so that the hand is above the cube before it is low
 _NEAR = 0.015  # metres between gripper and cube, within which the hand closes
+_SLIPPED = 0.03  # metres between gripper and a cube that slips in a closed hand
+_WIDTH, _LOOSE = 0.05, 0.012  # metres of a cube, and by which the gap of fingers around it differs
 _STRIDE = 0.033  # metres that the gripper moves with a unit action
 _OPEN, _CLOSE = 1.0, -1.0
 _GRAVITY = 9.81  # m/s²
@@ -24,7 +26,7 @@ _SAFE_SPEED = 0.6  # actions; a cube that is pushed faster tips over
 _PUSHING_HEIGHT, _PASSING_HEIGHT = 0.42, 0.5  # metres of the gripper; a cube's top is at 0.45, the pads end 2 cm lower
 _CLEAR = 0.475  # least height of the gripper at which the hand passes over an object, metres
 _RUN_UP = 0.06  # metres behind the object's centre at which a push begins
-_BESIDE, _LINED_UP = 0.035, 0.015  # metres: a hand behind the object is at least as far back and at most as far aside
+_BESIDE, _LINED_UP = 0.028, 0.015  # metres: a hand behind the object is at least as far back and at most as far aside
 _THERE = 0.01  # metres from the target at which a push is over
 _PUCK_FRICTION = 0.1
 _ENOUGH = 0.9  # fraction of the speed that brings a free puck to the target, below which the hand takes it again
@@ -32,7 +34,7 @@ _CENTRED = 0.02  # metres between hand and puck in the plane, within which the h
 _CARRYING = 0.1  # metres of a carried cube's centre above that of the cube that it is to lie on
 _STACKED = 0.008  # metres between their centres in the plane, within which it is lowered
 _LYING, _PRESSING_DOWN = 0.0515, 0.045  # metres above that centre, at which it lies there; and to which it is lowered
-_WIDE = 0.08  # metres between the fingers, from which the hand withdraws
+_WIDE = 0.072  # metres between the fingers, from which the hand withdraws
 _CLEAR_OF_TOWER = 0.1  # metres above the cube's centre, to which it withdraws
 _PASSING_TOWER = 0.56  # metres of the gripper, over a tower of two, whose top is at 0.5
 _PRESSED, _PRESSING = 0.452, 0.462  # metres of the gripper, whose pads touch the puck's top at 0.4575
@@ -67,7 +69,7 @@ def pick_and_place(seen: Seen) -> jax.Array:
     """Grasps the cube as `grasp` does, and then moves the hand so that the cube comes to the target."""
     apart, remaining = seen["cube position less gripper position"], seen["target position"] - seen["cube position"]
     held = seen["hand holds the cube"] > 0.5
-    close = held | (jnp.linalg.norm(apart, axis=-1) <= _NEAR)
+    close = held | _keep_closed(apart, seen["gap between the fingers"])
     approach = jnp.array([_GAIN, _GAIN, _DESCENT_GAIN]) * apart
     move = jnp.where(held[..., None], _GAIN * remaining, approach)
     return _with_hand(jnp.clip(move, -1.0, 1.0), jnp.where(close, _CLOSE, _OPEN))
@@ -92,7 +94,7 @@ def _put_on(seen: Seen, cube: str, below: str, holding: str, passing: float, cle
     apart, way = seen[f"{cube} position less gripper position"], seen[f"{below} position"] - seen[f"{cube} position"]
     aside, above = jnp.linalg.norm(way[..., :2], axis=-1, keepdims=True), -way[..., 2:]
     held = seen[holding][..., None] > 0.5
-    close = held | (jnp.linalg.norm(apart, axis=-1, keepdims=True) <= _NEAR)
+    close = held | _keep_closed(apart, gap[..., 0])[..., None]
     lies = (aside <= _CENTRED) & (above > 0.0) & (above <= _LYING)
 
     over = jnp.linalg.norm(apart[..., :2], axis=-1, keepdims=True) <= _CENTRED
@@ -186,6 +188,12 @@ def _line(ahead: jax.Array) -> jax.Array:
     # The largest component is at full speed and the others in proportion: clipping each alone would bend the way.
     farthest = jnp.max(jnp.abs(ahead), axis=-1, keepdims=True)
     return jnp.clip(ahead / jnp.maximum(farthest, _STRIDE), -1.0, 1.0)
+
+
+def _keep_closed(apart: jax.Array, gap: jax.Array) -> jax.Array:
+    """Returns whether the hand is to close: near the cube, or farther with the cube between its fingers, `[...]`."""
+    distance = jnp.linalg.norm(apart, axis=-1)
+    return (distance <= _NEAR) | ((distance <= _SLIPPED) & (jnp.abs(gap - _WIDTH) <= _LOOSE))
 
 
 def _close_when_near(ahead: jax.Array) -> jax.Array:

@@ -1,5 +1,6 @@
 """Arms with servos, against C MuJoCo and their data sheets."""
 
+import copy
 import functools
 import importlib.util
 import pickle
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.robots import ROBOTS, description
+from hgail_envs.robots import ROBOTS, description, grip
 from hgail_envs.robots.hand import PADS
 from hgail_envs.variation import ModelFactors
 from hgail_jax.play.recording import run_controller
@@ -103,13 +104,67 @@ def test_the_hand_does_not_press_on_the_table(robot):
         data.qpos[:] = qpos
         mujoco.mj_kinematics(env.model, data)
         lowest = min(data.geom_xpos[pad.id][2] - pad.size[0] for pad in pads)
-        assert 0.4005 < lowest < 0.401 + arm.scale * arm.clearance
+        assert 0.4005 < lowest < 0.4015 + arm.scale * arm.clearance
 
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_a_script_grasps_every_cube(robot):
     outcome = run_controller(made("grasp", robot, substeps=8, worlds=16), "from-above", 16, seed=0).outcome
     assert outcome.success.mean() == 1.0
+
+
+@pytest.mark.parametrize("robot", ["franka", "ur5e"])
+@pytest.mark.parametrize(("task", "least"), [("push", 0.95), ("pick-and-place", 0.9), ("stack", 0.9)])
+def test_a_script_does_the_tasks(robot, task, least):
+    env = made(task, robot, substeps=8, worlds=50)
+    assert run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome.success.mean() >= least
+
+
+@pytest.mark.parametrize(("robot", "force"), [("franka", 70.0), ("ur5e", 46.0)])
+def test_a_cube_weighs_what_the_hand_can_hold(robot, force):
+    """By the forces of the pads' contacts, in a hand that was told to close around a cube without weight."""
+    env = made("grasp", robot)
+    assert env.model.body("cube").mass[0] == pytest.approx(0.1 * force / 9.81, rel=0.03)
+    model, data = copy.copy(env.model), env.robot.settle()
+    model.opt.gravity[:] = 0.0
+    qpos = np.array(env.robot.opened(jnp.asarray(data.qpos, jnp.float32), 0.052))
+    qpos[env.qpos_of("cube")] = data.site("grip").xpos
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.ctrl[:] = [*qpos[env.robot._joints], *env.robot._closed]
+    mujoco.mj_step(model, data, nstep=500)
+    pressing = {}
+    for index, contact in enumerate(data.contact):
+        wrench = np.zeros(6)
+        mujoco.mj_contactForce(model, data, index, wrench)
+        names = {model.geom(geom).name for geom in contact.geom}
+        pad = next(iter(names & {"right_pad", "left_pad"}))
+        pressing[pad] = pressing.get(pad, 0.0) + wrench[0]
+    assert list(pressing.values()) == pytest.approx([force] * 2, rel=0.1)
+
+
+def test_lighter_objects_keep_their_weight(monkeypatch):
+    monkeypatch.setattr(grip, "WEIGHT_PER_FORCE", 10.0)
+    model = hgail_envs.make("grasp", robot="franka").model
+    assert model.body("cube").mass[0] == 2.0
+    assert hgail_envs.make("grasp").model.body("cube").mass[0] == 2.0
+
+
+def test_the_lighter_cube_s_derived_quantities_fit_its_mass():
+    model = made("grasp").model
+    dof, mass = int(model.joint("cube").dofadr[0]), model.body("cube").mass[0]
+    np.testing.assert_allclose(model.dof_invweight0[dof : dof + 3], 1.0 / mass, rtol=1e-6)
+    np.testing.assert_allclose(model.body("cube").inertia, mass * 0.05**2 / 6.0, rtol=1e-6)
+
+
+def test_what_a_hand_cannot_hold_is_refused_in_a_line(monkeypatch):
+    table = grip.tabulate_hand("franka")
+    monkeypatch.setattr(grip, "tabulate_hand", lambda name: table._replace(forces=table.forces / 1000))
+    with pytest.raises(ValueError, match=r"^robot 'franka' presses on 'cube' with 0.07 N, which holds 0.71 g; an"):
+        hgail_envs.make("grasp", robot="franka")
+    monkeypatch.setattr(grip, "tabulate_hand", lambda name: table._replace(gaps=table.gaps / 2))
+    with pytest.raises(ValueError, match=r"^robot 'franka' opens its hand to 40 mm, and 'cube' is 50 mm wide$"):
+        hgail_envs.make("grasp", robot="franka")
 
 
 @pytest.mark.slow  # MJX-JAX compiles for half a minute
@@ -146,7 +201,7 @@ def test_slow_fingers_take_as_much_longer():
         opening = acted(env, [[0.0, 0.0, 0.0, 1.0]] * steps, start.replace(pipeline_state=varied))
         gaps.append(float(env.robot.gap(opening.qpos[-1])))
     assert 0.005 < gaps[0] < 0.075
-    assert gaps[1:] == pytest.approx([gaps[0]] * 2, rel=0.05)
+    assert gaps[1:] == pytest.approx([gaps[0]] * 2, rel=0.06)
 
 
 @pytest.mark.parametrize("robot", ARMS)
