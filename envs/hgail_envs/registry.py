@@ -88,6 +88,12 @@ def accepted_options(task: str) -> tuple[str, ...]:
     return tuple(names)
 
 
+def check_takes_robot(task: str) -> None:
+    """Raises a ValueError if a task is none of an arm, and so has no choice of its robot."""
+    if "robot" not in accepted_options(task):
+        raise ValueError(f"--robot is for the tasks of an arm; {task!r} is none")
+
+
 def find_class(task: str) -> type[GoalEnv]:
     """Returns the class of a task; see `make`."""
     if not isinstance(task, str):

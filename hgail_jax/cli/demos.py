@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
+from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.demonstrations import save_demonstrations
@@ -25,6 +26,10 @@ class Options:
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0
     """Seed of the episodes."""
+    robot: Annotated[str | None, unless_given("the Fetch, of a task of an arm", "|".join((*ROBOTS, "FILE.toml")))] = (
+        None
+    )
+    """The robot that demonstrates it."""
     out: Annotated[Path | None, unless_given("demonstrations/<task>.npz", "FILE")] = None
     """File to write, which must not exist."""
 
@@ -37,7 +42,9 @@ def main(arguments: list[str] | None = None) -> None:
         check_count("episodes", options.episodes)
         check_count("seed", options.seed, least=0, most=MOST_SEED)
         check_new_file(path)
-        env = make_for_demonstrations(options.task, options.episodes)
+        if options.robot is not None:
+            check_robot(options.robot)
+        env = make_for_demonstrations(options.task, options.episodes, options.robot)
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):
             demonstrations = record(env, options.task, options.episodes, options.seed)
         path.parent.mkdir(parents=True, exist_ok=True)

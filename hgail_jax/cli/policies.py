@@ -12,6 +12,7 @@ from typing import Annotated
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
+from hgail_envs.registry import check_takes_robot
 from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
@@ -138,8 +139,8 @@ def _none_is_shipped(task: str | None, level: str | None) -> str:
 def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int | None) -> hgail_envs.GoalEnv:
     """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
     accepted = hgail_envs.accepted_options(task)
-    if physics.get("robot") is not None and "robot" not in accepted:
-        raise ValueError(f"--robot is for the tasks of an arm; {task!r} is none")
+    if physics.get("robot") is not None:
+        check_takes_robot(task)
     taken = {name: value for name, value in physics.items() if name in accepted and value is not None}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
     for kind, verb in (("observation", "reads"), ("goal", "has goals of"), ("action", "commands")):

@@ -13,6 +13,7 @@ import numpy as np
 from hgail_envs.layout import FRAMES, Layout
 from hgail_envs.quantities import Description, describe
 from hgail_envs.registry import TASKS, make
+from hgail_envs.robots.base import TOP_SPEED
 from hgail_envs.scenes import TABLE_HEIGHT
 from hgail_envs.tasks.arm import ArmEnv
 from hgail_jax.io.files import replace_file
@@ -41,7 +42,8 @@ def export_onnx(path: Path | str, policy: MeanPolicy, success: float | None = No
     It maps `observation`, float32 `[batch, observation_size]`, to `action`, `[batch, action_size]`, each number from -1
     to 1. The metadata, `metadata_props`, are JSON: `task`, `observation`, `goal` and `action` (index, name, unit and
     frame of each number, and mean and standard deviation in training), `frames`, `control_period` in seconds, of tasks
-    of an arm the `robot`, its gripper's `start` and the `table_height`, metres, `known_delay`, `history`,
+    of an arm the `robot`, metres of the scene to one of the robot (`scale`), its gripper's `start`, `table_height` and
+    `lowest_height`, in the scene's metres, and the `top_speed` of a unit action, m/s there, `known_delay`, `history`,
     `randomization` and `task_options` of the training, `versions` and, if it is known, the rate of `success`.
 
     Only if `trusted` is the class of a task imported that is not of this package, to name its numbers.
@@ -135,7 +137,14 @@ def _metadata(policy: MeanPolicy, success: float | None, trusted: bool) -> dict[
     env = make(policy.task, **policy.task_options) if of_class else None
     place = {} if env is None else {"control_period": env.control_period}
     if isinstance(env, ArmEnv):
-        place |= {"robot": env.robot.name, "start": env.initial_gripper_position.tolist(), "table_height": TABLE_HEIGHT}
+        place |= {
+            "robot": env.robot.name,
+            "scale": env.robot.scale,
+            "start": env.initial_gripper_position.tolist(),
+            "table_height": TABLE_HEIGHT,
+            "lowest_height": float(env.robot.lowest_height),
+            "top_speed": TOP_SPEED,
+        }
     seen = [
         {**row, "mean": float(mean), "std": float(std)}
         for row, mean, std in zip(_rows(described.observation), policy.mean, policy.std, strict=True)

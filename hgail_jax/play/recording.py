@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hgail_envs
+from hgail_envs.registry import check_takes_robot
 from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.provenance import installed
@@ -26,13 +27,16 @@ def run_controller(env: hgail_envs.GoalEnv, name: str, episodes: int, seed: int)
     return jax.jit(lambda rng: rollout(env, policy, rng, episodes, lift_test=True))(jax.random.key(seed))
 
 
-def make_for_demonstrations(task: str, episodes: int) -> hgail_envs.GoalEnv:
-    """Makes a task with its training physics, to record so many demonstrations."""
+def make_for_demonstrations(task: str, episodes: int, robot: str | None = None) -> hgail_envs.GoalEnv:
+    """Makes a task with its training physics, to record so many demonstrations, on its own robot or another."""
     if not hgail_envs.find_class(task).controllers:
         raise ValueError(f"no controller demonstrates {task!r}")
     options = dict(task_preset(hgail_envs.find_class(task), platform_name()).task_options)
     if "worlds" in hgail_envs.accepted_options(task):
         options["worlds"] = _attempts(episodes)
+    if robot is not None:
+        check_takes_robot(task)
+        options["robot"] = robot
     return hgail_envs.make(task, **options)
 
 
@@ -67,6 +71,7 @@ def record(env: hgail_envs.GoalEnv, task: str, episodes: int, seed: int = 0) -> 
         distance_l1=np.asarray(trajectory.outcome.distance_l1, np.float32)[succeeded],
         made_by={
             "controller": name,
+            **({} if env.robot is None else {"robot": env.robot.name}),
             "seed": seed,
             "physics": {option: getattr(env, option, None) for option in ("impl", "substeps")},
             "versions": installed("hgail-jax", "jax", "mujoco-mjx"),

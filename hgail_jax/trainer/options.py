@@ -16,6 +16,7 @@ import hgail_envs
 from hgail_envs.engines import ENGINES
 from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
+from hgail_envs.registry import check_takes_robot
 from hgail_envs.robots import ROBOTS
 from hgail_envs.validation import check_count, check_name, parse_option, plain_number
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
@@ -264,8 +265,8 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     asks_for_physics = options.substeps is not None or options.impl != "auto"
     if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the tasks of an arm; {options.task!r} is none")
-    if "robot" in task_options and "robot" not in accepted:
-        raise ValueError(f"--robot is for the tasks of an arm; {options.task!r} is none")
+    if "robot" in task_options:
+        check_takes_robot(options.task)
     with _one_error(f"cannot make task {options.task!r}"):
         return hgail_envs.make(options.task, **{name: given[name] for name in accepted if name in given} | task_options)
 

@@ -15,6 +15,8 @@ CONTROL_PERIOD = 0.04
 """Seconds between two actions."""
 REFERENCE_SUBSTEPS = 20
 """Physics steps per action in the reference: 20 of 2 ms."""
+TOP_SPEED = 0.83
+"""Metres per second of the gripper along an axis, by a unit of an action."""
 BASE_X = 0.405
 """Position of the robot along x, metres, where a task has no other."""
 START_HEIGHT = 0.2
@@ -48,6 +50,10 @@ class Robot(abc.ABC):
       start_height: nominal height of the gripper's start above the table, metres.
     """
 
+    lowest_height: float
+    """Least height of the gripper, metres: the pads rest on the table, or are near enough for servos."""
+    scale: float = 1.0
+    """Metres of the scene to a metre of the robot."""
     name: str
     """Its name in `hgail_envs.robots.ROBOTS`."""
 

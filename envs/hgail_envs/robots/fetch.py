@@ -30,6 +30,7 @@ class Fetch(Robot):
     """The Fetch; see `Robot`. Where a scene includes no `hand.xml` its fingers are blocked."""
 
     name = "fetch"
+    lowest_height = 0.417  # where the weld gives way
 
     def __init__(self, *args: str | float, **kwargs: float) -> None:
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]

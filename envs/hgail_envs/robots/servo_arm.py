@@ -39,6 +39,7 @@ class ServoArm(Robot):
 
     def __init__(self, name: str, scene: str, base_x: float = BASE_X, start_height: float = START_HEIGHT) -> None:
         self.name, self._arm = name, read_description(name)
+        self.scale = self._arm.scale
         self._start = np.add(_START, [base_x - BASE_X, 0.0, start_height])
         super().__init__(scene, base_x, start_height)
         model, hand, tool, scale = self.model, self._arm.hand, self._arm.tool, self._arm.scale
@@ -58,8 +59,8 @@ class ServoArm(Robot):
         self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
         self._step = functools.partial(damped_step, tilt_weight=self._arm.tilt_weight)
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
-        self._lowest = TABLE_HEIGHT + table.depth + scale * self._arm.clearance
-        self._start[2] = max(self._start[2], self._lowest)
+        self.lowest_height = TABLE_HEIGHT + table.depth + scale * self._arm.clearance
+        self._start[2] = max(self._start[2], self.lowest_height)
 
     def spec(self) -> mujoco.MjSpec:
         spec = read_scene(self.scene, {"robot.xml": b"<mujoco><worldbody/></mujoco>", "hand.xml": _OF_HAND})
@@ -113,7 +114,9 @@ class ServoArm(Robot):
         turn = math.quat_mul(self._downward, math.quat_inv(quaternion))
         rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
         way = self._arm.lead * displacement
-        way = way.at[2].max(_RAISE * (self._lowest - physics.gripper_position[2]))  # servos would press on the table
+        way = way.at[2].max(
+            _RAISE * (self.lowest_height - physics.gripper_position[2])
+        )  # servos would press on the table
         step = self._step(way, rotation, jacobian, self._home - joints, self._limits - joints)
         step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
         return Control(

@@ -1,11 +1,13 @@
 """What all Fetch tasks share, on C MuJoCo."""
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.robots.base import TOP_SPEED
 from hgail_envs.tasks.arm import CONTROL_PERIOD, FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 
 
@@ -74,3 +76,19 @@ def test_its_engine_is_prepared(monkeypatch):
     monkeypatch.setattr(env.engine, "prepare", lambda: prepared.append("engine"))
     env.prepare()
     assert prepared == ["engine"]
+
+
+def test_the_fetch_s_lowest_height_and_top_speed_are_those_of_its_physics():
+    env = hgail_envs.make("reach", impl="c")
+    state = jax.jit(env.reset)(jax.random.key(0))
+
+    def places(move):
+        action = jnp.zeros((20, env.action_size)).at[:, :3].set(jnp.array(move))
+        return jax.jit(lambda s: jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, s, action)[1])(
+            state
+        ).pipeline_state.gripper_position
+
+    # Pressed into the table, the pads sink two millimetres.
+    assert places([0.0, 0.0, -1.0])[-1, 2] == pytest.approx(env.robot.lowest_height, abs=3e-3)
+    moved = jnp.diff(places([0.0, -1.0, 0.3])[4:10, 1])
+    np.testing.assert_allclose(-moved / CONTROL_PERIOD, TOP_SPEED, rtol=0.1)

@@ -26,6 +26,15 @@ def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
         np.testing.assert_array_equal(expert_action, recorded.action.reshape(-1, 3))
 
 
+def test_another_robot_demonstrates(tmp_path, monkeypatch):
+    pytest.importorskip("gymnasium_robotics")
+    monkeypatch.chdir(tmp_path)
+    demos.main(["--task", "reach", "--episodes", "3", "--robot", "franka"])
+    recorded = load_demonstrations("demonstrations/reach.npz", "reach")
+    assert recorded.made_by["robot"] == "franka"
+    np.testing.assert_allclose(recorded.features[:, 0, :3], [[1.344, 0.749, 0.6]] * 3, atol=1e-3)
+
+
 class Silent(Point):
     """A task that nothing demonstrates."""
 
@@ -39,6 +48,8 @@ class Silent(Point):
         (["--task", f"{__name__}:Silent"], f"no controller demonstrates '{__name__}:Silent'"),
         (["--task", "point", "--episodes", "0"], "episodes is 0"),
         (["--task", "point", "--seed", "-1"], "seed is -1"),
+        (["--task", "point", "--robot", "franka"], "--robot is for the tasks of an arm; 'point' is none"),
+        (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
         (["--task", "point", "--out", "file"], "file exists already"),
         (["--task", "point", "--out", "file/point.npz"], "file: Not a directory"),
     ],

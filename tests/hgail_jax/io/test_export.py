@@ -101,7 +101,8 @@ def test_a_policy_of_another_robot_names_it_and_its_start(shipped_policy, tmp_pa
     pytest.importorskip("gymnasium_robotics")
     policy = dataclasses.replace(load_policy(shipped_policy), task_options={"robot": "franka"})
     _, metadata = exported(policy, tmp_path / "p.onnx")
-    assert metadata["robot"] == "franka"
+    assert (metadata["robot"], metadata["scale"]) == ("franka", 1.0)
+    assert metadata["lowest_height"] == pytest.approx(0.4 + 0.0185 + 0.004)  # the pads' ends are below the gripper
     np.testing.assert_allclose(metadata["start"], [1.344, 0.749, 0.6], atol=1e-3)
 
 
