@@ -14,8 +14,9 @@ from hgail_envs import EpisodeMetrics, GoalEnv, State
 from hgail_envs.validation import check_count
 from hgail_jax.devices.sharding import gather, local_shard
 
-Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
-"""Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and log-probabilities `[N]`."""
+Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, Any]]
+"""Observations `[N, observation_size]` and a PRNG key to actions `[N, action_size]` and what its learner wants to know
+of them later, leaves `[N, ...]`: PPO their log-probabilities, a student of pictures what it saw, others nothing."""
 
 
 class Trajectory(struct.PyTreeNode):
@@ -29,8 +30,8 @@ class Trajectory(struct.PyTreeNode):
     """`[T + 1, N, goal_size]`: the goals pursued; constant in time unless the task moves them."""
     action: jax.Array
     """`[T, N, action_size]`: as drawn, not clipped."""
-    log_prob: jax.Array
-    """`[T, N]`: log-probability of `action` under the policy that drew it."""
+    noted: Any
+    """`[T, N, ...]`: what the policy returned beside each action, see `Policy`."""
     reward: jax.Array
     """`[T, N]`: the environment's reward."""
     valid: jax.Array
@@ -75,9 +76,9 @@ def rollout(
     move = jax.jit(jax.vmap(env.step))  # which the lift test does not trace again
 
     def step(state: State, rng: jax.Array) -> tuple[State, Any]:
-        action, log_prob = policy(state.obs, rng)
+        action, noted = policy(state.obs, rng)
         following = move(state, action)
-        return following, (_seen(state), {"action": action, "log_prob": log_prob, "reward": following.reward})
+        return following, (_seen(state), {"action": action, "noted": noted, "reward": following.reward})
 
     end, (seen, done) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
     seen = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, _seen(end))

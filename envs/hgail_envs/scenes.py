@@ -110,7 +110,9 @@ def check_contacts(model: mujoco.MjModel, scene: str) -> None:
 
 
 def without_visuals(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Returns a scene without the geoms that have no effect."""
+    """Returns a scene without what has no effect on the physics: cameras, and geoms that touch nothing."""
+    for camera in list(spec.cameras):
+        spec.delete(camera)
     for geom in [geom for geom in spec.geoms if geom.group == VISUAL_GROUP]:
         spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}

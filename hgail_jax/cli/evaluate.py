@@ -18,12 +18,14 @@ from hgail_envs.validation import check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, randomization
 from hgail_jax.io.files import from_here
+from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.io.provenance import installed
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
+from hgail_jax.vision.policy import CameraPolicy
 
 PROGRAM = "hgail evaluate"
 Measure = Callable[[], EpisodeMetrics]
@@ -84,14 +86,14 @@ def _check(options: Options) -> None:
         )
 
 
-def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, int, list[Measure]]:
+def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:
     """Returns the engine's name, the number of episodes, and functions that measure the policies in the task here."""
     if options.impl and "impl" not in hgail_envs.accepted_options(task):
         raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
     evaluations: dict[str, Evaluation] = {}
     measures: list[Measure] = []
     for policy in policies:
-        trained = repr((policy.task_options, policy.randomization, policy.observation_size))
+        trained = repr((policy.task_options, policy.randomization, _sees(policy)))
         if trained not in evaluations:
             env = make_task(policy, task, options.randomize, impl=options.impl, robot=options.robot)
             evaluations[trained] = Evaluation(env, options.seed, options.episodes)
@@ -99,10 +101,17 @@ def _simulation(task: str, options: Options, policies: list[MeanPolicy]) -> tupl
     return getattr(env, "impl", "JAX"), evaluations[trained].episodes, measures
 
 
-def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple[str, int, list[Measure]]:
+def _sees(policy: AnyPolicy) -> Any:
+    """Returns what decides the task that a policy is evaluated in, beside its options."""
+    return (policy.cameras, policy.size) if isinstance(policy, CameraPolicy) else policy.observation_size
+
+
+def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:
     """Returns the environment's name, the number of episodes, and functions that measure the policies in it."""
     measures: list[Measure] = []
     for policy in policies:
+        if isinstance(policy, CameraPolicy):
+            raise ValueError("a policy that sees pictures cannot act in the reference, which gives positions")
         make_task(policy, task, "none")  # refuses a policy that does not fit
         observed = {name: value for name, value in policy.task_options.items() if name in ("observation", "cube")}
         try:
@@ -113,7 +122,8 @@ def _reference(task: str, options: Options, policies: list[MeanPolicy]) -> tuple
     return str(hgail_envs.find_class(task).reference), options.episodes, measures
 
 
-def _run_in_reference(reference: ReferenceFetch, policy: MeanPolicy, options: Options) -> EpisodeMetrics:
+def _run_in_reference(reference: ReferenceFetch, policy: AnyPolicy, options: Options) -> EpisodeMetrics:
+    assert isinstance(policy, MeanPolicy)  # by `_reference`
     ends = [
         reference_episode(reference, policy, Past(policy.randomization), options.seed, index)
         for index in range(options.episodes)
@@ -145,7 +155,7 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
     return {"success": mean} | ({"low": max(mean - half, 0.0), "high": min(mean + half, 1.0)} if half >= 0 else {})
 
 
-def _report(task: str, engine: str, options: Options, policy: MeanPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _report(task: str, engine: str, options: Options, policy: AnyPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
     sizes = randomization(policy, "none" if options.reference else options.randomize)
     return {
         "task": task,

@@ -18,6 +18,7 @@ from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
 from hgail_jax.trainer.options import unless_given
+from hgail_jax.vision.policy import CameraPolicy
 
 PROGRAM = "hgail export"
 FORMATS = {".onnx": "ONNX", ".mlirbc": "StableHLO", ".npz": "npz"}
@@ -56,6 +57,8 @@ def main(arguments: list[str] | None = None) -> None:
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         check_new_file(out, FORMATS)
         kind, trusted = out.suffix.lower(), policy.task in TASKS or options.task is not None
+        if kind != ".npz" and isinstance(policy, CameraPolicy):
+            raise ValueError(f"a policy that sees pictures is not written as {FORMATS[kind]} yet; end --out in .npz")
         if kind == ".onnx":
             if importlib.util.find_spec("onnx") is None:
                 raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")

@@ -15,8 +15,8 @@ from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, shipped
 from hgail_jax.io.files import check_new_file
+from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.play.playback import FORMATS, film, show
-from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import say
 from hgail_jax.trainer.options import unless_given
 
@@ -95,7 +95,7 @@ def _check_scene(task: str, path: Path | None) -> None:
 
 def _load(
     task: str, path: Path | None, level: str | None, **physics: str | None
-) -> tuple[hgail_envs.GoalEnv, MeanPolicy]:
+) -> tuple[hgail_envs.GoalEnv, AnyPolicy]:
     """Returns the task and the policy, and prints the policy's file and level; see `find_policies` and `make_task`."""
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)

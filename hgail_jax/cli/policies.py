@@ -11,16 +11,18 @@ from typing import Annotated
 
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
-from hgail_envs.randomized import randomize
+from hgail_envs.randomized import RandomizedEnv, randomize
 from hgail_envs.registry import check_takes_robot
 from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
 from hgail_jax.io.files import from_here
-from hgail_jax.io.policy import load_policy
-from hgail_jax.policy import MeanPolicy
+from hgail_jax.io.policy import AnyPolicy, load_any_policy
 from hgail_jax.terminal import say
 from hgail_jax.trainer.options import unless_given
+from hgail_jax.vision.policy import CameraPolicy
 
 DEFAULT_TASK = "grasp"
 """Task of a command that is given neither a task nor a policy."""
@@ -76,7 +78,7 @@ def find_task(task: str | None, path: Path | None) -> str:
     """
     if task is not None or path is None:
         return task or DEFAULT_TASK
-    of_policy = load_policy(policy_files(path)[0]).task
+    of_policy = load_any_policy(policy_files(path)[0]).task
     if of_policy not in hgail_envs.TASKS:
         raise ValueError(
             f"{path} was trained on {of_policy!r}, which is none of this package; name a task of your own by --task"
@@ -86,7 +88,7 @@ def find_task(task: str | None, path: Path | None) -> str:
 
 def find_policies(
     task: str | None, path: Path | None, level: str | None = None, exact: bool = False
-) -> list[tuple[Path, MeanPolicy]]:
+) -> list[tuple[Path, AnyPolicy]]:
     """Returns the policies of a file or a run's folder `path`, and their files; for None, see `shipped`.
 
     Where `task` is None it is the policy's own, whose code is not loaded. A policy of another task becomes one of
@@ -97,7 +99,7 @@ def find_policies(
         path = shipped(task, level, exact)
     if path is None:
         raise ValueError(_none_is_shipped(task, level))
-    loaded = [(file, load_policy(file)) for file in policy_files(path)]
+    loaded: list[tuple[Path, AnyPolicy]] = [(file, load_any_policy(file)) for file in policy_files(path)]
     trained_on = {policy.task for _, policy in loaded} - {task}
     if task is None or not trained_on:
         return loaded
@@ -136,13 +138,15 @@ def _none_is_shipped(task: str | None, level: str | None) -> str:
     return f"no policy of {task} for --randomize {level} comes with the package; name one by --policy, e.g. {known}"
 
 
-def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str | int | None) -> hgail_envs.GoalEnv:
+def make_task(policy: AnyPolicy, task: str, level: str | None, **physics: str | int | None) -> hgail_envs.GoalEnv:
     """Makes the task that a policy is for, with the policy's options and past, and the `physics` that it takes."""
     accepted = hgail_envs.accepted_options(task)
     if physics.get("robot") is not None:
         check_takes_robot(task)
     taken = {name: value for name, value in physics.items() if name in accepted and value is not None}
     env = randomize(hgail_envs.make(task, **policy.task_options | taken), randomization(policy, level))
+    if isinstance(policy, CameraPolicy):
+        return _with_camera(policy, env)
     for kind, verb in (("observation", "reads"), ("goal", "has goals of"), ("action", "commands")):
         given, needed = (getattr(one, f"{kind}_size") for one in (policy, env))
         if given != needed:
@@ -150,7 +154,22 @@ def make_task(policy: MeanPolicy, task: str, level: str | None, **physics: str |
     return env
 
 
-def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
+def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
+    """Returns a task with the pictures that a policy sees, in the scene's own look."""
+    if isinstance(env, RandomizedEnv):
+        raise ValueError("a policy that sees pictures was trained without --randomize; leave it out")
+    seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size))
+    for what, given, needed in (
+        ("is told", policy.mean.size, len(seen.known)),
+        ("commands", policy.action_size, seen.action_size),
+        ("has goals of", policy.goal_size, seen.goal_size),
+    ):
+        if given != needed:
+            raise ValueError(f"the policy {what} {given} numbers; in {policy.task} there are {needed}")
+    return seen
+
+
+def randomization(policy: AnyPolicy, level: str | None) -> Randomization:
     """Returns a level with the policy's own `history` and `known_delay`; for None what its training had."""
     trained = policy.randomization
     if level is None:
@@ -158,7 +177,7 @@ def randomization(policy: MeanPolicy, level: str | None) -> Randomization:
     return dataclasses.replace(LEVELS[level], history=trained.history, known_delay=trained.known_delay)
 
 
-def describe_policy(path: Path, policy: MeanPolicy, level: str | None) -> str:
+def describe_policy(path: Path, policy: AnyPolicy, level: str | None) -> str:
     """Returns a line that names the policy's file and the level, and says if its training had no disturbance."""
     sizes, trained = randomization(policy, level), policy.randomization
     new = " (trained without)" if trained == trained.nominal() and sizes != sizes.nominal() else ""

@@ -14,18 +14,21 @@ import jax
 import numpy as np
 
 from hgail_envs.validation import counted
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import NO_DEVICE, fail, is_out_of_memory, parse, with_new_names
 from hgail_jax.devices.processes import HEARTBEAT_TIMEOUT, RESUME, end_without_the_others, join
 from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import load_any_policy
 from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import in_a_thread, say, stop_on_signal
+from hgail_jax.trainer.camera import MissingTeacherError
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
+from hgail_jax.trainer.teaching import best_policy, kept_teacher, teacher_options
 from hgail_jax.trainer.training import train_run
 
 PROGRAM = "hgail train"
@@ -58,12 +61,17 @@ def main(arguments: list[str] | None = None) -> None:
             auto = command.distributed == "auto"
             numbers = (command.coordinator, command.num_processes, command.process_id)
             join(*numbers, auto=auto, heartbeat_timeout=command.heartbeat_timeout)
-            options = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
-            run = plan(TrainOptions(**options), platform_name())
+            given = {field.name: getattr(command, field.name) for field in dataclasses.fields(TrainOptions)}
+            options = TrainOptions(**given)
+            try:
+                run = plan(options, platform_name())
+            except MissingTeacherError:
+                options = dataclasses.replace(options, teacher=_teacher(options))
+                run = plan(options, platform_name())
             if command.video and run.env.scene is None:
                 raise ValueError(f"task {command.task!r} has no scene to film; leave out --video")
             folder = held.enter_context(open_run_folder(run, command.out, command.resume))
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, RenderingError) as error:
             fail(PROGRAM, error, 2)
         size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
@@ -78,6 +86,25 @@ def main(arguments: list[str] | None = None) -> None:
         _report(summary, folder.path)
         if command.video:
             _film(run, folder)
+
+
+def _teacher(options: TrainOptions) -> Path:
+    """Returns the file of a student's teacher: the one in the folder that is resumed, else one that is trained now."""
+    kept = None if options.resume is None else kept_teacher(Path(options.resume).expanduser())
+    if kept is not None:
+        return kept
+    teacher = teacher_options(options)
+    run = plan(teacher, platform_name())
+    with open_run_folder(run, teacher.out, None) as folder:
+        say(f"first the teacher: {run.method} on {teacher.task}, {counted(teacher.seeds, 'seed')} -> {folder.path}")
+        later = f"when it is trained, name its best seed by --teacher {folder.path}/policies/seed-{run.first_seed}.npz"
+        summary = _train(run, folder, later)
+        if summary is None:
+            fail(PROGRAM, f"{_stopped(run, folder)} of the teacher; {later}", 1)
+        _report(summary, folder.path)
+        best = best_policy(folder.path)
+    say(f"the teacher is {from_here(best)}")
+    return best
 
 
 def _description(words: list[str]) -> str:
@@ -141,7 +168,8 @@ def _film(run: Run, folder: RunFolder) -> None:
     """Writes rollout.mp4, or says in one line why it cannot."""
     path = folder.path / "rollout.mp4"
     try:
-        film(path, run.env.reference_physics(), load_policy(folder.path / "policies" / f"seed-{run.first_seed}.npz"))
+        policy = load_any_policy(folder.path / "policies" / f"seed-{run.first_seed}.npz")
+        film(path, run.env.reference_physics(), policy)
         say(str(path))
         for logger in folder.loggers:
             logger.film(path)

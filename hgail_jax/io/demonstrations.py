@@ -99,7 +99,7 @@ def load_demonstrations(path: Path | str, task: str) -> Demonstrations:
       FileNotFoundError: there is no such file.
       ValueError: the file holds no demonstrations, or those of another task.
     """
-    demonstrations = load_npz(path, "demonstrations", _FORMAT, _from_file)
+    demonstrations = load_npz(path, "demonstrations", {_FORMAT: _from_file})
     if demonstrations.task != task:
         raise ValueError(f"{path} demonstrates {demonstrations.task!r}, not {task!r}")
     return demonstrations

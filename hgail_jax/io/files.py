@@ -124,13 +124,13 @@ def save_npz(path: Path | str, header: dict, arrays: Mapping[str, np.ndarray]) -
 
 
 def load_npz(
-    path: Path | str, kind: str, file_format: str, read: Callable[[dict, Mapping[str, np.ndarray]], ContentT]
+    path: Path | str, kind: str, formats: Mapping[str, Callable[[dict, Mapping[str, np.ndarray]], ContentT]]
 ) -> ContentT:
-    """Opens an archive of `save_npz` and returns its content, as `read` makes it of the header and the arrays by name.
+    """Opens an archive of `save_npz` and returns its content.
 
-    Any error that `read` raises says that the file does not hold this `kind` of content, e.g. `"a policy"`. Nothing in
-    the archive is unpickled. It must not be compressed, so that a small file cannot unfold into one that fills the
-    memory.
+    The function of its format, in `formats`, makes it of the header and the arrays by name. Any error that it raises
+    says that the file does not hold this `kind` of content, e.g. `"a policy"`. Nothing in the archive is unpickled. It
+    must not be compressed, so that a small file cannot unfold into one that fills the memory.
 
     Raises:
       FileNotFoundError: there is no such file.
@@ -147,8 +147,8 @@ def load_npz(
                 raise ValueError("it is compressed")
         with np.load(path, allow_pickle=False) as arrays:
             header = json.loads(str(arrays["header"]))
-            if header["format"] != file_format:
-                raise ValueError(f"its format is {header['format']!r}, not {file_format!r}")
-            return read(header, arrays)
-    except Exception as error:  # zipfile, numpy, json and `read` raise errors of many types
+            if header["format"] not in formats:
+                raise ValueError(f"its format is {header['format']!r}, not {' or '.join(map(repr, formats))}")
+            return formats[header["format"]](header, arrays)
+    except Exception as error:  # zipfile, numpy, json and the function raise errors of many types
         raise ValueError(f"{path} does not hold {kind}: {error}") from error

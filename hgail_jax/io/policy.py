@@ -11,6 +11,17 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "task_options": {},                                       # of the task's class, in training
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
+A policy that sees pictures has a format of its own:
+
+    {"format": "hgail_jax camera policy 1", "task": "push",
+     "pictures": {"cameras": ["front", "side"], "size": 64, "colours": "RGB", "range": [0, 255]},
+     "numbers": {"size": 10, "goal": 4},                       # what it is told: `KNOWN` features, then the goal
+     "action": {"size": 4, "low": -1.0, "high": 1.0}, "convolutions": 4, "layers": 2, "look": "varied",
+     "task_options": {}, "versions": {}}
+
+with `kernel_i`, `kernel_biases_i` of its convolutions, layers as above, `action_weights`, `action_biases`, and
+`objects_weights`, `objects_biases` and `centre` for the positions of the objects.
+
 Where `randomization` has a `known_delay`, the features begin with so many actions on their way, each after a 1; then
 come, where it has a `history`, so many actions and observations. See `RandomizedEnv`.
 """
@@ -20,26 +31,53 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
+from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Config
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, MeanPolicy
 from hgail_jax.state import TrainState
+from hgail_jax.vision.network import Eyes
+from hgail_jax.vision.policy import CameraPolicy
 
-_FORMAT = "hgail_jax policy 2"
+_FORMAT, _CAMERA_FORMAT = "hgail_jax policy 2", "hgail_jax camera policy 1"
 _ACTION = {"low": -1.0, "high": 1.0}
 _TANH, _LAYER_NORM_RELU = "tanh", "layer-norm-relu"
+_PICTURES: dict[str, Any] = {"colours": "RGB", "range": [0, 255]}
 _ARRAYS = ("weights", "biases", "scale", "offset")  # of a layer
+_KERNEL = ("kernel", "kernel_biases")  # of a convolution
+_HEADS = ("action", "objects")
+
+
+AnyPolicy = MeanPolicy | CameraPolicy
+"""A trained policy of either kind."""
 
 
 def from_state(
     task: str, env: GoalEnv, config: Config, state: TrainState, task_options: Mapping[str, Any] | None = None
-) -> MeanPolicy:
+) -> AnyPolicy:
     """Takes the policy out of the state of one seed, trained on `env`, which `task` and its options name."""
+    versions = installed("hgail-jax", "jax", "mujoco-mjx")
+    if isinstance(env, CameraEnv):
+        of_student = jax.tree.map(np.asarray, state.learner)
+        return CameraPolicy(
+            task=task,
+            goal_size=env.goal_size,
+            cameras=env.pictures.cameras,
+            size=env.pictures.size,
+            mean=of_student.mean,
+            std=of_student.std,
+            centre=of_student.centre,
+            eyes=of_student.eyes,
+            versions=versions,
+            task_options=dict(task_options or {}),
+            look=env.pictures.look,
+        )
     return MeanPolicy(
         task=task,
         goal_size=env.goal_size,
@@ -47,14 +85,17 @@ def from_state(
         std=np.asarray(state.statistics.std),
         layers=tuple(tuple(map(np.asarray, layer)) for layer in config.learner.layers(state)),
         squash=config.learner.squashes,
-        versions=installed("hgail-jax", "jax", "mujoco-mjx"),
+        versions=versions,
         randomization=getattr(env, "randomization", Randomization()),
         task_options=dict(task_options or {}),
     )
 
 
-def save_policy(path: Path | str, policy: MeanPolicy) -> None:
+def save_policy(path: Path | str, policy: AnyPolicy) -> None:
     """Writes a policy; see the module for the format."""
+    if isinstance(policy, CameraPolicy):
+        _save_camera_policy(path, policy)
+        return
     header = {
         "format": _FORMAT,
         "task": policy.task,
@@ -77,14 +118,76 @@ def save_policy(path: Path | str, policy: MeanPolicy) -> None:
     save_npz(path, header, arrays)
 
 
+def _save_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
+    eyes = policy.eyes
+    header = {
+        "format": _CAMERA_FORMAT,
+        "task": policy.task,
+        "pictures": {"cameras": list(policy.cameras), "size": policy.size, **_PICTURES},
+        "numbers": {"size": policy.mean.size, "goal": policy.goal_size},
+        "action": {"size": policy.action_size, **_ACTION},
+        "convolutions": len(eyes.convolutions),
+        "layers": len(eyes.hidden),
+        "look": policy.look,
+        "task_options": policy.task_options,
+        "versions": policy.versions,
+    }
+    arrays = {"mean": policy.mean, "std": policy.std, "centre": policy.centre}
+    for names, layers in ((_KERNEL, eyes.convolutions), (_ARRAYS, eyes.hidden)):
+        for index, layer in enumerate(layers):
+            arrays |= {f"{name}_{index}": array for name, array in zip(names, layer, strict=True)}
+    for head in _HEADS:
+        arrays |= {f"{head}_{name}": array for name, array in zip(_ARRAYS[:2], getattr(eyes, head), strict=True)}
+    save_npz(path, header, arrays)
+
+
+def _camera_policy_from_file(header: dict, file: Mapping[str, np.ndarray]) -> CameraPolicy:
+    pictures, numbers, action = header["pictures"], header["numbers"], header["action"]
+    if {name: pictures[name] for name in _PICTURES} != _PICTURES or {name: action[name] for name in _ACTION} != _ACTION:
+        raise ValueError(f"this version does not compute {pictures}, {action}")
+
+    def layers(names: tuple[str, ...], count: int) -> list[tuple[np.ndarray, ...]]:
+        if not 0 < count <= len(file):
+            raise ValueError(f"it has no {count} layers")
+        return [tuple(file[f"{name}_{index}"] for name in names) for index in range(count)]
+
+    heads = [tuple(file[f"{head}_{name}"] for name in _ARRAYS[:2]) for head in _HEADS]
+    policy = CameraPolicy(
+        task=header["task"],
+        goal_size=numbers["goal"],
+        cameras=tuple(pictures["cameras"]),
+        size=pictures["size"],
+        mean=file["mean"],
+        std=file["std"],
+        centre=file["centre"],
+        eyes=Eyes(layers(_KERNEL, header["convolutions"]), layers(_ARRAYS, header["layers"]), *heads),
+        versions=dict(header["versions"]),
+        task_options=dict(header["task_options"]),
+        look=str(header["look"]),
+    )
+    if (policy.mean.size, policy.action_size) != (numbers["size"], action["size"]):
+        raise ValueError("its arrays do not have the sizes that its header names")
+    return policy
+
+
 def load_policy(path: Path | str) -> MeanPolicy:
+    """Reads a policy that sees positions; see `load_any_policy`. A ValueError if it sees pictures."""
+    policy = load_any_policy(path)
+    if isinstance(policy, CameraPolicy):
+        raise ValueError(f"{path} sees pictures; here a policy is given positions")
+    return policy
+
+
+def load_any_policy(path: Path | str) -> AnyPolicy:
     """Reads a policy written by `save_policy`; the file need not be trusted.
 
     Raises:
       FileNotFoundError: there is no such file.
       ValueError: the file is not a policy.
     """
-    return load_npz(path, "a policy", _FORMAT, _from_file)
+    formats: dict[str, Any] = {_FORMAT: _from_file, _CAMERA_FORMAT: _camera_policy_from_file}
+    policy: AnyPolicy = load_npz(path, "a policy", formats)
+    return policy
 
 
 def _from_file(header: dict, file: Mapping[str, np.ndarray]) -> MeanPolicy:

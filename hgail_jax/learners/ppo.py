@@ -256,7 +256,7 @@ def _ppo_batch(
     batch = {
         "observation": observation[:-1],
         "action": trajectory.action,
-        "log_prob": trajectory.log_prob,
+        "log_prob": trajectory.noted,
         "advantage": jnp.where(hyper.standardize_advantage, standardize(advantage, weight), advantage),
         "return": advantage + value[:-1],
         "weight": weight,

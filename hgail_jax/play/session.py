@@ -12,7 +12,8 @@ import numpy as np
 
 from hgail_envs import GoalEnv
 from hgail_envs.scenes import open_scene, pose
-from hgail_jax.policy import MeanPolicy
+from hgail_jax.io.policy import AnyPolicy
+from hgail_jax.vision.policy import acting
 
 _REST = 1.0  # seconds that the scene stands still after an episode
 _SAMPLED_GOALS = 1024  # from which the bounds of the target are taken
@@ -58,9 +59,9 @@ class Session:
     For use in one thread. The seed is that of the starts.
     """
 
-    def __init__(self, env: GoalEnv, policy: MeanPolicy, seed: int = 0) -> None:
+    def __init__(self, env: GoalEnv, policy: AnyPolicy, seed: int = 0) -> None:
         self.model, self.data = open_scene(env)
-        self.env, self._policy = env, policy
+        self.env, self._policy = env, acting(env, policy)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
         self.phase = Phase.ACTING

@@ -19,17 +19,24 @@ from hgail_envs.randomized import randomize
 from hgail_envs.registry import check_takes_robot
 from hgail_envs.robots import ROBOTS
 from hgail_envs.validation import check_count, check_name, parse_option, plain_number
+from hgail_envs.vision.cameras import DEFAULT_CAMERAS
+from hgail_envs.vision.look import LOOKS
+from hgail_envs.vision.pictures import RENDERERS, SIZE
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.seeds import check_seeds
+from hgail_jax.settings.camera import CAMERA, camera_preset
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
 from hgail_jax.settings.methods import METHODS
 from hgail_jax.settings.presets import PRESETS, Preset
+from hgail_jax.trainer.camera import refuse_camera_options, with_camera
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
 
+OBSERVED = ("positions", "camera")
+"""What a policy may see of the objects: their positions, or pictures of them."""
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that are options of `TrainOptions`, or follow from them."""
 _EPISODES = f"{EVALUATION_EPISODES['cpu']} on a CPU, {EVALUATION_EPISODES['gpu']} on a GPU"
@@ -72,6 +79,15 @@ class TrainOptions:
     substeps: Annotated[int | None, unless_given("the task's", "INT")] = None
     """Physics steps per action in training, 4 to 20. The final evaluation has 20."""
     randomize: Annotated[str, _choices("How much each episode is randomised, see docs/robust.md", LEVELS)] = "none"
+    observe: Annotated[str, _choices("What the policy sees of the objects", OBSERVED)] = "positions"
+    teacher: Annotated[Path | None, unless_given("trained first", "FILE")] = None
+    """Policy that sees positions, to teach one that sees pictures (--observe camera)."""
+    camera: str = ",".join(DEFAULT_CAMERAS)
+    """Cameras of the scene, with commas between them (--observe camera)."""
+    picture_size: int = SIZE
+    """Edge of the square pictures, pixels (--observe camera)."""
+    look: Annotated[str, _choices("How the look of the scene varies in training (--observe camera)", LOOKS)] = "varied"
+    renderer: Annotated[str, _choices("Renderer of the pictures (--observe camera)", ["auto", *RENDERERS])] = "auto"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
@@ -153,7 +169,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined, unused-ignore]  # declared from JAX 0.11 on
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
-    chosen = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
+    chosen = _choose(options, platform)
     _refuse_without_effect(options, chosen)
     preset = _with_options(options, chosen)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
@@ -168,6 +184,8 @@ def plan(options: TrainOptions, platform: str) -> Run:
     if options.task not in hgail_envs.TASKS:  # those have tests
         hgail_envs.check_task(env)
     env = randomize(env, options.randomize)
+    if options.observe == "camera":
+        env = with_camera(env, options, mesh.size)
     demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
     if (demonstrations is None) != (preset.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
@@ -186,13 +204,25 @@ def plan(options: TrainOptions, platform: str) -> Run:
         mesh=mesh,
         demonstrations=None if demonstrations is None else demonstrations.samples(env),
         demonstrations_sha256=None if demonstrations is None else demonstrations.sha256,
+        teacher=None if options.teacher is None else Path(options.teacher),
         loggers=check_loggers(options.logger),
         options=dataclasses.asdict(options),
         started=started,
     )
 
 
+def _choose(options: TrainOptions, platform: str) -> Preset:
+    if options.observe == "camera":
+        with _one_error(f"cannot load task {options.task!r}"):
+            hgail_envs.find_class(options.task)
+        return camera_preset(options.task, platform)
+    return choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
+
+
 def _check(options: TrainOptions) -> None:
+    check_name("observe", options.observe, OBSERVED)
+    if options.observe != "camera":
+        refuse_camera_options(vars(options), vars(TrainOptions()))
     check_seeds(options.first_seed, options.seeds)
     for name in ("checkpoint_every", "evaluate_every", "evaluation_episodes", "rounds"):
         if getattr(options, name) is not None:
@@ -207,7 +237,8 @@ def _check(options: TrainOptions) -> None:
 
 def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
     name, learner = preset.method, preset.config.learner
-    method, others = METHODS[name], "" if options.method else ", the task's default; name another by --method"
+    method = CAMERA if options.observe == "camera" else METHODS[name]
+    others = "" if options.method else ", the task's default; name another by --method"
     for names, why in (
         (method.without_effect, f"changes nothing for the method {name}"),
         (learner.without_effect, f"changes nothing for the learner {learner.name}"),

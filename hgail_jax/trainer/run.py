@@ -1,12 +1,15 @@
 """A run: all settings of a training, checked."""
 
 import dataclasses
+import hashlib
 import time
+from pathlib import Path
 from typing import Any
 
 from jax.sharding import Mesh
 
 from hgail_envs.randomized import RandomizedEnv
+from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.trainer.loop import Program
 
@@ -27,6 +30,8 @@ class Run(Program):
     """Rounds from one checkpoint to the next."""
     demonstrations_sha256: str | None = None
     """Hash of the demonstrations that the method learns from, if it does."""
+    teacher: Path | None = None
+    """File of the policy that teaches a student."""
     loggers: tuple[str, ...] = ("csv",)
     """Names of `hgail_jax.trainer.loggers.LOGGERS`."""
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -41,9 +46,16 @@ class Run(Program):
 
     def identity(self) -> dict[str, Any]:
         """Returns the settings that a run must have in common with one that it resumes."""
-        physics = {name: getattr(self.env, name, None) for name in ("impl", "substeps")}
+        physics: dict[str, Any] = {name: getattr(self.env, name, None) for name in ("impl", "substeps")}
         if isinstance(self.env, RandomizedEnv):
             physics["randomization"] = dataclasses.asdict(self.env.randomization)
+        if isinstance(self.env, CameraEnv):
+            pictures = self.env.pictures
+            physics["pictures"] = {
+                "cameras": list(pictures.cameras),
+                **{name: getattr(pictures, name) for name in ("size", "look", "renderer")},
+                "teacher": self.teacher and hashlib.sha256(self.teacher.read_bytes()).hexdigest(),
+            }
         return {
             **{name: getattr(self, name) for name in ("task", "method", "seeds", "first_seed")},
             "physics": physics,

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +18,8 @@ from hgail_envs.randomized import RandomizedEnv
 from hgail_envs.validation import plain_number
 from hgail_jax.devices.sharding import any_process, is_first_process, replicate
 from hgail_jax.io.files import remove_partial_files, write_json
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import AnyPolicy, load_any_policy
 from hgail_jax.io.provenance import provenance
-from hgail_jax.policy import MeanPolicy
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import StatusLine
@@ -29,6 +29,7 @@ from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, tr
 from hgail_jax.trainer.options import TrainOptions, plan, with_settings
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
+from hgail_jax.trainer.teaching import TEACHER, kept_teacher
 
 _MOST_OF_SAVING = 0.05  # of the time of a run with a replay buffer
 
@@ -66,9 +67,9 @@ class Trainer:
             raise ValueError("the run has no folder yet; train it")
         return self._folder
 
-    def policy(self, seed: int) -> MeanPolicy:
+    def policy(self, seed: int) -> AnyPolicy:
         """Returns the trained policy of a seed; a FileNotFoundError says that it is not trained yet."""
-        return load_policy(self.folder / "policies" / f"seed-{seed}.npz")
+        return load_any_policy(self.folder / "policies" / f"seed-{seed}.npz")
 
     def train(self, stop: threading.Event | None = None) -> dict[str, Any] | None:
         """Trains and evaluates all seeds, and writes everything into the folder; see `open_run_folder`, `train_run`."""
@@ -92,6 +93,8 @@ def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) 
     remove_partial_files(folder.path)
     if not (folder.path / "config.json").exists():
         write_json(folder.path / "config.json", settings)
+    if run.teacher is not None and kept_teacher(folder.path) is None:
+        shutil.copyfile(run.teacher, folder.path / TEACHER)
     history = folder.restored.history if folder.restored else []
     for name in run.loggers if is_first_process() else ():
         folder.loggers.append(LOGGERS[name](folder.path, run, settings, history))

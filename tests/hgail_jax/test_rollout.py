@@ -51,7 +51,7 @@ def test_a_roll_out_is_the_loop_over_its_steps_and_its_lift_test(lift_test):
         np.testing.assert_array_equal(episodes.desired[step], goal)
         action = 10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]]
         np.testing.assert_allclose(episodes.action[step], action, atol=1e-4)
-        np.testing.assert_allclose(episodes.log_prob[step], -(position**2 + goal**2).sum(axis=-1), atol=1e-5)
+        np.testing.assert_allclose(episodes.noted[step], -(position**2 + goal**2).sum(axis=-1), atol=1e-5)
         position = position + 0.03 * np.clip(action, -1.0, 1.0)
         reached = np.linalg.norm(position - goal, axis=-1) <= 0.05
         np.testing.assert_array_equal(episodes.reward[step], np.where(reached, 0.0, -1.0))

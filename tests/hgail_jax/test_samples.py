@@ -71,7 +71,7 @@ def trajectory(episodes=EPISODES, kind=None, valid=None, **changes):
         "achieved": np.stack([time + 100 * episode, kind], axis=-1),
         "desired": wanted.astype(np.float32),
         "action": RNG.normal(size=(LENGTH, episodes, 1)).astype(np.float32),
-        "log_prob": np.zeros((LENGTH, episodes), np.float32),
+        "noted": np.zeros((LENGTH, episodes), np.float32),
         "reward": -RNG.integers(0, 2, (LENGTH, episodes)).astype(np.float32),
         "valid": np.ones(episodes, bool) if valid is None else valid,
         "overflow": np.zeros(episodes, bool),
@@ -414,7 +414,7 @@ def test_episodes_that_break_down_are_blank_and_counted():
         given = break_down(jax.random.key(0), False, lift_test)
         valid = np.array(valid, bool)
         np.testing.assert_array_equal(given.valid, valid)
-        for name in ("features", "achieved", "desired", "action", "log_prob", "reward"):
+        for name in ("features", "achieved", "desired", "action", "noted", "reward"):
             leaf = np.asarray(getattr(given, name))
             assert (leaf[:, ~valid] == 0).all()
             assert np.isfinite(leaf).all()
@@ -423,7 +423,7 @@ def test_episodes_that_break_down_are_blank_and_counted():
         for episode in np.flatnonzero(valid):
             path = start[episode] + 10.0 * float(given.action[0, episode, 0]) * np.arange(LENGTH + 1)
             np.testing.assert_allclose(given.features[:, episode, 0], path, rtol=1e-4)
-            np.testing.assert_allclose(given.log_prob[:, episode], path[:-1], rtol=1e-4)
+            np.testing.assert_allclose(given.noted[:, episode], path[:-1], rtol=1e-4)
         further = np.array([0.75, 3.375, 4.5, 0, 0, 0]) * lift_test * valid
         np.testing.assert_allclose(given.outcome.distance_l1, further, atol=1e-4)
         np.testing.assert_array_equal(

@@ -337,7 +337,7 @@ def test_seeds_are_evaluated_in_whole_roll_outs_one_after_another_in_the_accurat
         np.testing.assert_allclose(measured.distance_l1[seed], 10.0 + np.mean(starts), rtol=1e-5)
 
 
-STEPS = ("features", "achieved", "desired", "action", "log_prob", "reward")
+STEPS = ("features", "achieved", "desired", "action", "noted", "reward")
 EIGHT = TINY.replace(num_envs=8, bc_batch=16, best_episodes=12)
 
 

@@ -178,7 +178,7 @@ def a_trajectory(valid=None):
         achieved=normal(LENGTH + 1, EPISODES, 2),
         desired=normal(LENGTH + 1, EPISODES, 2),
         action=normal(LENGTH, EPISODES, 2),
-        log_prob=normal(LENGTH, EPISODES) - 2.0,
+        noted=normal(LENGTH, EPISODES) - 2.0,
         reward=jnp.asarray(rng.integers(-1, 1, (LENGTH, EPISODES)), jnp.float32),
         valid=jnp.ones(EPISODES, bool) if valid is None else jnp.asarray(valid),
         overflow=jnp.zeros(EPISODES, bool),
@@ -333,7 +333,7 @@ def batch_by_hand(state, trajectory):
     batch = {
         "observation": normalized(state, seen[:-1]),
         "action": trajectory.action,
-        "log_prob": trajectory.log_prob,
+        "log_prob": trajectory.noted,
         "advantage": standard(advantage) if hyper.standardize_advantage else advantage,
         "return": advantage + values[:-1],
         "weight": weight,
@@ -459,7 +459,7 @@ def test_a_policy_update_is_adam_on_the_sum_of_the_losses(config, of_ppo, of_clo
     state = make_state(config, demonstrations=DEMONSTRATION, ppo_weight=of_ppo, bc_weight=of_cloning)
     seen = normalized(state, np.concatenate([given.features, given.desired], axis=-1)[:-1])
     given = given.replace(
-        log_prob=jnp.asarray(log_density(given.action, mlp(state.learner.actor_critic["policy"], seen), std) + 0.05)
+        noted=jnp.asarray(log_density(given.action, mlp(state.learner.actor_critic["policy"], seen), std) + 0.05)
     )
     batch, reward = batch_by_hand(state, given)
     weight = batch["weight"] / batch["weight"].sum()

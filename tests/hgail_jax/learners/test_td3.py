@@ -118,7 +118,7 @@ def trajectory(seed=0, valid=None):
         achieved=features,
         desired=rng.normal(size=(LENGTH + 1, EPISODES, 2)),
         action=rng.normal(size=(LENGTH, EPISODES, 2)),
-        log_prob=np.zeros((LENGTH, EPISODES)),
+        noted=np.zeros((LENGTH, EPISODES)),
         reward=-rng.integers(0, 2, (LENGTH, EPISODES)).astype(float),
         valid=np.arange(EPISODES) % 3 != 1 if valid is None else valid,
         overflow=np.zeros(EPISODES, bool),

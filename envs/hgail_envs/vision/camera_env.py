@@ -1,0 +1,95 @@
+"""A task whose observation says what its cameras see."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from hgail_envs.base import Controller, GoalEnv, State
+from hgail_envs.vision.pictures import Pictures
+
+KNOWN = (
+    *("gripper position", "gripper velocity", "gap between the fingers"),
+    *("position of the right finger", "position of the left finger"),
+)
+"""Quantities of a task's features that a robot measures in itself; the others are seen."""
+
+_OWN = (
+    *("feature_size", "features_layout", "goal_size", "goal_layout", "action_size", "action_layout"),
+    *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps", "observation_limit"),
+    *("control_period", "scene", "robot", "target_body", "reference", "training"),
+    *("reset_physics", "training_start", "step_physics", "features", "achieved_goal", "sample_goal", "plan_goals"),
+    *("current_goal", "goal_observation", "success", "goal_kind", "goal_test", "goal_tolerance", "reached"),
+    *("already_solved", "aim", "lift_test_action", "outcome", "overflow", "prepare"),
+)
+"""Attributes and methods that are the task's."""
+
+
+class CameraEnv(GoalEnv):
+    """A task, the `pictures` of it, and a `teacher` that knows more than they show: it reads the task's observations.
+
+    Everything is the task's but `State.obs`: after the task's observation come the joint positions and the draws of the
+    episode's look, from which `see` renders. Rendering a whole batch at once is left to the policy, for a task is one
+    environment. The draws are uniform, drawn with the episode's key at the reset.
+    """
+
+    action_size = 0  # brax.Env declares it a property, which an instance could not set
+
+    def __init__(self, task: GoalEnv, pictures: Pictures, teacher: Controller | None = None) -> None:
+        self.task, self.pictures, self.teacher = task, pictures, teacher
+        for name in _OWN:
+            setattr(self, name, getattr(task, name))
+        model, size = pictures.model, task.observation_size
+        names = [quantity.title for quantity in task.features_layout if quantity.title in KNOWN]
+        places = [np.arange(task.feature_size)[task.features_layout[name]].ravel() for name in names]
+        self.known = np.concatenate([*places, np.arange(size - task.goal_size, size)])
+        """Places in an observation of the numbers that a policy with pictures has: the robot's own, and the goal."""
+        free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+        self.objects = size + (free[:, None] + np.arange(3)).ravel()
+        """Places in an observation of the objects' positions, metres."""
+
+    # The task's methods, which `__init__` sets; without these lines the class would count as abstract.
+    reset_physics = step_physics = features = achieved_goal = sample_goal = None  # type: ignore[assignment]
+
+    @property
+    def observation_size(self) -> int:
+        return self.task.observation_size + self.pictures.model.nq + self.pictures.draws
+
+    @property
+    def max_worlds(self) -> int | None:  # type: ignore[override]
+        return self.task.max_worlds
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("impl", "substeps"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.task, name)  # not copied when it is made: a task may start JAX to find its engine
+
+    def see(self, observation: jax.Array) -> jax.Array:
+        """Returns what the cameras see in a batch of states, `[..., cameras, size, size, 3]`, uint8."""
+        first = self.task.observation_size
+        qpos, draws = jnp.split(observation[..., first:], [self.pictures.model.nq], axis=-1)
+        return self.pictures(qpos, draws)
+
+    def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
+        state = self.task.reset(rng, training_goals)
+        # the task takes the key apart by `split`, and by `fold_in` of 2
+        draws = jax.random.uniform(jax.random.fold_in(rng, 3), (self.pictures.draws,), minval=-1.0)
+        return self._seen(state.replace(info=state.info | {"look": draws}))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self._seen(self.task.step(state, action))
+
+    def move_target(self, state: State, position: jax.Array) -> State:
+        return self._seen(self.task.move_target(state, position))
+
+    def _seen(self, state: State) -> State:
+        parts = [state.obs, state.pipeline_state.qpos, state.info["look"]]
+        return state.replace(obs=jnp.concatenate(parts))
+
+    def curriculum(self, progress: jax.Array | float) -> "CameraEnv":
+        return CameraEnv(self.task.curriculum(progress), self.pictures, self.teacher)
+
+    def reference_physics(self) -> "CameraEnv":
+        return CameraEnv(self.task.reference_physics(), self.pictures, self.teacher)

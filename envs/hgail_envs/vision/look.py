@@ -1,0 +1,98 @@
+"""How the look of a scene varies from one episode to the next: colours, light and cameras.
+
+The sizes of a level are data. Each is a bound around the scene's own value; an episode draws uniformly within it.
+"""
+
+import dataclasses
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """Bounds of an episode's look."""
+
+    colour: float = 0.0
+    """Of each channel of each colour, which are 0 to 1."""
+    brightness: float = 0.0
+    """Of a light's strength, as a fraction."""
+    light_turn: float = 0.0
+    """Of a light's direction along each axis, as a fraction of its length."""
+    camera_shift: float = 0.0
+    """Of a camera's position along each axis of the world, metres."""
+    camera_turn: float = 0.0
+    """Of a camera's direction about each of its axes, radians."""
+    zoom: float = 0.0
+    """Of a camera's field of view, as a fraction."""
+
+
+LOOKS = {
+    "plain": Look(),
+    # Camera, screen and paint turn a colour by .1 to .2; at .2 the cubes of a stack, .4 and more apart, stay apart. The
+    # light of a room differs by a third from hour to hour. A light that turns by .4 of its length does so by up to 30
+    # degrees. A camera on a stand is put back to a centimetre and to a degree, and its field of view known to 2 %.
+    "varied": Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02),
+}
+"""Looks by name."""
+
+FIELDS = ("geom_rgba", "mat_rgba", "light_diffuse", "light_dir", "cam_fovy")
+"""Fields of the model that a look changes."""
+
+
+def draws_of(model: mujoco.MjModel) -> int:
+    """Returns how many numbers the draws of a look are."""
+    return sum(int(np.prod(shape)) for shape in _shapes(model).values())
+
+
+def _shapes(model: mujoco.MjModel) -> dict[str, tuple[int, ...]]:
+    of_cameras = {"shift": (model.ncam, 3), "turn": (model.ncam, 3), "zoom": (model.ncam,)}
+    of_lights = {"brightness": (model.nlight, 1), "light": (model.nlight, 3)}
+    return {"geom": (model.ngeom, 3), "mat": (model.nmat, 3)} | of_lights | of_cameras
+
+
+def varied(model: mujoco.MjModel, look: Look, draws: Any, xp: ModuleType) -> dict[str, Any]:
+    """Returns what a look changes, by its draws, `[..., draws_of(model)]` in [-1, 1]; the module `xp` computes.
+
+    The leaves have the batch's axes in front. They are the `FIELDS` as they are to be, the `shift` of each camera in
+    the world, `[..., ncam, 3]`, metres, and its `turn`, `[..., ncam, 3, 3]`, a rotation in the camera's own frame.
+    """
+    parts, first = {}, 0
+    for name, shape in _shapes(model).items():
+        size = int(np.prod(shape))
+        parts[name] = draws[..., first : first + size].reshape(*draws.shape[:-1], *shape)
+        first += size
+
+    def coloured(rgba: np.ndarray, offset: Any) -> Any:
+        colour = xp.clip(rgba[:, :3] + look.colour * offset, 0.0, 1.0)
+        return xp.concatenate([colour, xp.broadcast_to(rgba[:, 3:], (*colour.shape[:-1], 1))], axis=-1)
+
+    # A geom that has a material must keep its own colour, or that would count instead of the material's.
+    bare = (model.geom_matid < 0)[:, None]
+    direction = model.light_dir + look.light_turn * parts["light"]
+    return {
+        "geom_rgba": coloured(model.geom_rgba, parts["geom"] * bare),
+        "mat_rgba": coloured(model.mat_rgba, parts["mat"]),
+        "light_diffuse": model.light_diffuse * (1.0 + look.brightness * parts["brightness"]),
+        "light_dir": direction / xp.sqrt(xp.square(direction).sum(axis=-1, keepdims=True)),
+        "cam_fovy": model.cam_fovy * (1.0 + look.zoom * parts["zoom"]),
+        "shift": look.camera_shift * parts["shift"],
+        "turn": _rotation(look.camera_turn * parts["turn"], xp),
+    }
+
+
+def _rotation(angles: Any, xp: ModuleType) -> Any:
+    """Returns the rotations, `[..., 3, 3]`, about x, then y, then z, by angles `[..., 3]`."""
+    sin, cos = xp.sin(angles), xp.cos(angles)
+    zero, one = xp.zeros_like(sin[..., 0]), xp.ones_like(sin[..., 0])
+
+    def matrix(*rows: Any) -> Any:
+        return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+    (sx, sy, sz), (cx, cy, cz) = (xp.moveaxis(values, -1, 0) for values in (sin, cos))
+    about_x = matrix((one, zero, zero), (zero, cx, -sx), (zero, sx, cx))
+    about_y = matrix((cy, zero, sy), (zero, one, zero), (-sy, zero, cy))
+    about_z = matrix((cz, -sz, zero), (sz, cz, zero), (zero, zero, one))
+    return about_z @ about_y @ about_x

@@ -1,0 +1,91 @@
+"""Pictures of a batch of scenes, rendered within a compiled program."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import mujoco
+
+from hgail_envs.base import GoalEnv
+from hgail_envs.engines import resolve_impl
+from hgail_envs.scenes import explained
+from hgail_envs.validation import check_count, check_name
+from hgail_envs.vision.cameras import DEFAULT_CAMERAS, camera_ids
+from hgail_envs.vision.look import LOOKS, Look, draws_of
+from hgail_envs.vision.opengl import OpenGLRenderer
+from hgail_envs.vision.warp_renderer import WarpRenderer
+
+RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look], Callable[..., jax.Array]]] = {
+    "opengl": OpenGLRenderer,
+    "warp": WarpRenderer,
+}
+"""Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's on an NVIDIA GPU."""
+SIZE = 64
+"""Edge of a picture unless another is given, pixels."""
+_SMALLEST, _LARGEST = 16, 256
+
+
+class Pictures:
+    """What cameras of a task's scene see, in square pictures.
+
+    Called with joint positions, `[..., nq]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it returns
+    pictures `[..., cameras, size, size, 3]`, uint8: the upper row first, red first. It may be traced and batched. All
+    scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch larger.
+    The target's marker is in no picture. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's where it can run.
+
+    Raises:
+      ValueError: the task has no scene, the scene has no such camera, there is no such renderer or look, or Warp's
+        renderer finds no GPU.
+      RenderingError: MuJoCo cannot render here.
+    """
+
+    def __init__(
+        self,
+        env: GoalEnv,
+        cameras: Sequence[str] = DEFAULT_CAMERAS,
+        size: int = SIZE,
+        renderer: str = "auto",
+        look: str = "plain",
+    ) -> None:
+        check_name("look", look, LOOKS)
+        check_count("the size of a picture", size, _SMALLEST, _LARGEST)
+        if env.robot is None:
+            raise ValueError("the task has no scene that a camera could see")
+        self.model = _model_to_see(env.robot)
+        self.cameras, self.size, self.look = tuple(cameras), size, look
+        ids = camera_ids(self.model, env.robot.scene, self.cameras)
+        self.draws = draws_of(self.model)
+        """Numbers that a look takes."""
+        self.renderer = resolve_renderer(renderer)
+        """Name of the renderer."""
+        self._render = RENDERERS[self.renderer](self.model, ids, size, LOOKS[look])
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Shape of the pictures of a scene."""
+        return len(self.cameras), self.size, self.size, 3
+
+    def __call__(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
+        pictures = self._render(qpos.reshape(-1, self.model.nq), draws.reshape(-1, self.draws))
+        return pictures.reshape(*qpos.shape[:-1], *self.shape)
+
+
+def _model_to_see(robot: Any) -> mujoco.MjModel:
+    """Compiles a robot's scene with all that is visible, and without contacts, which MJX may not know."""
+    spec = robot.spec()
+    for pair in list(spec.pairs):
+        spec.delete(pair)
+    with explained(robot.scene):
+        return spec.compile()
+
+
+def resolve_renderer(renderer: str) -> str:
+    """Returns the name of the renderer that is asked for, on this machine; a ValueError if it cannot run here."""
+    check_name("renderer", renderer, ["auto", *RENDERERS])
+    if renderer == "auto":
+        return "warp" if resolve_impl("auto") == "warp" else "opengl"
+    if renderer == "warp" and resolve_impl("auto") != "warp":
+        raise ValueError("the renderer 'warp' needs warp-lang and an NVIDIA GPU; use 'opengl' or 'auto'")
+    if renderer == "opengl" and resolve_impl("auto") == "warp":
+        raise ValueError("the renderer 'opengl' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
+    return renderer

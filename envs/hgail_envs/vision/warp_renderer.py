@@ -1,0 +1,96 @@
+"""MuJoCo Warp's ray tracer, which renders all scenes of a batch at once on an NVIDIA GPU."""
+
+import threading
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from hgail_envs.vision.batching import as_one_batch
+from hgail_envs.vision.look import FIELDS, Look, draws_of, varied
+from hgail_envs.workarounds import promotion
+
+_GEOM_GROUPS = (0, 1, 2)  # MuJoCo's own renderer draws these by default
+
+
+@jax.jit  # MJX-JAX tells the model's arrays from constants, and takes those of some sizes for the latter
+def _kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Returns the data with the poses of all geoms and cameras, in full single precision."""
+    with jax.default_matmul_precision("highest"), promotion():
+        return mjx.camlight(model, mjx.kinematics(model, data))
+
+
+class WarpRenderer:
+    """Renders all scenes of a batch at once; called as `hgail_envs.vision.opengl.OpenGLRenderer` is.
+
+    Warp's buffers are for a fixed number of scenes, and it must render them outside of any vmap: see `as_one_batch`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, cameras: list[int], size: int, look: Look) -> None:
+        if np.any(model.light_bodyid):
+            raise ValueError("the renderer 'warp' is for lights that stand still; fix the scene's to the world")
+        self._model, self._cameras, self._size, self._look = model, cameras, size, look
+        self._contexts: dict[int, Any] = {}  # by the number of scenes; freed with the renderer
+        self._lock = threading.Lock()  # programs are traced in several threads
+        with jax.ensure_compile_time_eval():
+            # NumPy arrays: to make JAX's own constants of a program, JAX waits for the GPU.
+            self._models = {impl: jax.device_get(mjx.put_model(model, impl=impl)) for impl in ("jax", "warp")}
+            sizes = {"jax": {}, "warp": {"naconmax": 1, "njmax": 1}}  # no contact is looked for
+            self._blank = {impl: jax.device_get(mjx.make_data(model, impl=impl, **sizes[impl])) for impl in sizes}
+        self._render = as_one_batch(self._render_all)
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Builds the kernels by a picture of one scene, before threads that build others begin; see `WarpEngine`."""
+        draws = draws_of(self._model)
+        jax.block_until_ready(jax.jit(self._render_all)(jnp.zeros((1, self._model.nq)), jnp.zeros((1, draws))))
+
+    def __call__(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
+        return self._render(qpos, draws)
+
+    def _render_all(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
+        model, look = self._models["warp"], varied(self._model, self._look, draws, jnp)
+        model = model.tree_replace({name: look[name].astype(jnp.float32) for name in FIELDS if name != "light_dir"})
+        data = jax.vmap(self._posed)(qpos, look["light_dir"], look["shift"], look["turn"])
+        context = self._context(len(qpos))
+        data = mjx.refit_bvh(model, data, context)
+        packed, _, _ = mjx.render(model, data, context)
+        channels = [(packed >> shift) & 0xFF for shift in (16, 8, 0)]
+        return jnp.stack(channels, axis=-1).astype(jnp.uint8).reshape(len(qpos), -1)
+
+    def _posed(self, qpos: jax.Array, light_dir: jax.Array, shift: jax.Array, turn: jax.Array) -> mjx.Data:
+        """Returns Warp's data of a scene: the poses of its geoms, cameras and lights, by MJX-JAX."""
+        posed = _kinematics(self._models["jax"], self._blank["jax"].replace(qpos=qpos))
+        turned = jnp.matmul(posed.cam_xmat, turn, precision="highest")
+        return self._blank["warp"].tree_replace(
+            {
+                "qpos": qpos,
+                "geom_xpos": posed.geom_xpos,
+                "geom_xmat": posed.geom_xmat,
+                "cam_xpos": posed.cam_xpos + shift,
+                "cam_xmat": turned,
+                "_impl.light_xpos": jnp.asarray(self._model.light_pos, jnp.float32),
+                "_impl.light_xdir": light_dir.astype(jnp.float32),
+            }
+        )
+
+    def _context(self, scenes: int) -> Any:
+        """Returns Warp's buffers for a number of scenes."""
+        with self._lock:
+            if scenes not in self._contexts:
+                self._contexts[scenes] = mjx.create_render_context(
+                    self._model,
+                    nworld=scenes,
+                    cam_res=(self._size, self._size),
+                    cam_active=self._cameras,
+                    render_rgb=True,
+                    render_depth=False,
+                    use_textures=False,
+                    use_shadows=False,
+                    enabled_geom_groups=list(_GEOM_GROUPS),
+                    use_precomputed_rays=self._look.zoom == 0.0,
+                )
+            return self._contexts[scenes].pytree()

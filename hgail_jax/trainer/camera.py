@@ -1,0 +1,53 @@
+"""The options of a training that sees pictures, and the task that they make."""
+
+import functools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+import jax.numpy as jnp
+
+from hgail_envs import GoalEnv
+from hgail_envs.base import Controller
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
+from hgail_jax.io.policy import load_policy
+
+if TYPE_CHECKING:
+    from hgail_jax.trainer.options import TrainOptions
+
+_OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer")
+
+
+class MissingTeacherError(ValueError):
+    """All is well with the options of a student's training but that no teacher is named."""
+
+
+def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEnv:
+    """Returns the task with the pictures that the options ask for, on so many devices, and with its teacher.
+
+    Raises:
+      ValueError: the scene, the renderer or the teacher is not as the options ask for.
+      MissingTeacherError: they ask for no teacher.
+      RenderingError: MuJoCo cannot render here.
+    """
+    cameras = [name.strip() for name in options.camera.split(",")]
+    pictures = Pictures(env, cameras, options.picture_size, options.renderer, options.look)
+    if pictures.renderer == "warp" and devices > 1:
+        raise ValueError("the renderer 'warp' runs on one device so far; leave out --devices")
+    if options.teacher is None:
+        raise MissingTeacherError("--observe camera needs a --teacher, a policy of the task that sees positions")
+    policy = load_policy(options.teacher)
+    sizes = [(one.observation_size, one.action_size) for one in (policy, env)]
+    if sizes[0] != sizes[1]:
+        raise ValueError(
+            f"{options.teacher} reads {policy.observation_size} numbers for {policy.action_size}; an observation of"
+            f" {options.task} has {env.observation_size} for {env.action_size}"
+        )
+    return CameraEnv(env, pictures, cast(Controller, functools.partial(policy, xp=jnp)))
+
+
+def refuse_camera_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
+    """Raises a ValueError for an option of pictures, by its name, where a policy sees positions."""
+    for name in _OPTIONS:
+        if given[name] != defaults[name]:
+            raise ValueError(f"--{name.replace('_', '-')} changes nothing without --observe camera")

@@ -1,0 +1,121 @@
+"""Pictures of scenes: each shows its own scene, from where its camera is."""
+
+import copy
+import functools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.vision.cameras import camera_ids, describe_cameras
+from hgail_envs.vision.pictures import Pictures
+
+pytestmark = pytest.mark.usefixtures("rendering")
+
+SIZE = 64
+PLACES = np.array([[1.2, 0.57, 0.425], [1.45, 0.93, 0.425], [1.25, 0.95, 0.425], [1.42, 0.6, 0.425]])
+
+
+@functools.cache
+def push():
+    return hgail_envs.make("push")
+
+
+@functools.cache
+def made(look="plain", cameras=("front", "side")):
+    return Pictures(push(), cameras, SIZE, look=look)
+
+
+def poses():
+    """Joint positions with the arm at its start, and the cube at each of `PLACES`."""
+    env = push()
+    qpos = np.tile(np.asarray(env._start_qpos, np.float32), (len(PLACES), 1))
+    qpos[:, env.qpos_of("cube")] = PLACES
+    return jnp.asarray(qpos)
+
+
+def pixel(described, point):
+    """Returns where a point is in a camera's picture, x and y, by the description of a camera that stands still."""
+    rotation, inside = np.array(described["rotation"]), described["intrinsics"]
+    x, y, z = rotation.T @ (point - np.array(described["position"]))
+    return np.array([inside["cx"] - inside["fx"] * x / z, inside["cy"] + inside["fy"] * y / z])
+
+
+def orange(picture):
+    """Returns the middle of what is orange in a picture, x and y in pixels, and how many pixels are."""
+    red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
+    rows, columns = np.nonzero((red > 120) & (green > 60) & (red - blue > 90) & (green - blue > 30))
+    return np.array([columns.mean() + 0.5, rows.mean() + 0.5]), len(rows)
+
+
+def test_a_cube_is_seen_where_a_pinhole_camera_has_it():
+    pictures = made()
+    seen = np.asarray(jax.jit(pictures)(poses(), jnp.zeros((len(PLACES), pictures.draws))))
+    assert seen.shape == (len(PLACES), 2, SIZE, SIZE, 3) and seen.dtype == np.uint8
+    for camera, described in enumerate(describe_cameras(pictures.model, pictures.cameras, SIZE)):
+        for scene, place in enumerate(PLACES):
+            middle, count = orange(seen[scene, camera])
+            assert count >= 4
+            np.testing.assert_allclose(middle, pixel(described, place), atol=2.0)
+
+
+def test_each_scene_comes_back_in_its_place_under_vmaps_and_scans():
+    pictures = made("varied")
+    draws = jax.random.uniform(jax.random.key(0), (4, pictures.draws), minval=-1.0)
+    alone = np.stack(
+        [np.asarray(pictures(qpos[None], draw[None]))[0] for qpos, draw in zip(poses(), draws, strict=True)]
+    )
+    assert len({picture.tobytes() for picture in alone}) == 4
+
+    def in_time(qpos, draws):
+        return jax.lax.scan(lambda _, scene: (None, pictures(*scene)), None, (qpos[:, None], draws[:, None]))[1]
+
+    nested = jax.jit(jax.vmap(in_time))(poses().reshape(2, 2, -1), draws.reshape(2, 2, -1))
+    np.testing.assert_array_equal(np.asarray(nested).reshape(alone.shape), alone)
+
+
+def test_a_look_varies_pictures_and_leaves_no_trace_in_the_next():
+    pictures, qpos = made("varied"), poses()[:1]
+    none = jnp.zeros((1, pictures.draws))
+    plain = np.asarray(pictures(qpos, none), int)
+    other = np.asarray(pictures(qpos, jnp.ones_like(none)), int)
+    assert np.abs(other - plain).mean() > 5.0
+    np.testing.assert_array_equal(np.asarray(pictures(qpos, none), int), plain)
+
+
+def test_the_wrist_camera_moves_with_the_hand_and_sees_the_fingers_end():
+    pictures, env = made(cameras=("wrist",)), push()
+    data = mujoco.MjData(pictures.model)
+    data.qpos[:] = env._start_qpos
+    mujoco.mj_forward(pictures.model, data)
+    towards = data.site("grip").xpos - data.camera("wrist").xpos
+    axis = -data.camera("wrist").xmat.reshape(3, 3)[:, 2]
+    assert axis @ towards / np.linalg.norm(towards) > np.cos(np.deg2rad(30.0))
+    assert axis[2] < -0.7  # down, at the table
+
+
+def test_the_physics_has_no_camera():
+    assert push().model.ncam == 0
+
+
+def test_wrong_uses_are_told_in_one_line():
+    env = push()
+    for options, message in (
+        ({"cameras": ["nose"]}, "scene push has no camera 'nose'; it has front, side, wrist"),
+        ({"cameras": []}, "no camera is named; choose from front, side, wrist"),
+        ({"cameras": ["side", "side"]}, "a camera is named twice in side, side"),
+        ({"size": 8}, "the size of a picture is 8; it must be at least 16"),
+        ({"renderer": "warp"}, "the renderer 'warp' needs warp-lang and an NVIDIA GPU; use 'opengl' or 'auto'"),
+        ({"renderer": "pencil"}, "pencil"),
+        ({"look": "odd"}, "odd"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Pictures(env, **options)
+    with pytest.raises(ValueError, match="the task has no scene that a camera could see"):
+        Pictures(hgail_envs.make("point"))
+    bare = copy.copy(env.model)
+    with pytest.raises(ValueError, match="scene push has no camera; give its MJCF a <camera>"):
+        camera_ids(bare, "push", ["front"])

@@ -1,0 +1,132 @@
+"""The student: who acts, what the teacher labels, and what is learnt from pictures."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_jax import Config, Hyperparameters, init_state, phase_table, train_step
+from hgail_jax.learners.student import OBJECT_SCALE, Student, _fit, _Lesson
+from hgail_jax.rollout import rollout
+from hgail_jax.seeds import init_seeds, seed_keys
+from hgail_jax.vision.network import init_eyes, look
+from tests.hgail_jax.vision.scenes import poses, push, teacher
+
+STUDENT = Student(mixed=4, updates=3, batch=16, channels=(4, 4, 4, 4))
+CONFIG = Config(
+    STUDENT, num_envs=8, rounds=2, training_goals=False, discriminator_minibatches=0, policy_hidden=(16, 16)
+)
+HYPER = Hyperparameters(exploration_noise=0.1, policy_learning_rate=1e-3, environment_reward=1.0)
+
+
+@functools.cache
+def untrained():
+    return init_state(push(), CONFIG, HYPER, jax.random.key(0))
+
+
+def after(rollouts, hyper=HYPER):
+    state = untrained()
+    learner = state.learner.replace(steps=jnp.asarray(rollouts * STUDENT.updates))
+    return state.replace(learner=learner, hyperparameters=hyper.as_arrays())
+
+
+@functools.cache
+def rolled():
+    """A roll-out with the teacher in half the episodes, without noise, and the state it was made by."""
+    state = after(2, HYPER.replace(exploration_noise=1e-9))
+    policy = STUDENT.policy(push(), CONFIG, state, 1.0)
+    return state, jax.jit(lambda rng: rollout(push(), policy, rng, CONFIG.num_envs))(jax.random.key(1))
+
+
+def test_labels_are_the_teachers_actions_and_it_acts_in_its_share_of_the_episodes():
+    state, trajectory = rolled()
+    lesson = STUDENT.lesson(push(), state.learner, trajectory)
+    observation = np.concatenate([trajectory.features, trajectory.desired], axis=-1)[:-1]
+    expected = teacher()(observation)
+    np.testing.assert_allclose(lesson.action, expected, atol=1e-4)
+    apart = np.abs(trajectory.action - expected).max(axis=(0, 2))
+    assert (apart[:4] < 1e-4).all() and (apart[4:] > 1e-2).all()
+
+
+def test_a_lesson_shows_the_state_that_acted():
+    state, trajectory = rolled()
+    lesson = STUDENT.lesson(push(), state.learner, trajectory)
+    cube = push().features_layout["cube position"]
+    np.testing.assert_allclose(lesson.objects * OBJECT_SCALE, trajectory.features[:-1][..., cube], atol=1e-5)
+    x, y = np.moveaxis((np.asarray(trajectory.features[:-1][..., cube])[..., :2] - [1.1, 0.5]) / 0.5 * 16, -1, 0)
+    bright = np.asarray(lesson.pictures[:, :, 0, :, :, 0]).reshape(50, 8, -1).argmax(axis=-1)
+    assert np.abs(bright % 16 + 0.5 - x).max() < 1.0 and np.abs(bright // 16 + 0.5 - y).max() < 1.0
+    told = np.asarray(lesson.numbers)
+    np.testing.assert_array_equal(told[..., :3], trajectory.features[:-1, :, :3])
+    np.testing.assert_array_equal(told[..., -4:], trajectory.desired[:-1])
+
+
+@pytest.mark.parametrize(("rollouts", "share"), [(0, 1.0), (1, 0.75), (4, 0.0), (9, 0.0)])
+def test_the_teacher_leaves(rollouts, share):
+    assert STUDENT.teacher_share(after(rollouts).learner) == share
+
+
+def test_the_student_alone_is_evaluated():
+    state = after(0)
+    observation = jax.vmap(push().reset)(jax.random.split(jax.random.key(0), 8)).obs
+    action, _ = STUDENT.policy(push(), CONFIG, state, 0.0)(observation, jax.random.key(0))
+    numbers = observation[:, push().known]
+    pictures = push().see(observation).astype(jnp.float32) / 255.0
+    np.testing.assert_allclose(action, look(state.learner.eyes, pictures, numbers)[0], atol=1e-5)
+
+
+def test_it_learns_to_tell_where_the_cube_is():
+    qpos = poses(128)
+    env = push()
+    cube = qpos[:, env.task.qpos_of("cube")]
+    lesson = _Lesson(
+        pictures=env.pictures(qpos, jnp.zeros((len(qpos), 1))),
+        numbers=jnp.zeros((len(qpos), 2)),
+        objects=(cube - cube.mean(axis=0)) / OBJECT_SCALE,
+        action=jnp.zeros((len(qpos), 4)),
+        weight=jnp.ones(len(qpos)),
+    )
+    eyes = init_eyes(jax.random.key(0), 1, 2, (8, 8, 8, 8), (32,), (4, 3))
+    fit = jax.jit(functools.partial(_fit, 150, 32, "plain"))
+    optimizer = STUDENT.init(env, CONFIG, jax.random.split(jax.random.key(0))).optimizer
+    optimizer = optimizer._replace(mu=jax.tree.map(jnp.zeros_like, eyes), nu=jax.tree.map(jnp.zeros_like, eyes))
+    eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
+    unseen = poses(64, seed=1)
+    pictures = env.pictures(unseen, jnp.zeros((64, 1))).astype(jnp.float32) / 255.0
+    told = look(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
+    error = np.abs(told - unseen[:, env.task.qpos_of("cube")])[:, :2].mean()
+    assert error < 0.01  # metres, of cubes within 12 cm around the middle
+
+
+def test_episodes_that_broke_down_teach_nothing():
+    state, trajectory = rolled()
+    broken = trajectory.replace(valid=trajectory.valid.at[3].set(False), features=trajectory.features.at[:, 3].set(7.0))
+    update = jax.jit(functools.partial(STUDENT.begin, push(), CONFIG))
+    one, metrics = update(state, broken, jax.random.key(2))
+    other, _ = update(state, broken.replace(features=broken.features.at[:, 3].set(-7.0)), jax.random.key(2))
+    assert np.isfinite(metrics["action_error"])
+    for name in ("mean", "std", "centre"):
+        np.testing.assert_array_equal(getattr(one.learner, name), getattr(other.learner, name))
+
+
+def test_a_seed_learns_as_it_does_beside_another():
+    many = jax.jit(jax.vmap(functools.partial(train_step, push(), CONFIG), in_axes=(0, None)))
+
+    def train(first):
+        states = init_seeds(push(), CONFIG, HYPER, seed_keys(first, 2))
+        for phases in phase_table(CONFIG)[:2]:
+            states, _ = many(states, phases)
+        return states.learner
+
+    second, first = train(2), train(3)
+    for one, other in zip(jax.tree.leaves(second), jax.tree.leaves(first), strict=True):
+        np.testing.assert_array_equal(one[1], other[0])
+    assert np.abs(first.eyes.convolutions[0][0][0] - first.eyes.convolutions[0][0][1]).max() > 1e-2
+
+
+def test_a_student_needs_pictures_and_a_teacher():
+    with pytest.raises(ValueError, match="a student needs a task with pictures and a teacher: --observe camera"):
+        init_state(hgail_envs.make("point"), CONFIG, HYPER, jax.random.key(0))

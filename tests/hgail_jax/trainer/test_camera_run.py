@@ -1,0 +1,194 @@
+"""Runs that see pictures: resumed, written and read again, and refused in one line."""
+
+import dataclasses
+import functools
+import hashlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hgail_envs.scenes import assets_directory
+from hgail_jax import load_policy
+from hgail_jax.cli import train as command
+from hgail_jax.io.files import load_npz, save_npz
+from hgail_jax.io.policy import load_any_policy, save_policy
+from hgail_jax.trainer import camera
+from hgail_jax.trainer.options import TrainOptions
+from hgail_jax.trainer.teaching import best_policy, teacher_options
+from hgail_jax.trainer.training import Trainer
+from hgail_jax.vision.network import look
+from hgail_jax.vision.policy import CameraPolicy
+from tests.hgail_jax.vision.scenes import Map
+from tests.support import compile_once, make_runs_tiny
+
+TEACHER = assets_directory() / "policies" / "push.npz"
+OPTIONS = {"task": "push", "observe": "camera", "teacher": TEACHER, "seeds": 2, "num_envs": 2, "rounds": 2}
+OPTIONS |= {"updates": 2, "batch": 8, "evaluation_episodes": 2, "channels": (4, 4, 4, 4), "policy_hidden": (8,)}
+
+
+@pytest.fixture(autouse=True)
+def seen_from_above(monkeypatch, tmp_path):
+    """Has runs draw their pictures instead of rendering them."""
+    monkeypatch.setattr(camera, "Pictures", lambda env, *_: Map(env))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run of three rounds, and one that was stopped after its first."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(camera, "Pictures", lambda env, *_: Map(env))
+        compile_once(patch)
+        whole, stopped = (Trainer(**OPTIONS, out=tmp_path_factory.mktemp("runs") / name) for name in ("whole", "parts"))
+        whole.train()
+        stopped.train(_after(1))
+        stopped = Trainer(**OPTIONS, resume=stopped.folder)
+        stopped.train()
+        return whole, stopped
+
+
+class _after:
+    """An event that is set once it was asked for so often."""
+
+    def __init__(self, times):
+        self.left = times
+
+    def is_set(self):
+        self.left -= 1
+        return self.left < 0
+
+    def set(self):
+        self.left = 0
+
+
+def test_a_resumed_run_ends_with_the_bits_of_one_that_was_not_stopped(trained):
+    for seed in range(2):
+        one, other = (run.folder / "policies" / f"seed-{seed}.npz" for run in trained)
+        with np.load(one) as ours, np.load(other) as theirs:
+            for name in set(ours) - {"header"}:
+                np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
+
+
+def test_the_folder_keeps_the_teacher_and_names_it(trained):
+    kept = trained[0].folder / "teacher.npz"
+    assert kept.read_bytes() == TEACHER.read_bytes()
+    pictures = trained[0].run.identity()["physics"]["pictures"]
+    assert pictures == {
+        "cameras": ["above"],
+        "size": 16,
+        "look": "plain",
+        "renderer": "map",
+        "teacher": hashlib.sha256(TEACHER.read_bytes()).hexdigest(),
+    }
+
+
+def test_a_policys_file_holds_all_of_it(trained, tmp_path):
+    policy = trained[0].policy(0)
+    assert isinstance(policy, CameraPolicy)
+    save_policy(tmp_path / "again.npz", policy)
+    again = load_any_policy(tmp_path / "again.npz")
+    for field in dataclasses.fields(CameraPolicy):
+        one, other = (getattr(each, field.name) for each in (policy, again))
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_a_policy_acts_on_pictures_and_numbers(trained):
+    policy, rng = trained[0].policy(0), np.random.default_rng(0)
+    pictures = rng.integers(0, 256, (3, 2, 1, 16, 16, 3)).astype(np.uint8)
+    numbers = rng.normal(size=(3, 2, policy.mean.size)).astype(np.float32)
+    action = policy(pictures, numbers)
+    assert action.shape == (3, 2, 4)
+    normal = jnp.asarray((numbers[1, 1] - policy.mean) / policy.std)[None]
+    expected, _ = look(policy.eyes, jnp.asarray(pictures[1, 1], jnp.float32)[None] / 255.0, normal)
+    np.testing.assert_allclose(action[1, 1], expected[0], atol=1e-5)
+
+
+def test_other_pictures_and_numbers_are_refused(trained):
+    policy = trained[0].policy(0)
+    pictures, numbers = np.zeros((1, 16, 16, 3), np.uint8), np.zeros(policy.mean.size)
+    for wrong, message in (
+        ((pictures[:, :8], numbers), r"shape \(1, 8, 16, 3\); the policy sees \(1, 16, 16, 3\): above, 16 x 16"),
+        ((pictures / 255.0, numbers), "pictures are float64; they must be uint8, from 0 to 255"),
+        ((pictures, numbers[1:]), "the policy is told 10 numbers beside the pictures"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            policy(*wrong)
+
+
+def test_a_policy_of_pictures_is_refused_where_positions_are_given(trained):
+    path = trained[0].folder / "policies" / "seed-0.npz"
+    with pytest.raises(ValueError, match="sees pictures; here a policy is given positions"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("fault", ["nan", "kernel_biases_0", "cameras"])
+def test_a_damaged_file_is_refused(trained, tmp_path, fault):
+    path, kind = trained[0].folder / "policies" / "seed-0.npz", "hgail_jax camera policy 1"
+    header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
+    arrays.pop("header")
+    if fault == "nan":
+        arrays["weights_0"] = arrays["weights_0"] * np.float32("nan")
+    elif fault == "cameras":
+        header["pictures"]["cameras"] = ["above", "below"]
+    else:
+        arrays[fault] = arrays[fault][:2]
+    save_npz(tmp_path / "damaged.npz", header, arrays)
+    with pytest.raises(ValueError, match="does not hold a policy"):
+        load_any_policy(tmp_path / "damaged.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--task", "push", "--camera", "front"], "--camera changes nothing without --observe camera"),
+        (
+            ["--task", "push", "--observe", "camera", "--method", "her"],
+            "--method changes nothing for the method camera",
+        ),
+        (
+            ["--task", "push", "--observe", "camera", "--randomize", "mild"],
+            "--randomize changes nothing for the method camera",
+        ),
+        (
+            ["--task", "push", "--observe", "camera", "--teacher", str(TEACHER.with_name("grasp.npz"))],
+            "reads 12 numbers for 4; an observation of push has 19 for 4",
+        ),
+        (["--task", "push", "--observe", "smell"], "smell"),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(words, message, capsys, tmp_path):
+    with pytest.raises(SystemExit) as ended:
+        command.main(words)
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and message in told and told.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(monkeypatch, tmp_path, capsys):
+    make_runs_tiny(monkeypatch)
+    options = functools.partial(_with_tiny_learner, command.teacher_options)
+    monkeypatch.setattr(command, "teacher_options", options)
+    sizes = ["--seeds", "2", "--num-envs", "2", "--rounds", "0", "--evaluation-episodes", "2"]
+    sizes += ["--settings", "updates=1", "batch=4", "channels=[4,4,4,4]"]
+    command.main(["--task", "push", "--observe", "camera", "--out", "student", *sizes])
+    best = best_policy(tmp_path / "student-teacher")
+    assert (tmp_path / "student" / "teacher.npz").read_bytes() == best.read_bytes()
+    assert f"the teacher is {best.relative_to(tmp_path)}" in capsys.readouterr().out
+
+
+def _with_tiny_learner(teacher_options, options):
+    return dataclasses.replace(teacher_options(options), learner="ppo")
+
+
+def test_a_teacher_is_trained_by_the_tasks_own_settings():
+    options = TrainOptions(task="push", observe="camera", seeds=3, num_envs=7, rounds=2, settings=("updates=1",))
+    teacher = teacher_options(options)
+    assert teacher == TrainOptions(task="push", seeds=3)
+
+
+def test_the_best_seed_is_the_first_of_the_best(tmp_path):
+    (tmp_path / "summary.json").write_text('{"success_rate": {"per_seed": [0.5, 0.75, 0.75]}}')
+    (tmp_path / "config.json").write_text('{"first_seed": 4}')
+    assert best_policy(tmp_path) == tmp_path / "policies" / "seed-5.npz"

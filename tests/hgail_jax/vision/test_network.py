@@ -1,0 +1,72 @@
+"""The network of pictures, and how pictures are varied."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, augment
+from hgail_jax.vision.network import _places, init_eyes, look
+
+
+def test_the_place_of_a_feature_is_the_mean_of_where_it_is():
+    features = np.random.default_rng(0).normal(size=(2, 5, 7, 3)).astype(np.float32)
+    weights = np.exp(features) / np.exp(features).sum(axis=(1, 2), keepdims=True)
+    rows, columns = np.linspace(-1, 1, 5)[:, None, None], np.linspace(-1, 1, 7)[None, :, None]
+    expected = np.concatenate([(weights * rows).sum((1, 2)), (weights * columns).sum((1, 2))], axis=-1)
+    np.testing.assert_allclose(_places(jnp.asarray(features)), expected, atol=1e-5)
+
+
+def test_each_row_depends_on_its_own_pictures_numbers_and_cameras_alone():
+    eyes = init_eyes(jax.random.key(0), 2, 3, (4, 4, 4, 4), (8,), (4, 3))
+    rng = np.random.default_rng(0)
+    pictures, numbers = rng.uniform(size=(3, 2, 16, 16, 3)), rng.normal(size=(3, 3))
+
+    def told(pictures, numbers):
+        return np.concatenate(
+            look(eyes, jnp.asarray(pictures, jnp.float32), jnp.asarray(numbers, jnp.float32)), axis=-1
+        )
+
+    before = told(pictures, numbers)
+    assert before.shape == (3, 7) and (np.abs(before[:, :4]) <= 1.0).all()
+    for changed in (np.s_[1, 0], np.s_[1, 1]):
+        other = pictures.copy()
+        other[changed] = 1.0 - other[changed]
+        after = told(other, numbers)
+        assert np.abs(after - before)[1].max() > 1e-5
+        np.testing.assert_allclose(after[[0, 2]], before[[0, 2]], atol=1e-6)
+    assert np.abs(told(pictures, numbers + 1.0) - before).min(axis=0).max() > 1e-5
+
+
+def test_pictures_of_the_plain_look_are_left_alone():
+    pictures = jnp.ones((1, 1, 4, 4, 3))
+    assert augment(AUGMENTATIONS["plain"], jax.random.key(0), pictures) is pictures
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_a_shift_continues_the_edge_and_moves_each_picture_on_its_own(size):
+    pictures = jnp.arange(2 * 2 * 8 * 8 * 3.0).reshape(2, 2, 8, 8, 3) / 768.0
+    shifted = np.asarray(augment(Augmentation(shift=size), jax.random.key(3), pictures))
+    found = set()
+    for sample in range(2):
+        for camera in range(2):
+            padded = np.pad(np.asarray(pictures[sample, camera]), ((size, size), (size, size), (0, 0)), mode="edge")
+            places = [
+                (row, column)
+                for row in range(2 * size + 1)
+                for column in range(2 * size + 1)
+                if np.array_equal(padded[row : row + 8, column : column + 8], shifted[sample, camera])
+            ]
+            assert len(places) == 1
+            found.update(places)
+    assert len(found) > 1
+
+
+def test_gains_offsets_and_noise_are_within_their_sizes():
+    sizes = Augmentation(gain=0.4, offset=0.2, noise=0.03)
+    varied = np.asarray(augment(sizes, jax.random.key(0), jnp.full((64, 2, 16, 16, 3), 0.5)))
+    means = varied.mean(axis=(2, 3))
+    assert means.min() >= 0.5 * 0.6 - 0.22 and means.max() <= 0.5 * 1.4 + 0.22
+    assert means.max() - means.min() > 0.5  # of at most .8
+    inside = (means > 0.2) & (means < 0.8)
+    np.testing.assert_allclose(varied.std(axis=(2, 3))[inside], 0.03, rtol=0.3)
