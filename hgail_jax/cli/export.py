@@ -11,9 +11,10 @@ from hgail_envs.registry import TASKS
 from hgail_envs.validation import check_count, check_name, counted
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import DEFAULT_TASK, find_policies, make_task, policy_files
+from hgail_jax.io.camera_export import export_camera_onnx, export_camera_policy
 from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_new_file, from_here
-from hgail_jax.io.policy import save_policy
+from hgail_jax.io.policy import AnyPolicy, save_policy
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
@@ -57,12 +58,11 @@ def main(arguments: list[str] | None = None) -> None:
         out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
         check_new_file(out, FORMATS)
         kind, trusted = out.suffix.lower(), policy.task in TASKS or options.task is not None
-        if kind != ".npz" and isinstance(policy, CameraPolicy):
-            raise ValueError(f"a policy that sees pictures is not written as {FORMATS[kind]} yet; end --out in .npz")
         if kind == ".onnx":
             if importlib.util.find_spec("onnx") is None:
                 raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
-            check_described(policy, trusted)
+            if isinstance(policy, MeanPolicy):
+                check_described(policy, trusted)
             success = _success(path, policy, options.episodes, trusted)
     except OverflowError as error:
         fail(PROGRAM, error, 1)
@@ -70,11 +70,15 @@ def main(arguments: list[str] | None = None) -> None:
         fail(PROGRAM, error, 2)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        if kind == ".onnx":
+        if kind == ".npz":
+            save_policy(out, policy)
+        elif isinstance(policy, CameraPolicy):
+            export_camera_onnx(out, policy, success) if kind == ".onnx" else export_camera_policy(out, policy)
+        elif kind == ".onnx":
             export_onnx(out, policy, success, trusted)
         else:
-            {".mlirbc": export_policy, ".npz": save_policy}[kind](out, policy)
-    except OSError as error:
+            export_policy(out, policy)
+    except (OSError, ValueError) as error:
         fail(PROGRAM, error, 1)
     say(f"policy {from_here(path)} as {FORMATS[kind]} -> {out}")
 
@@ -87,7 +91,7 @@ def _check(options: Options) -> None:
             raise ValueError("--randomize chooses among the policies that come with the package; leave out --policy")
 
 
-def _success(path: Path, policy: MeanPolicy, episodes: int, trusted: bool) -> float | None:
+def _success(path: Path, policy: AnyPolicy, episodes: int, trusted: bool) -> float | None:
     """Returns the success of a policy in the final evaluation of its run, or else in episodes that are run now.
 
     Returns None if no episodes are asked for, or if the task is not trusted: making one that only the policy's file

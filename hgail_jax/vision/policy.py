@@ -86,7 +86,7 @@ class CameraPolicy:
         if np.shape(numbers)[-1:] != self.mean.shape:
             raise ValueError(f"the policy is told {self.mean.size} numbers beside the pictures")
         flat = np.reshape(pictures, (-1, *self.pictures_shape)), np.reshape(numbers, (-1, self.mean.size))
-        action = _act((self.mean, self.std, self.eyes), *flat)
+        action = act(self.parameters(), *flat)
         return np.asarray(action).reshape(*np.shape(numbers)[:-1], self.action_size)
 
     def parameters(self) -> Any:
@@ -96,7 +96,7 @@ class CameraPolicy:
 
 def act_in(env: CameraEnv, parameters: Any, observation: jax.Array) -> jax.Array:
     """Returns the actions, `[N, action_size]`, for observations of a task with pictures, `[N, observation_size]`."""
-    return _act(parameters, env.see(observation), observation[:, env.known])
+    return act(parameters, env.see(observation), observation[:, env.known])
 
 
 def acting(env: GoalEnv, policy: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -108,11 +108,12 @@ def acting(env: GoalEnv, policy: Any) -> Callable[[np.ndarray], np.ndarray]:
         return policy
     if not isinstance(env, CameraEnv):
         raise ValueError(f"the policy sees pictures of {', '.join(policy.cameras)}; the task gives positions")
-    act = jax.jit(functools.partial(act_in, env))
-    return lambda observation: np.asarray(act(policy.parameters(), observation[None])[0])
+    in_env = jax.jit(functools.partial(act_in, env))
+    return lambda observation: np.asarray(in_env(policy.parameters(), observation[None])[0])
 
 
 @jax.jit
-def _act(parameters: Any, pictures: jax.Array, numbers: jax.Array) -> jax.Array:
+def act(parameters: Any, pictures: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Returns the actions of a policy by its arrays, for pictures, uint8 `[N, ...]`, and numbers `[N, numbers]`."""
     mean, std, eyes = parameters
     return look(eyes, pictures.astype(jnp.float32) / 255.0, (numbers - mean) / std)[0]
