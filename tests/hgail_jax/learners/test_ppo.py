@@ -512,7 +512,7 @@ def test_deviations_shrink_over_the_rounds_and_stay_within_a_phase(final, pretra
         mean = mlp(state.learner.actor_critic["policy"], normalized(state, seen))
         action, log_prob = act(config, late, 1.0, seen[0], jax.random.key(steps))
         np.testing.assert_allclose(log_prob, log_density(action, mean[0], std), rtol=1e-3, atol=1e-3)
-        acted = given.replace(log_prob=jnp.asarray(log_density(given.action, mean, std)))
+        acted = given.replace(noted=jnp.asarray(log_density(given.action, mean, std)))
         metrics = update(config, late, acted, jax.random.key(0))[1]
         assert abs(metrics["kl"]) < 1e-5
         shown = mlp(state.learner.actor_critic["policy"], normalized(state, SHOWN.observation[0]))

@@ -90,7 +90,7 @@ def test_it_learns_to_tell_where_the_cube_is():
         weight=jnp.ones(len(qpos)),
     )
     eyes = init_eyes(jax.random.key(0), 1, 2, (8, 8, 8, 8), (32,), (4, 3))
-    fit = jax.jit(functools.partial(_fit, 150, 32, "plain"))
+    fit = jax.jit(functools.partial(_fit, 100, 32, "plain"))
     optimizer = STUDENT.init(env, CONFIG, jax.random.split(jax.random.key(0))).optimizer
     optimizer = optimizer._replace(mu=jax.tree.map(jnp.zeros_like, eyes), nu=jax.tree.map(jnp.zeros_like, eyes))
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
