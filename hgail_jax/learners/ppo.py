@@ -178,7 +178,8 @@ class PPO(Learner):
 
         shape = (self.pretrain_policy_minibatches, self.pretrain_policy_batch)
         state, cloning = self.descend(config, state, loss, expert.draw(policy_rng, shape))
-        jittered = _expert_samples(env, config, before, trajectory, relabel_rng, state.hyperparameters.goal_jitter)[1]
+        again = jax.random.clone(relabel_rng)  # the same goals
+        jittered = _expert_samples(env, config, before, trajectory, again, state.hyperparameters.goal_jitter)[1]
         policy = negative_samples(env, state.hyperparameters, trajectory, jax.random.fold_in(rng, 3))
         minibatches = self.pretrain_discriminator_minibatches
         state, metrics = fit_discriminator(config, state, jittered, policy, minibatches, discriminator_rng)
