@@ -71,6 +71,15 @@ def test_each_delay_is_as_frequent_and_differs_between_episodes():
     assert stats.chisquare(counts[1:]).pvalue > 1e-4
 
 
+def test_what_an_episode_draws_is_independent():
+    drawn = starts(delay=(0, 3), step_size=(0.6, 1.4), z_bias=(0.0, 0.1), goal_offset=0.01, robot_offset=0.01)
+    drawn = drawn.pipeline_state.drawn
+    columns = np.column_stack([drawn.delay, drawn.step_size, drawn.z_bias, np.reshape(drawn.offset, (MANY, -1))])
+    correlations = np.corrcoef(columns[:, columns.std(axis=0) > 0].T)
+    assert correlations.shape == (9, 9)  # three numbers, and the offsets of two sources
+    assert np.abs(correlations - np.eye(9)).max() < 5.0 / np.sqrt(MANY)
+
+
 def test_displacements_are_scaled_and_sink():
     env = RandomizedEnv(Point(), Randomization(step_size=(0.6, 1.4), z_bias=(0.02, 0.05)))
     drawn = jax.vmap(env.reset)(KEYS).pipeline_state.drawn

@@ -300,7 +300,7 @@ READER_OF_BOTH_LEAVES = READER_LEAVES + 'sys.stderr = open(os.dup2(writing, 2), 
 TINY_TRAINING = """
 from tests.support import make_runs_tiny
 make_runs_tiny()
-main(["train", "--task", "point", "--num-envs", "4", "--out", "run"])
+main(["train", "--task", "point", "--method", "ppo", "--seeds", "3", "--rounds", "1", "--out", "run"])  # as `test_main`
 """
 
 STOP = """

@@ -205,6 +205,18 @@ def test_what_a_task_adds_to_the_state_is_left_as_it_is():
     assert not after.overflow.any()
 
 
+def test_copies_of_a_model_have_their_numbers_and_are_made_once():
+    copies, rng, made = c._Copies(MODEL, ["body_mass", "geom_size"]), np.random.default_rng(0), []
+    for count in (3, 2, 5, 5):
+        values = rng.uniform(1.0, 2.0, (count, MODEL.nbody + 3 * MODEL.ngeom)).astype(np.float32)
+        models = copies.with_fields(values)
+        for model, row in zip(models, values, strict=True):
+            np.testing.assert_array_equal(np.append(model.body_mass, model.geom_size), row)
+        made.append([id(model) for model in models])
+    assert made[3] == made[2] and made[2][:3] == made[0] and made[1] == made[0][:2]
+    assert len(copies._models) == 5
+
+
 def test_another_number_of_steps_is_another_engine():
     states = random_states(4)
     state, control = engine_state(*states[:2]), engine_control(states[2])

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import hgail_envs
 from hgail_envs.tasks.reference import make_reference
@@ -212,10 +213,19 @@ def test_a_trainer_without_a_folder_says_so():
         trainer.policy(0)
 
 
-def test_curves_are_drawn_where_some_rounds_measured_nothing(tmp_path):
+def test_curves_are_drawn_where_some_rounds_measured_nothing_and_nothing_overlaps(tmp_path, monkeypatch):
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *to, **how: (drawn.append(figure), save(figure, *to, **how)))
     values = np.array([[0.1, 0.2], [np.nan, 0.3], [np.nan, np.nan]])
     results.draw_curves(tmp_path / "curves.png", "title", np.arange(3), values, values)
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    (figure,) = drawn
+    figure.draw_without_rendering()
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    boxes += [figure.legends[0].get_window_extent(), figure._suptitle.get_window_extent()]
+    for index, box in enumerate(boxes):
+        assert box.overlaps(figure.bbox) and box.x0 >= 0 and box.y0 >= 0
+        assert not any(box.overlaps(other) for other in boxes[:index])
 
 
 def test_numpy_s_numbers_are_numbers():
