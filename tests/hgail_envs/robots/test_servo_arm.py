@@ -120,6 +120,14 @@ def test_a_script_does_the_tasks(robot, task, least):
     assert run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome.success.mean() >= least
 
 
+@pytest.mark.slow  # MJX-JAX compiles for a minute or two
+@pytest.mark.parametrize("robot", ["franka", "ur5e"])
+@pytest.mark.parametrize("task", ["push", "pick-and-place"])
+def test_a_script_does_them_on_mjx(robot, task):
+    env = made(task, robot, substeps=8, worlds=50, impl="jax")
+    assert run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome.success.mean() >= 0.9
+
+
 @pytest.mark.parametrize(("robot", "force"), [("franka", 70.0), ("ur5e", 46.0)])
 def test_a_cube_weighs_what_the_hand_can_hold(robot, force):
     """By the forces of the pads' contacts, in a hand that was told to close around a cube without weight."""
