@@ -56,6 +56,8 @@ class Learner(abc.ABC):
     """Fields of `Hyperparameters` that this learner alone reads."""
     without_effect: ClassVar[tuple[str, ...]] = ()
     """Options of `hgail train` that change nothing with this learner, and are refused."""
+    convolves: ClassVar[bool] = False
+    """Whether its networks have convolutions, for which a GPU's compiler must try several algorithms."""
     squashes: ClassVar[bool] = False
     """Whether tanh brings its actions into [-1, 1]; else they are clipped."""
 

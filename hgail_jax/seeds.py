@@ -95,7 +95,7 @@ def compile_train_step(
         return jax.vmap(functools.partial(train_step, env, config, axis=axis), in_axes=(0, None))(states, phases)
 
     jitted = jit_per_device(mesh, step, (ALONG_SEEDS, REPLICATED), (ALONG_SEEDS, REPLICATED), donate_argnums=0)
-    return compile_program(jitted, states, phases)
+    return compile_program(jitted, states, phases, tuned=config.learner.convolves)
 
 
 def _check_worlds(env: GoalEnv, config: Config, states: TrainState, mesh: Mesh | None) -> None:
@@ -143,7 +143,7 @@ def trace_evaluation(
     lowered = lower_program(jit_per_device(mesh, measure, (ALONG_SEEDS,), REPLICATED), states)
 
     def compile_evaluation() -> SeedsEvaluation:
-        compiled = compile_lowered(lowered)
+        compiled = compile_lowered(lowered, config.learner.convolves)
 
         def evaluate(states: TrainState) -> EpisodeMetrics:
             outcome, overflow = jax.tree.map(np.asarray, compiled(states))

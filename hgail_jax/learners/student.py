@@ -80,6 +80,7 @@ class Student(Learner):
         "object_error": "root mean square error of the objects' positions along an axis, metres",
         "teacher_share": "fraction of the episodes in which the teacher acts",
     }
+    convolves: ClassVar[bool] = True
     squashes: ClassVar[bool] = True
 
     mixed: int = 8

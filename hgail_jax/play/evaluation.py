@@ -39,7 +39,7 @@ class Evaluation:
         shape = type(policy), getattr(policy, "squash", True), str(jax.tree.map(np.shape, arrays))
         if shape not in self._programs:
             measure = jax.jit(functools.partial(self._measure, self._action(policy)))
-            self._programs[shape] = compile_program(measure, arrays, self._rng)
+            self._programs[shape] = compile_program(measure, arrays, self._rng, tuned=isinstance(policy, CameraPolicy))
         outcome, overflow = self._programs[shape](arrays, self._rng)
         if overflow:
             raise OverflowError("the simulation ran out of room for contacts in the evaluation")

@@ -12,6 +12,8 @@ from hgail_envs.point import Point
 from hgail_jax import Hyperparameters, init_state, phase_table, rollout
 from hgail_jax import seeds as seeds_module
 from hgail_jax.devices.compilation import compile_program
+from hgail_jax.learners import PPO, TD3
+from hgail_jax.learners.student import Student
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from tests.support import TINY
 
@@ -42,7 +44,7 @@ def test_a_sweep_refuses_what_a_run_refuses():
 def test_more_environments_than_the_physics_has_room_for_are_refused(monkeypatch):
     """Those of all seeds together, on each of the devices; before anything is compiled."""
     few, states = Point(), jax.eval_shape(lambda: init_seeds(ENV, TINY, HYPER, seed_keys(0, 3)))
-    monkeypatch.setattr(seeds_module, "compile_program", lambda *arguments: "compiled")
+    monkeypatch.setattr(seeds_module, "compile_program", lambda *arguments, **options: "compiled")
     monkeypatch.setattr(seeds_module, "jit_per_device", lambda *arguments, **options: None)
     few.max_worlds = 12
     assert compile_train_step(few, TINY, states, phase_table(TINY)[0]) == "compiled"
@@ -69,3 +71,14 @@ def test_programs_are_compiled_quickly_unless_xla_s_flags_say_how(monkeypatch, f
     lowered = types.SimpleNamespace(compile=lambda compiler_options: options.append(compiler_options))
     compile_program(types.SimpleNamespace(lower=lambda: lowered))
     assert options[0].get("xla_backend_optimization_level") == level
+
+
+def test_on_a_gpu_programs_with_convolutions_alone_are_tuned(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    options = []
+    lowered = types.SimpleNamespace(compile=lambda compiler_options: options.append(compiler_options))
+    for tuned in (False, True):
+        compile_program(types.SimpleNamespace(lower=lambda: lowered), tuned=tuned)
+    assert ["xla_gpu_autotune_level" in given for given in options] == [True, False]
+    assert Student.convolves and not TD3.convolves and not PPO.convolves
