@@ -1,6 +1,7 @@
 """A task as a single Gymnasium environment; `gymnasium.make("hgail_envs/FetchPush-v0")` makes one."""
 
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -8,23 +9,34 @@ import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.vector import GoalVectorEnv, make_task
+from hgail_envs.vision.pictures import SIZE
 
 
 class GoalSingleEnv(gymnasium.Env):
     """One episode of a task at a time, with the spaces, rewards and `info` of a `GoalVectorEnv`.
 
-    It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)` its
-    episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its name, made
-    with the options, see `hgail_envs.make`. With the `render_mode` `"rgb_array"`, `render` returns a picture; a task
-    without a scene, or an unknown one, is a ValueError.
+    It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)`
+    its episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its
+    name, made with the options, see `hgail_envs.make`. With `cameras` an observation has `pixels`, see
+    `GoalVectorEnv`. With the `render_mode` `"rgb_array"`, `render` returns a picture; a task without a scene, or an
+    unknown one, is a ValueError.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  (as Gymnasium has it)
 
-    def __init__(self, task: str | GoalEnv, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        task: str | GoalEnv,
+        render_mode: str | None = None,
+        cameras: Sequence[str] = (),
+        picture_size: int = SIZE,
+        **options: Any,
+    ) -> None:
         if isinstance(task, str):
             task = make_task(task, 1, **options)
-        self.vector = GoalVectorEnv(task, 1, max_episode_steps=sys.maxsize, render_mode=render_mode)
+        self.vector = GoalVectorEnv(
+            task, 1, max_episode_steps=sys.maxsize, render_mode=render_mode, cameras=cameras, picture_size=picture_size
+        )
         self.metadata = {name: self.vector.metadata[name] for name in ("render_modes", "render_fps")}
         self.render_mode = render_mode
         self.observation_space = self.vector.single_observation_space

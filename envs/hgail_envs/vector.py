@@ -15,14 +15,17 @@ from hgail_envs import registry
 from hgail_envs.base import GoalEnv, State
 from hgail_envs.scenes import SceneView
 from hgail_envs.validation import MOST_SEED, check_count
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import SIZE, Pictures
 
 _AUTORESET = (AutoresetMode.NEXT_STEP.value, AutoresetMode.SAME_STEP.value)
+_OF_PICTURES = ("cameras", "picture_size")
 _MOST_KEY = 2**32 - 1  # the largest seed of a JAX key
 
 
 def make_vector(num_envs: int, task: str, max_episode_steps: int | None = None, **options: Any) -> "GoalVectorEnv":
     """Makes a vector environment from a task's name and options, for `gymnasium.make_vec`; see `GoalVectorEnv`."""
-    own = {name: options.pop(name) for name in ("render_mode", "autoreset_mode") if name in options}
+    own = {name: options.pop(name) for name in (*_OF_PICTURES, "render_mode", "autoreset_mode") if name in options}
     return GoalVectorEnv(make_task(task, num_envs, **options), num_envs, max_episode_steps=max_episode_steps, **own)
 
 
@@ -54,10 +57,13 @@ class GoalVectorEnv(VectorEnv):
     string (`"NextStep"`, `"SameStep"`) or Gymnasium's enumeration. With the `render_mode` `"rgb_array"`, `render`
     returns a picture of each environment.
 
+    With `cameras`, names of cameras of the scene, an observation has `pixels` too: what they see, square pictures,
+    uint8, `[num_envs, cameras, picture_size, picture_size, 3]`, without the target's marker. That starts JAX.
+
     Raises:
       TypeError: `env` is no `GoalEnv`.
       ValueError: a number is no integer or less than 1, more environments than the task's physics can step at once, an
-        unknown mode, or pictures of a task without a scene.
+        unknown mode, or pictures of a task without a scene or such a camera.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012  (as Gymnasium has it)
@@ -70,9 +76,13 @@ class GoalVectorEnv(VectorEnv):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        cameras: Sequence[str] = (),
+        picture_size: int = SIZE,
     ) -> None:
         if not isinstance(env, GoalEnv):
             raise TypeError(f"env is {env!r}; it must be a GoalEnv")
+        if cameras:
+            env = CameraEnv(env, Pictures(env, cameras, picture_size))
         length = env.episode_length if max_episode_steps is None else max_episode_steps
         check_count("num_envs", num_envs)
         check_count("max_episode_steps", length, most=sys.maxsize)
@@ -94,9 +104,11 @@ class GoalVectorEnv(VectorEnv):
         def box(size: int) -> gymnasium.spaces.Box:
             return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
-        self.single_observation_space = gymnasium.spaces.Dict(
-            observation=box(env.feature_size), achieved_goal=box(env.goal_size), desired_goal=box(env.goal_size)
-        )
+        spaces: dict[str, gymnasium.Space] = {"observation": box(env.feature_size), "achieved_goal": box(env.goal_size)}
+        spaces["desired_goal"] = box(env.goal_size)
+        if isinstance(env, CameraEnv):
+            spaces["pixels"] = gymnasium.spaces.Box(0, 255, env.pictures.shape, np.uint8)
+        self.single_observation_space = gymnasium.spaces.Dict(spaces)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -109,10 +121,11 @@ class GoalVectorEnv(VectorEnv):
         self._reset, self._step = jax.jit(jax.vmap(self.env.reset)), jax.jit(jax.vmap(self.env.step))
         self._split = jax.jit(lambda keys: jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0))
         self._success = jax.jit(self.env.success)
+        self._see = jax.jit(self.env.see) if isinstance(self.env, CameraEnv) else None
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns what a pickle or a copy is made of: all but the programs, which are compiled again."""
-        programs = ("_reset", "_step", "_split", "_success")
+        programs = ("_reset", "_step", "_split", "_success", "_see")
         return {name: value for name, value in vars(self).items() if name not in programs}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -222,6 +235,8 @@ class GoalVectorEnv(VectorEnv):
     def _seen(self, state: State) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         parts = {"observation": "features", "achieved_goal": "achieved_goal", "desired_goal": "desired_goal"}
         observation = {name: np.array(state.info[part], np.float32) for name, part in parts.items()}
+        if self._see is not None:
+            observation["pixels"] = np.array(self._see(state.obs))
         return observation, _marked({"is_success": np.asarray(state.reward) == 0.0}, self.num_envs)
 
 

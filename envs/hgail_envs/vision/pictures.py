@@ -58,7 +58,12 @@ class Pictures:
         """Numbers that a look takes."""
         self.renderer = resolve_renderer(renderer)
         """Name of the renderer."""
+        self._made_of = env, self.cameras, size, self.renderer, look
         self._render = RENDERERS[self.renderer](self.model, ids, size, LOOKS[look])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies pictures by how they were made: a renderer belongs to its process."""
+        return type(self), self._made_of
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
