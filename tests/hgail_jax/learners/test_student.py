@@ -55,8 +55,10 @@ def test_a_lesson_shows_the_state_that_acted():
     state, trajectory = rolled()
     lesson = STUDENT.lesson(push(), state.learner, trajectory)
     cube = push().features_layout["cube position"]
-    np.testing.assert_allclose(lesson.objects * OBJECT_SCALE, trajectory.features[:-1][..., cube], atol=1e-5)
-    x, y = np.moveaxis((np.asarray(trajectory.features[:-1][..., cube])[..., :2] - [1.1, 0.5]) / 0.5 * 16, -1, 0)
+    places = np.asarray(trajectory.features[:-1][..., cube])
+    assert np.abs(np.diff(places, axis=0)).max() > 5e-3  # metres that a cube moves in a step
+    np.testing.assert_allclose(lesson.objects * OBJECT_SCALE, places, atol=1e-5)
+    x, y = np.moveaxis((places[..., :2] - [1.1, 0.5]) / 0.5 * 16, -1, 0)
     bright = np.asarray(lesson.pictures[:, :, 0, :, :, 0]).reshape(50, 8, -1).argmax(axis=-1)
     assert np.abs(bright % 16 + 0.5 - x).max() < 1.0 and np.abs(bright // 16 + 0.5 - y).max() < 1.0
     told = np.asarray(lesson.numbers)
