@@ -9,6 +9,7 @@ COMMANDS = {
     "evaluate": "measures the success of trained policies, with its interval",
     "export": "writes a trained policy for other programs: ONNX, StableHLO or npz",
     "demos": "records demonstrations by a scripted controller",
+    "robot": "derives the description of an arm of your own from its MJCF",
 }
 """Help of each command; its module has its name."""
 

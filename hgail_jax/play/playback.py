@@ -21,8 +21,7 @@ from hgail_envs import GoalEnv
 from hgail_envs.scenes import free_camera
 from hgail_envs.vision.rendering import RenderingError, open_renderer
 from hgail_jax.io.files import replace_path
-from hgail_jax.io.policy import AnyPolicy
-from hgail_jax.play.session import Phase, Session
+from hgail_jax.play.session import Actor, Phase, Session
 from hgail_jax.terminal import StatusLine
 
 _SIZE = (480, 640)  # height, width
@@ -79,7 +78,7 @@ def caption(session: Session) -> str:
     return f"{test}{session.time:.1f} s, {100.0 * status.distance:.1f} cm"
 
 
-def film(path: Path, env: GoalEnv, policy: AnyPolicy, episodes: int = 5, seed: int = 0) -> list[bool]:
+def film(path: Path, env: GoalEnv, policy: Actor, episodes: int = 5, seed: int = 0) -> list[bool]:
     """Writes a film of a few episodes in real time, in one of `FORMATS`; returns whether each succeeded.
 
     The target is a red ball, or the body that the task names. Each picture has a `caption`; the last pose of an episode
@@ -110,7 +109,7 @@ def _edged(picture: np.ndarray, success: bool) -> np.ndarray:
     return edged
 
 
-def show(env: GoalEnv, policy: AnyPolicy, episodes: int, seed: int) -> list[bool]:
+def show(env: GoalEnv, policy: Actor, episodes: int, seed: int) -> list[bool]:
     """Plays episodes in MuJoCo's viewer, in real time or as fast as the simulation goes, until it is closed."""
     _check_display()
     import mujoco.viewer  # needs a display

