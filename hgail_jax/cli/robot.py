@@ -11,7 +11,8 @@ import tyro
 
 import hgail_envs
 from hgail_envs.robots.derivation import Derived, Given, derive
-from hgail_envs.robots.description import Description, write_description
+from hgail_envs.robots.derivation.writing import write_description
+from hgail_envs.robots.description import Description
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.io.files import check_new_file, replace_path

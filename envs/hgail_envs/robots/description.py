@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import importlib.util
-import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,9 +20,6 @@ HAND_PREFIX = "hand/"
 """Of those in the model of a hand that is attached."""
 
 _HIDDEN = 4  # group that pictures leave out
-_UNITS = (
-    "Metres, radians, newtons, newton metres, seconds; a pose is in the frame of its body: x is where the hand points"
-)
 _POSES = 50  # random ones, over which a joint's largest inertia is sought
 
 
@@ -156,31 +152,6 @@ def _parsed(name: str, text: str) -> Description:
         if len(values) != count:
             raise ValueError(f"robot {name!r}: {path}: {field} has {len(values)} numbers for {count} joints")
     return arm
-
-
-def write_description(arm: Description, heading: Sequence[str]) -> str:
-    """Returns the text of a description's file, with comments as its first lines."""
-    fields = dataclasses.asdict(arm)
-    tables = {name: fields.pop(name) for name in ("tool", "palm", *PADS, "hand")}
-    defaults = {field.name: field.default for field in dataclasses.fields(Description)}
-    lines = [f"# {line}" for line in (*heading, _UNITS)]
-    lines += _lines({name: value for name, value in fields.items() if value != defaults[name]})
-    for name, table in tables.items():
-        shown = {field: value for field, value in table.items() if name != "tool" or field != "size"}
-        lines += ["", f"[{name}]", *_lines(shown)]
-    return "\n".join(lines) + "\n"
-
-
-def _lines(values: dict[str, Any]) -> list[str]:
-    return [f"{name} = {_toml(value)}" for name, value in values.items()]
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, float | int):
-        return repr(round(float(value), 6) + 0.0)
-    return f"[{', '.join(map(_toml, value))}]"
 
 
 def attach_arm(name: str, scene: mujoco.MjSpec, base: Sequence[float], stays_closed: bool = False) -> None:

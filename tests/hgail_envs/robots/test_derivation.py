@@ -12,7 +12,8 @@ import pytest
 import hgail_envs
 from hgail_envs.robots.derivation import derive
 from hgail_envs.robots.derivation.given import Given
-from hgail_envs.robots.description import read_description, write_description
+from hgail_envs.robots.derivation.writing import write_description
+from hgail_envs.robots.description import read_description
 from hgail_envs.robots.hand import PADS, rotation
 from hgail_envs.robots.servo_arm import ServoArm
 from tests.hgail_envs.robots.arms import FINGERS, MOTORS, SERVOS, arm
