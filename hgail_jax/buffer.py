@@ -10,9 +10,10 @@ from flax import struct
 from hgail_envs import GoalEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.hindsight import count_kinds, draw_source
-from hgail_jax.rollout import Trajectory
+from hgail_jax.rollout import Detour, Trajectory
 from hgail_jax.samples import Samples, jitter_goals, kind_share, shuffle_goals
 
+_CANDIDATES = 4096  # steps from which goals are drawn
 _STEPS_AHEAD = 2**30  # more than any episode has
 
 
@@ -136,6 +137,34 @@ def draw(
         features=features,
         goal=goal,
     )
+
+
+def draw_achieved(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: int) -> jax.Array:
+    """Draws goals, `[count, goal_size]`, that steps of sound episodes achieved, each kind of goal as often.
+
+    They are drawn from a few thousand steps, in which a very rare kind may be missing.
+    """
+    episode_rng, step_rng, goal_rng = jax.random.split(rng, 3)
+    held, length = buffer.action.shape[:2]
+    filled = jnp.maximum(jnp.minimum(buffer.added, held), 1)
+    episode = jax.random.randint(episode_rng, (_CANDIDATES,), 0, filled)
+    step = jax.random.randint(step_rng, (_CANDIDATES,), 1, length + 1)
+    goals = buffer.achieved[episode, step]
+    kind, sound = env.goal_kind(goals), buffer.valid[episode]
+    counts = jnp.sum(jax.nn.one_hot(kind, env.goal_kinds), axis=0, where=sound[:, None])
+    weight = jnp.where(sound, 1.0 / counts[kind], 0.0)
+    return goals[jax.random.categorical(goal_rng, jnp.log(weight), shape=(count,))]
+
+
+def draw_detour(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: int, share: float) -> Detour:
+    """Draws goals that earlier episodes achieved, for a random number of steps of a `share` of `count` episodes.
+
+    It is a curriculum for tasks without training goals of their own. An empty buffer gives none.
+    """
+    goal_rng, chosen_rng, until_rng = jax.random.split(rng, 3)
+    chosen = jax.random.bernoulli(chosen_rng, jnp.where(buffer.added > 0, share, 0.0), (count,))
+    until = jax.random.randint(until_rng, (count,), 1, env.episode_length + 1)
+    return Detour(draw_achieved(env, buffer, goal_rng, count), jnp.where(chosen, until, 0))
 
 
 def draw_positives(

@@ -14,7 +14,7 @@ from hgail_envs.validation import check_count
 
 if TYPE_CHECKING:
     from hgail_jax.config import Config, Hyperparameters
-    from hgail_jax.rollout import Policy, Trajectory
+    from hgail_jax.rollout import Detour, Policy, Trajectory
     from hgail_jax.state import TrainState
 
 
@@ -94,6 +94,10 @@ class Learner(abc.ABC):
         The noise may be traced. In a device's part of the environments, by `axis` of `rollout`, the policy acts as it
         would in all of them.
         """
+
+    def detour(self, env: GoalEnv, config: "Config", state: "TrainState", rng: jax.Array) -> "Detour | None":
+        """Draws goals that the episodes of a roll-out to learn from pursue before their own; by default none do."""
+        return None
 
     @abc.abstractmethod
     def progress(self, config: "Config", state: "TrainState") -> jax.Array:

@@ -4,7 +4,7 @@ Below, `T` is the steps of an episode and `N` the episodes of a roll-out.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,15 @@ class Trajectory(struct.PyTreeNode):
         return env.goal_observation(self.features, self.desired)
 
 
+class Detour(NamedTuple):
+    """Goals that `N` episodes pursue before their own."""
+
+    goal: jax.Array
+    """`[N, goal_size]`."""
+    until: jax.Array
+    """`[N]` integers: the steps for which they do; 0 is no detour."""
+
+
 def rollout(
     env: GoalEnv,
     policy: Policy,
@@ -54,12 +63,14 @@ def rollout(
     training_goals: jax.Array | bool = False,
     lift_test: jax.Array | bool = False,
     axis: str | None = None,
+    detour: Detour | None = None,
 ) -> Trajectory:
     """Resets `num_envs` environments and runs `policy` in each for `env.episode_length` steps.
 
     The goals are those to learn from if `training_goals` is set, see `GoalEnv`. With a `lift_test` the outcome includes
     the task's, `env.lift_test_steps` further steps that are no part of the trajectory; without one the outcome is that
-    of a test that changed nothing. Both may be traced.
+    of a test that changed nothing. Both may be traced. With a `detour` episodes pursue other goals first; they are
+    measured by their own.
 
     Within a `jax.shard_map`, `axis` is the mesh axis that the environments are split along. Each device steps its part
     of them, asks `policy` for their actions alone, and returns the trajectory of all of them.
@@ -74,14 +85,8 @@ def rollout(
         check_count("the number of environments on a device", len(reset_rngs), most=env.max_worlds)
     start = _depend_on(reset_rng, jax.vmap(env.reset, in_axes=(0, None))(reset_rngs, training_goals))
     move = jax.jit(jax.vmap(env.step))  # which the lift test does not trace again
-
-    def step(state: State, rng: jax.Array) -> tuple[State, Any]:
-        action, noted = policy(state.obs, rng)
-        following = move(state, action)
-        return following, (_seen(state), {"action": action, "noted": noted, "reward": following.reward})
-
-    end, (seen, done) = jax.lax.scan(step, start, jax.random.split(act_rng, env.episode_length))
-    seen = jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, _seen(end))
+    detour = jax.tree.map(lambda leaf: local_shard(leaf, axis), detour)
+    end, seen, done = _run(env, move, policy, start, act_rng, detour)
     lifted = _lift_test(env, move, end, done["action"][-1], lift_test)
     outcome = jax.vmap(env.outcome)(end, lifted)
     valid = _is_bounded(seen, env.observation_limit) & _is_finite(
@@ -91,6 +96,38 @@ def rollout(
     steps = gather(_blank(seen | done, valid, env_axis=1), axis, along=1)
     valid, overflow, outcome = gather((valid, overflow, _blank(outcome, valid, env_axis=0)), axis, along=0)
     return Trajectory(**steps, valid=valid, overflow=overflow, outcome=outcome)
+
+
+def _run(
+    env: GoalEnv, move: Callable[..., State], policy: Policy, start: State, rng: jax.Array, detour: Detour | None
+) -> tuple[State, dict[str, jax.Array], dict[str, Any]]:
+    """Returns the last states, `[N, ...]`, what was seen, `[T + 1, N, ...]`, and what was done, `[T, N, ...]`."""
+
+    def step(state: State, drawn: tuple[jax.Array, jax.Array]) -> tuple[State, Any]:
+        rng, time = drawn
+        present = _on_detour(env, state, detour, time)
+        action, noted = policy(present.obs, rng)
+        following = move(state, action)
+        reward = _on_detour(env, following, detour, time + 1).reward
+        return following, (_seen(present), {"action": action, "noted": noted, "reward": reward})
+
+    length = env.episode_length
+    end, (seen, done) = jax.lax.scan(step, start, (jax.random.split(rng, length), jnp.arange(length)))
+    last = _seen(_on_detour(env, end, detour, length))
+    return end, jax.tree.map(lambda values, last: jnp.concatenate([values, last[None]]), seen, last), done
+
+
+def _on_detour(env: GoalEnv, state: State, detour: Detour | None, time: jax.Array | int) -> State:
+    """Returns states, `[N, ...]`, as they are under the goals of a detour where those are pursued at this time."""
+    if detour is None:
+        return state
+    features, achieved = state.info["features"], state.info["achieved_goal"]
+    desired = jnp.where((time < detour.until)[:, None], detour.goal, state.info["desired_goal"])
+    return state.replace(
+        obs=env.goal_observation(features, desired),
+        reward=env.goal_test(features, achieved, desired).astype(jnp.float32) - 1.0,
+        info=state.info | {"desired_goal": desired},
+    )
 
 
 def _seen(state: State) -> dict[str, jax.Array]:

@@ -167,9 +167,10 @@ def _run_phase(
         policy = config.learner.policy(env, config, state, noise=jnp.where(evaluating, 0.0, 1.0), axis=axis)
         training_goals = ~evaluating if config.training_goals else False
         present = env.curriculum(jnp.where(evaluating, 1.0, config.learner.progress(config, state)))
-        trajectory = rollout(
-            present, policy, rollout_rng, config.num_envs, training_goals, lift_test=evaluating, axis=axis
-        )
+        detour = config.learner.detour(env, config, state, jax.random.fold_in(phase_rng, 2))
+        if detour is not None:
+            detour = detour._replace(until=jnp.where(evaluating, 0, detour.until))
+        trajectory = rollout(present, policy, rollout_rng, config.num_envs, training_goals, evaluating, axis, detour)
         after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
         return after.replace(rng=following_rng), metrics
 

@@ -6,7 +6,7 @@ computed for that goal. Below, `U` is the gradient steps after a roll-out and `B
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from hgail_jax.buffer import (
     Transitions,
     add_episodes,
     draw,
+    draw_detour,
     draw_negatives,
     draw_positives,
     init_buffer,
@@ -32,7 +33,7 @@ from hgail_jax.discriminator import discriminate, fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP, Learner, Phase, Update, check_sizes
 from hgail_jax.networks import MLP, apply, dense_layers
-from hgail_jax.rollout import Policy, Trajectory
+from hgail_jax.rollout import Detour, Policy, Trajectory
 from hgail_jax.samples import policy_samples
 from hgail_jax.state import TrainState
 
@@ -64,8 +65,7 @@ class TD3State(struct.PyTreeNode):
 class TD3(Learner):
     """TD3 without its delay of the actor, on samples relabelled in hindsight.
 
-    Raises:
-      ValueError: a value is out of its range.
+    A value out of its range is a ValueError.
     """
 
     name: ClassVar[str] = "td3"
@@ -83,7 +83,7 @@ class TD3(Learner):
     squashes: ClassVar[bool] = True
 
     rollouts: int = 5
-    """Roll-outs in a round, each added to the buffer and followed by `updates`."""
+    """Roll-outs in a round, each followed by `updates`."""
     updates: int = 256
     """Gradient steps of actor and critics after each roll-out."""
     batch: int = 1024
@@ -96,12 +96,14 @@ class TD3(Learner):
     """Learning rate of actor and critics at the end of the last round, as a fraction of its start."""
     final_discriminator_learning_rate: float = 1.0
     """The discriminator's, likewise."""
+    achieved_first: float = 0.0
+    """Fraction of the episodes to learn from that begin with a goal that an earlier one achieved."""
     gradient_penalty: float = 0.0
     """Weight of the discriminator's gradient penalty, see `hgail_jax.discriminator.gradient_penalty`."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        for name in ("final_learning_rate", "final_discriminator_learning_rate"):
+        for name in ("final_learning_rate", "final_discriminator_learning_rate", "achieved_first"):
             check_fraction(name, getattr(self, name))
         check_not_negative("gradient_penalty", self.gradient_penalty)
 
@@ -113,10 +115,7 @@ class TD3(Learner):
         """See `Learner`; the discriminator is trained if it has a say in the reward, and only then."""
         alone = np.all(np.asarray(hyper.environment_reward) == 1.0)
         if alone and config.discriminator_minibatches:
-            raise ValueError(
-                "environment_reward is 1, with which the discriminator has no say: that is the method her; it must be"
-                " below 1"
-            )
+            raise ValueError("environment_reward is 1, with which the discriminator has no say: that is the method her")
         if not (alone or config.discriminator_minibatches):
             raise ValueError(
                 f"environment_reward is {hyper.environment_reward}; without discriminator_minibatches it must be 1"
@@ -124,12 +123,11 @@ class TD3(Learner):
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> TD3State:
         """See `Learner`."""
-        observation, action = jnp.zeros(env.observation_size), jnp.zeros(env.action_size)
-        critic_rngs = jax.random.split(rngs[1], self.critics)
-        both = jnp.concatenate([observation, action])
+        observation, both = jnp.zeros(env.observation_size), jnp.zeros(env.observation_size + env.action_size)
+        rngs_of_critics = jax.random.split(rngs[1], self.critics)
         networks = Networks(
             actor=_actor_network(config, env.action_size).init(rngs[0], observation),
-            critics=jax.vmap(lambda rng: _critic_network(config).init(rng, both))(critic_rngs),
+            critics=jax.vmap(lambda rng: _critic_network(config).init(rng, both))(rngs_of_critics),
         )
         optimizer = Networks(*(optax.scale_by_adam().init(params) for params in networks))
         return TD3State(networks, networks, optimizer, jnp.zeros((), jnp.int32))
@@ -166,6 +164,11 @@ class TD3(Learner):
             return jnp.where(chosen, uniform, jnp.clip(mean + std * gaussian, -1.0, 1.0)), jnp.zeros(len(mean))
 
         return policy
+
+    def detour(self, env: GoalEnv, config: Config, state: TrainState, rng: jax.Array) -> Detour | None:
+        """See `Learner`; a fraction `achieved_first` of the episodes has one."""
+        share = self.achieved_first
+        return draw_detour(env, state.buffer, rng, config.num_envs, share) if share else None
 
     def progress(self, config: Config, state: TrainState) -> jax.Array:
         """See `Learner`; from the count of gradient steps."""
@@ -207,11 +210,9 @@ class TD3(Learner):
             weight=drawn.weight,
             noise=jax.random.normal(noise_rng, drawn.action.shape),
         )
-        shape = self.updates, self.batch
-        minibatches = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), batch)
+        minibatches = jax.tree.map(lambda leaf: leaf.reshape(self.updates, self.batch, *leaf.shape[1:]), batch)
         networks = _actor_network(config, env.action_size), _critic_network(config)
         step = _Step(config, self, hyper, *networks)
-        measured: Metrics
         learner, measured = jax.lax.scan(step, state.learner, minibatches)
         metrics |= {name: values.mean() for name, values in measured.items()}
         metrics |= {"reward": batch.reward.mean(), "reached": drawn.reached.mean()}
@@ -243,16 +244,14 @@ def _update_discriminator(
     if not (count := config.discriminator_minibatches):
         return state, {}
     expert_rng, policy_rng, fit_rng, jitter_rng, shuffle_rng = jax.random.split(rng, 5)
-    hyper, samples = state.hyperparameters, count * config.discriminator_batch
+    hyper, samples, sizes = state.hyperparameters, count * config.discriminator_batch, cast(TD3, config.learner)
     if config.expert_source == RELABELLED:
         expert = draw_positives(env, hyper, state.buffer, samples, expert_rng, jitter_rng)
     else:
         kept, expert = expert_samples(env, config, hyper, state.expert, trajectory, expert_rng)
         state = state.replace(expert=kept)
     policy = draw_negatives(env, hyper, state.buffer, samples, policy_rng, shuffle_rng)
-    sizes, progress = config.learner, config.learner.progress(config, state)
-    assert isinstance(sizes, TD3)
-    decay = 1.0 + (sizes.final_discriminator_learning_rate - 1.0) * progress
+    decay = 1.0 + (sizes.final_discriminator_learning_rate - 1.0) * sizes.progress(config, state)
     return fit_discriminator(config, state, expert, policy, count, fit_rng, decay, sizes.gradient_penalty)
 
 

@@ -11,7 +11,7 @@ from scipy.stats import binomtest, chisquare
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import Hyperparameters, Trajectory
-from hgail_jax.buffer import add_episodes, draw, draw_negatives, draw_positives, init_buffer
+from hgail_jax.buffer import add_episodes, draw, draw_achieved, draw_negatives, draw_positives, init_buffer
 from hgail_jax.discriminator import discriminator_loss
 from hgail_jax.hindsight import FINAL, FUTURE
 from hgail_jax.samples import shuffle_goals
@@ -358,3 +358,24 @@ def test_shuffling_pairs_no_sample_with_its_own_goal():
     assert sorted(shuffled[:, 0].tolist()) == list(range(7))
     assert (shuffled != goals).all()
     np.testing.assert_array_equal(shuffle_goals(goals, 0.0, jax.random.key(0)), goals)
+
+
+def test_achieved_goals_are_drawn_of_sound_episodes_each_kind_as_often():
+    goals = np.asarray(
+        jax.jit(draw_achieved, static_argnums=(0, 3))(ENV, full([True, False, True, True]), jax.random.key(0), 2000)
+    )
+    place, kind = goals[:, 0].astype(int), goals[:, 1]
+    episode, step = place // 100, place % 100
+    assert set(episode) == {0, 2, 3} and set(step) == set(range(1, LENGTH + 1))
+    np.testing.assert_array_equal(kind, KINDS[episode, step])
+    assert binomtest(int(kind.sum()), len(kind), 0.5).pvalue > UNLIKELY
+    # within a kind each step is as likely as the others
+    for which in (0, 1):
+        of_kind = [(n, t) for n in (0, 2, 3) for t in range(1, LENGTH + 1) if KINDS[n, t] == which]
+        counts = [int(((episode == n) & (step == t)).sum()) for n, t in of_kind]
+        assert chisquare(counts).pvalue > UNLIKELY
+
+
+def test_where_nothing_sound_was_achieved_a_goal_is_drawn_all_the_same():
+    for buffer in (init_buffer(ENV, HELD), full([False] * HELD)):
+        assert np.isfinite(draw_achieved(ENV, buffer, jax.random.key(0), 3)).all()

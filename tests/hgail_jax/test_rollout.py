@@ -6,6 +6,7 @@ import pytest
 from hgail_envs.point import Point
 from hgail_envs.tasks.reach import Reach
 from hgail_jax import rollout
+from hgail_jax.rollout import Detour
 
 NUM_ENVS = 16
 
@@ -147,3 +148,26 @@ def test_an_episode_that_mujoco_warns_of_is_not_valid_and_leaves_the_others_alon
         ours, theirs = (np.asarray(getattr(episodes, name)) for episodes in (broken, whole))
         np.testing.assert_array_equal(ours[:, broken.valid], theirs[:, broken.valid])
         assert (ours[:, ~broken.valid] == 0.0).all()
+
+
+def test_a_detour_is_pursued_for_its_steps_and_measured_by_the_own_goal():
+    """Half of the episodes go for a goal beside their own at first; the others, and the end, are as without it."""
+    rng, half = jax.random.key(0), np.arange(NUM_ENVS) % 2
+    plain = rollout(Lifted(), passing, rng, NUM_ENVS)
+    own = np.asarray(plain.desired[0])
+    until = np.where(half, 3 + np.arange(NUM_ENVS), 0)
+    beside = np.float32(np.add(own, [0.0, 0.0, 0.06]))
+    led = jax.jit(lambda detour: rollout(Lifted(), passing, rng, NUM_ENVS, detour=detour))(
+        Detour(jnp.asarray(beside), jnp.asarray(until))
+    )
+    position = np.zeros((NUM_ENVS, 3))
+    for step in range(51):
+        goal = np.where((step < until)[:, None], beside, own)
+        np.testing.assert_allclose(led.desired[step], goal, atol=1e-6)
+        np.testing.assert_allclose(led.features[step], position, atol=1e-4)
+        if step:
+            reached = np.linalg.norm(position - goal, axis=-1) <= 0.05
+            np.testing.assert_array_equal(led.reward[step - 1], np.where(reached, 0.0, -1.0))
+        position = position + 0.03 * np.clip(10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]], -1.0, 1.0)
+    np.testing.assert_array_equal(led.desired[:, ~half.astype(bool)], plain.desired[:, ~half.astype(bool)])
+    np.testing.assert_allclose(led.outcome.distance_l2, np.linalg.norm(led.achieved[50] - own, axis=-1), atol=1e-5)

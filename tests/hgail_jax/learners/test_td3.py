@@ -453,6 +453,28 @@ def act(state, observation, noise):
     return make_policy(ENV, CONFIG, state, noise)(observation, jax.random.key(7))
 
 
+def test_some_episodes_to_learn_from_begin_with_an_achieved_goal():
+    """Not before there are any, and none of an evaluation."""
+    config = CONFIG.replace(achieved_first=0.7, num_envs=2000)
+    state, rng = make_state(), jax.random.key(3)
+    assert CONFIG.learner.detour(ENV, CONFIG, state, rng) is None
+    detour = config.learner.detour(ENV, config, state, rng)
+    led = np.asarray(detour.until) > 0
+    assert binomtest(int(led.sum()), len(led), 0.7).pvalue > UNLIKELY
+    assert set(np.asarray(detour.until)[led]) == set(range(1, LENGTH + 1))
+    achieved = np.asarray(state.buffer.achieved)[np.asarray(state.buffer.valid)][:, 1:].reshape(-1, 2)
+    assert {tuple(goal) for goal in np.asarray(detour.goal)} <= {tuple(goal) for goal in achieved}
+    fresh = init(CONFIG, HYPER, jax.random.key(0))
+    assert not np.asarray(config.learner.detour(ENV, config, fresh, rng).until).any()
+    always, phases = CONFIG.replace(achieved_first=1.0), np.array([SKIP, SKIP, EVALUATE])
+    plain, measured = (round_of(ENV, each, state, phases)[1].evaluation for each in (CONFIG, always))
+    assert_close(measured, plain, rtol=1e-5)
+    after = round_of(ENV, always, state, np.array([POLICY, SKIP, EVALUATE]))[0]
+    place = int(state.buffer.added) % HELD
+    pursued = np.asarray(after.buffer.desired)[np.arange(place, place + EPISODES) % HELD]
+    assert {tuple(goal) for goal in pursued[:, 0]} <= {tuple(goal) for goal in achieved} | {(0.0, 0.0)}
+
+
 OBSERVATION = jnp.asarray(np.random.default_rng(3).normal(size=(4000, 4)), jnp.float32)
 
 
