@@ -439,9 +439,14 @@ def test_rewards_are_compared_beside_other_goals_and_ppo():
 def test_methods_with_td3_have_its_steps_and_none_but_her_a_reward(task):
     trials = trials_of(BY_NAME["off-policy-methods"], task, "gpu")
     preset = DEFAULTS[task]["td3"]["gpu"]
-    assert {trial.config.learner for trial in trials} == {preset.config.learner}
+    for trial in trials:
+        penalty = 10.0 if trial.setting.demonstrations else 0.0
+        assert trial.config.learner == dataclasses.replace(preset.config.learner, gradient_penalty=penalty)
     assert {trial.config.rounds for trial in trials} == {preset.config.rounds}
-    assert {
+    shuffled = ", half the negatives shuffled"
+    of_half = {trial.setting.name: trial for trial in trials if trial.setting.name.endswith(shuffled)}
+    assert {float(trial.hyperparameters.shuffled_goals) for trial in of_half.values()} == {0.5}
+    found = {
         trial.setting.name: (
             trial.config.expert_source,
             trial.setting.demonstrations,
@@ -449,7 +454,11 @@ def test_methods_with_td3_have_its_steps_and_none_but_her_a_reward(task):
             float(trial.hyperparameters.environment_reward),
         )
         for trial in trials
-    } == {
+    }
+    for name in of_half:
+        assert found.pop(name) == found[name.removesuffix(shuffled)]
+    assert {name.removesuffix(shuffled) for name in of_half} == {"GAIL-demo (20)", "GAIL-demo (100)", "GASIL"}
+    assert found == {
         "HGAIL": ("relabelled", 0, preset.hyperparameters.p_ht, 0.0),
         "HGAIL-no": ("relabelled", 0, 0.0, 0.0),
         "GAIL-demo (20)": ("demonstrations", 20, 0.0, 0.0),

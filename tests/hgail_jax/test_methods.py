@@ -155,7 +155,7 @@ def test_off_policy_methods_change_what_they_differ_in_and_nothing_else():
         "hgail": ({}, {}),
         "hgail-no": ({}, {"p_ht": 0.0} | papers),
         "gail-demo": (
-            {"expert_source": "demonstrations", "training_goals": False},
+            {"expert_source": "demonstrations", "training_goals": False, "gradient_penalty": 10.0},
             {"p_ht": 0.0, "bc_weight": 0.0, "environment_reward": 0.0} | papers,
         ),
         "gasil": (
