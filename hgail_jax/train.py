@@ -170,7 +170,16 @@ def _run_phase(
         detour = config.learner.detour(env, config, state, jax.random.fold_in(phase_rng, 2))
         if detour is not None:
             detour = detour._replace(until=jnp.where(evaluating, 0, detour.until))
-        trajectory = rollout(present, policy, rollout_rng, config.num_envs, training_goals, evaluating, axis, detour)
+        trajectory = rollout(
+            present,
+            policy,
+            rollout_rng,
+            config.num_envs,
+            training_goals,
+            lift_test=evaluating,
+            axis=axis,
+            detour=detour,
+        )
         after, metrics = _learn(env, config, phase, state.replace(rng=None), trajectory, update_rng)
         return after.replace(rng=following_rng), metrics
 

@@ -22,7 +22,7 @@ def prepared(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("command", ["train", "play", "evaluate", "export", "demos"])
+@pytest.mark.parametrize("command", ["train", "play", "evaluate", "export", "demos", "robot"])
 def test_a_command_is_given_its_options(command, monkeypatch, prepared):
     given = []
     module = importlib.import_module(f"hgail_jax.cli.{command}")
@@ -52,6 +52,7 @@ def test_commands_are_listed(arguments, capsys, prepared):
         "evaluate",
         "export",
         "demos",
+        "robot",
     ]
     assert not prepared  # which would make folders
 
@@ -63,7 +64,8 @@ def test_an_unknown_command_is_refused_in_one_line(name, capsys, prepared):
     assert exit_info.value.code == 2
     shown = capsys.readouterr()
     assert shown.out == ""
-    assert shown.err == f"hgail: there is no command {name!r}; choose from train, play, evaluate, export, demos\n"
+    commands = "train, play, evaluate, export, demos, robot"
+    assert shown.err == f"hgail: there is no command {name!r}; choose from {commands}\n"
 
 
 def test_the_package_has_the_console_command():
