@@ -1,4 +1,4 @@
-"""What a user says about an arm."""
+"""The options of `hgail robot`, from which with the MJCF a description is derived."""
 
 import dataclasses
 from collections.abc import Sequence

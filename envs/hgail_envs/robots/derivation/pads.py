@@ -32,7 +32,7 @@ class Pads(NamedTuple):
     middles: np.ndarray
     parts: tuple[Part, Part]
     facing: bool
-    """Whether they are not beside each other."""
+    """Whether the faces of the pads overlap, so that they can hold something."""
 
 
 def find_pads(model: mujoco.MjModel, parts: Parts, motion: Motion, width: float, scale: float) -> Pads:
