@@ -93,6 +93,8 @@ class GoalEnv(HasLayouts, Env):
     """The `hgail_envs.robots.base.Robot` in its scene; None for a task without a scene."""
     target_body: str | None = None
     """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
+    shows_goal: bool = False
+    """Whether the scene without the marker shows the goal of an evaluation, as a cube that another one is put on."""
     reference: str | None = None
     """Name of the Gymnasium environment that the task is compared with."""
     not_randomized: tuple[str, ...] = ()

@@ -103,7 +103,7 @@ def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple
 
 def _sees(policy: AnyPolicy) -> Any:
     """Returns what decides the task that a policy is evaluated in, beside its options."""
-    return (policy.cameras, policy.size) if isinstance(policy, CameraPolicy) else policy.observation_size
+    return (policy.cameras, policy.size, policy.target) if isinstance(policy, CameraPolicy) else policy.observation_size
 
 
 def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:

@@ -158,11 +158,11 @@ def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
     """Returns a task with the pictures that a policy sees, in the scene's own look."""
     if isinstance(env, RandomizedEnv):
         raise ValueError("a policy that sees pictures was trained without --randomize; leave it out")
-    seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size))
+    seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size, target=policy.target))
     for what, given, needed in (
         ("is told", policy.mean.size, len(seen.known)),
         ("commands", policy.action_size, seen.action_size),
-        ("has goals of", policy.goal_size, seen.goal_size),
+        ("has goals of", policy.goal_size, seen.goal_size if policy.target == "told" else 0),
     ):
         if given != needed:
             raise ValueError(f"the policy {what} {given} numbers; in {policy.task} there are {needed}")

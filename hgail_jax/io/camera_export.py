@@ -99,7 +99,8 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
     env = make(policy.task, **policy.task_options)
     described = describe(policy.task, 0, 0, (), **policy.task_options)
     features = [row for row in described_rows(described.features) if row["name"] in _names(described.features)]
-    rows = [*features, *described_rows(described.observation)[described.features.size :]]
+    of_goal = described_rows(described.observation)[described.features.size :]
+    rows = [*features, *(of_goal if policy.target == "told" else [])]
     if len(rows) != policy.mean.size:
         raise ValueError(f"the policy is told {policy.mean.size} numbers, which are not those of {policy.task}")
     told = [
@@ -118,7 +119,8 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
             "range": [0, 255],
         },
         "numbers": told,
-        "goal": told[-policy.goal_size :],
+        "goal": told[len(told) - policy.goal_size :],
+        "target": policy.target,
         "action": [{**row, "low": -1.0, "high": 1.0} for row in described_rows(described.action)],
         "frames": FRAMES,
         **described_place(env),

@@ -15,7 +15,8 @@ A policy that sees pictures has a format of its own:
 
     {"format": "hgail_jax camera policy 1", "task": "push",
      "pictures": {"cameras": ["front", "side"], "size": 64, "colours": "RGB", "range": [0, 255]},
-     "numbers": {"size": 10, "goal": 4},                       # what it is told: `KNOWN` features, then the goal
+     "numbers": {"size": 10, "goal": 4},                       # what it is told: `KNOWN` features, then the goal;
+                                                               # no goal where it sees the target in the pictures
      "action": {"size": 4, "low": -1.0, "high": 1.0}, "convolutions": 4, "layers": 2, "look": "varied",
      "task_options": {}, "versions": {}}
 
@@ -67,7 +68,7 @@ def from_state(
         of_student = jax.tree.map(np.asarray, state.learner)
         return CameraPolicy(
             task=task,
-            goal_size=env.goal_size,
+            goal_size=env.goal_size if env.pictures.target == "told" else 0,
             cameras=env.pictures.cameras,
             size=env.pictures.size,
             mean=of_student.mean,

@@ -15,7 +15,7 @@ from hgail_jax.io.policy import load_policy
 if TYPE_CHECKING:
     from hgail_jax.trainer.options import TrainOptions
 
-_OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer")
+_OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer", "target")
 
 
 class MissingTeacherError(ValueError):
@@ -31,7 +31,7 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
       RenderingError: MuJoCo cannot render here.
     """
     cameras = [name.strip() for name in options.camera.split(",")]
-    pictures = Pictures(env, cameras, options.picture_size, options.renderer, options.look)
+    pictures = Pictures(env, cameras, options.picture_size, options.renderer, options.look, options.target)
     if pictures.renderer == "warp" and devices > 1:
         raise ValueError("the renderer 'warp' runs on one device so far; leave out --devices")
     if options.teacher is None:

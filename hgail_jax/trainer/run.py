@@ -53,7 +53,7 @@ class Run(Program):
             pictures = self.env.pictures
             physics["pictures"] = {
                 "cameras": list(pictures.cameras),
-                **{name: getattr(pictures, name) for name in ("size", "look", "renderer")},
+                **{name: getattr(pictures, name) for name in ("size", "look", "renderer", "target")},
                 "teacher": self.teacher and hashlib.sha256(self.teacher.read_bytes()).hexdigest(),
             }
         return {

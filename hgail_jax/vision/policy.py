@@ -21,7 +21,7 @@ class CameraPolicy:
 
     task: str
     goal_size: int
-    """Size of the desired goal, the last of the numbers."""
+    """Size of the desired goal, the last of the numbers; 0 if the policy sees the target instead."""
     cameras: tuple[str, ...]
     """Names of the scene's cameras, in the order of the pictures."""
     size: int
@@ -31,7 +31,7 @@ class CameraPolicy:
     std: np.ndarray = dataclasses.field(repr=False)
     """Their standard deviation, `[numbers]`."""
     centre: np.ndarray = dataclasses.field(repr=False)
-    """Mean positions of the objects, `[3 objects]`, metres, from which it tells theirs."""
+    """Mean positions of the objects and of a marker that it sees, `[3 objects]`, metres, from which it tells theirs."""
     eyes: Eyes = dataclasses.field(repr=False)
     """Its network."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
@@ -48,7 +48,7 @@ class CameraPolicy:
         arrays = [self.mean, self.std, self.centre, *jax.tree.leaves(self.eyes)]
         if not all(array.dtype == np.float32 and np.isfinite(array).all() for array in arrays):
             raise ValueError("not all of its arrays are finite float32 numbers")
-        if not (0 < self.goal_size < self.mean.size and self.mean.shape == self.std.shape and (self.std > 0).all()):
+        if not (0 <= self.goal_size < self.mean.size and self.mean.shape == self.std.shape and (self.std > 0).all()):
             raise ValueError("its normalisation does not fit its numbers")
         if len(self.eyes.convolutions) != len(KERNELS) or not self.eyes.hidden:
             raise ValueError("it does not have the layers of a network of pictures")
@@ -64,6 +64,11 @@ class CameraPolicy:
     def pictures_shape(self) -> tuple[int, int, int, int]:
         """Shape of what it sees at a time."""
         return len(self.cameras), self.size, self.size, 3
+
+    @property
+    def target(self) -> str:
+        """How it learns where the target is: `"told"` by numbers, or `"seen"` in the pictures."""
+        return "told" if self.goal_size else "seen"
 
     @property
     def action_size(self) -> int:

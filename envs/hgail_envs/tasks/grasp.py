@@ -60,6 +60,7 @@ class Grasp(ArmEnv):
 
     scene = "grasp"
     target_body = "cube"
+    shows_goal = True
     reference = "FetchPickAndPlace-v4"
     controllers = (features_layout + goal_layout).readers(_CONTROLLERS)
 

@@ -49,6 +49,7 @@ class Stack(CubeGoals, PickAndPlace):
     object_range = 0.15
 
     scene = "stack"
+    shows_goal = True
     reference = None
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.stack})
 

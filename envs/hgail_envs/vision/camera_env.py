@@ -19,7 +19,7 @@ KNOWN = (
 _OWN = (
     *("feature_size", "features_layout", "goal_size", "goal_layout", "action_size", "action_layout"),
     *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps", "observation_limit"),
-    *("control_period", "scene", "robot", "target_body", "reference", "training"),
+    *("control_period", "scene", "robot", "target_body", "shows_goal", "reference", "training"),
     *("reset_physics", "training_start", "step_physics", "features", "achieved_goal", "sample_goal", "plan_goals"),
     *("current_goal", "goal_observation", "success", "goal_kind", "goal_test", "goal_tolerance", "reached"),
     *("already_solved", "aim", "lift_test_action", "outcome", "overflow", "prepare"),
@@ -30,9 +30,10 @@ _OWN = (
 class CameraEnv(GoalEnv):
     """A task, the `pictures` of it, and a `teacher` that knows more than they show: it reads the task's observations.
 
-    Everything is the task's but `State.obs`: after the task's observation come the joint positions and the draws of the
-    episode's look, from which `see` renders. Rendering a whole batch at once is left to the policy, for a task is one
-    environment. The draws are uniform, drawn with the episode's key at the reset.
+    Everything is the task's but `State.obs`: after the task's observation come the joint positions, the target's if its
+    marker is in the pictures, and the draws of the episode's look, from which `see` renders. Rendering a whole batch at
+    once is left to the policy, for a task is one environment. The draws are uniform, drawn with the episode's key at
+    the reset.
     """
 
     action_size = 0  # brax.Env declares it a property, which an instance could not set
@@ -41,14 +42,13 @@ class CameraEnv(GoalEnv):
         self.task, self.pictures, self.teacher = task, pictures, teacher
         for name in _OWN:
             setattr(self, name, getattr(task, name))
-        model, size = pictures.model, task.observation_size
-        names = [quantity.title for quantity in task.features_layout if quantity.title in KNOWN]
-        places = [np.arange(task.feature_size)[task.features_layout[name]].ravel() for name in names]
-        self.known = np.concatenate([*places, np.arange(size - task.goal_size, size)])
-        """Places in an observation of the numbers that a policy with pictures has: the robot's own, and the goal."""
+        model = pictures.model
+        self.known = known_numbers(task, pictures.target)
+        """Places in an observation of the numbers that a policy with pictures has; see `known_numbers`."""
         free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-        self.objects = size + (free[:, None] + np.arange(3)).ravel()
-        """Places in an observation of the objects' positions, metres."""
+        seen = [*free, model.nq - 3] if pictures.marker else free
+        self.objects = task.observation_size + np.add.outer(seen, np.arange(3)).astype(int).ravel()
+        """Places in an observation of the positions of the objects and of the marker, metres."""
 
     # The task's methods, which `__init__` sets; without these lines the class would count as abstract.
     reset_physics = step_physics = features = achieved_goal = sample_goal = None  # type: ignore[assignment]
@@ -85,7 +85,8 @@ class CameraEnv(GoalEnv):
         return self._seen(self.task.move_target(state, position))
 
     def _seen(self, state: State) -> State:
-        parts = [state.obs, state.pipeline_state.qpos, state.info["look"]]
+        target = [state.info["desired_goal"][:3]] if self.pictures.marker else []
+        parts = [state.obs, state.pipeline_state.qpos, *target, state.info["look"]]
         return state.replace(obs=jnp.concatenate(parts))
 
     def curriculum(self, progress: jax.Array | float) -> "CameraEnv":
@@ -93,3 +94,14 @@ class CameraEnv(GoalEnv):
 
     def reference_physics(self) -> "CameraEnv":
         return CameraEnv(self.task.reference_physics(), self.pictures, self.teacher)
+
+
+def known_numbers(task: GoalEnv, target: str) -> np.ndarray:
+    """Returns the places in a task's observation of what a policy with pictures is told: the robot's own numbers.
+
+    The goal's follow them, unless the `target` is `"seen"` instead.
+    """
+    names = [quantity.title for quantity in task.features_layout if quantity.title in KNOWN]
+    own = [np.arange(task.feature_size)[task.features_layout[name]].ravel() for name in names]
+    goal = np.arange(task.observation_size - task.goal_size, task.observation_size)
+    return np.concatenate([*own, goal] if target == "told" else own)

@@ -5,10 +5,11 @@ from typing import Any
 
 import jax
 import mujoco
+import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import resolve_impl
-from hgail_envs.scenes import explained
+from hgail_envs.scenes import VISUAL_GROUP, explained
 from hgail_envs.validation import check_count, check_name
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS, camera_ids
 from hgail_envs.vision.look import LOOKS, Look, draws_of
@@ -20,6 +21,8 @@ RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look], Callable[.
     "warp": WarpRenderer,
 }
 """Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's on an NVIDIA GPU."""
+TARGETS = ("told", "seen")
+"""How a policy with pictures learns where the target is: by the goal's numbers, or from the pictures alone."""
 SIZE = 64
 """Edge of a picture unless another is given, pixels."""
 _SMALLEST, _LARGEST = 16, 256
@@ -28,10 +31,13 @@ _SMALLEST, _LARGEST = 16, 256
 class Pictures:
     """What cameras of a task's scene see, in square pictures.
 
-    Called with joint positions, `[..., nq]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it returns
-    pictures `[..., cameras, size, size, 3]`, uint8: the upper row first, red first. It may be traced and batched. All
-    scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch larger.
-    The target's marker is in no picture. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's where it can run.
+    Called with joint positions, `[..., model.nq]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it
+    returns pictures `[..., cameras, size, size, 3]`, uint8: the upper row first, red first. It may be traced and
+    batched. All scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch
+    larger. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's where it can run.
+
+    The marker of a `target` that is `"seen"` is a ball in the pictures, unless the scene shows the goal without it. Its
+    three coordinates follow the task's own joint positions. A target that is `"told"` is in no picture.
 
     Raises:
       ValueError: the task has no scene, the scene has no such camera, there is no such renderer or look, or Warp's
@@ -46,19 +52,23 @@ class Pictures:
         size: int = SIZE,
         renderer: str = "auto",
         look: str = "plain",
+        target: str = "told",
     ) -> None:
         check_name("look", look, LOOKS)
+        check_name("target", target, TARGETS)
         check_count("the size of a picture", size, _SMALLEST, _LARGEST)
         if env.robot is None:
             raise ValueError("the task has no scene that a camera could see")
-        self.model = _model_to_see(env.robot)
-        self.cameras, self.size, self.look = tuple(cameras), size, look
+        self.marker = target == "seen" and not env.shows_goal
+        """Whether the target's marker is in the pictures."""
+        self.model = _model_to_see(env.robot, self.marker)
+        self.cameras, self.size, self.look, self.target = tuple(cameras), size, look, target
         ids = camera_ids(self.model, env.robot.scene, self.cameras)
         self.draws = draws_of(self.model)
         """Numbers that a look takes."""
         self.renderer = resolve_renderer(renderer)
         """Name of the renderer."""
-        self._made_of = env, self.cameras, size, self.renderer, look
+        self._made_of = env, self.cameras, size, self.renderer, look, target
         self._render = RENDERERS[self.renderer](self.model, ids, size, LOOKS[look])
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -75,11 +85,20 @@ class Pictures:
         return pictures.reshape(*qpos.shape[:-1], *self.shape)
 
 
-def _model_to_see(robot: Any) -> mujoco.MjModel:
-    """Compiles a robot's scene with all that is visible, and without contacts, which MJX may not know."""
+def _model_to_see(robot: Any, marker: bool) -> mujoco.MjModel:
+    """Compiles a robot's scene with all that is visible, and without contacts, which MJX may not know.
+
+    A marker is a body whose slides along x, y and z are the last joints.
+    """
     spec = robot.spec()
     for pair in list(spec.pairs):
         spec.delete(pair)
+    if marker:
+        site, body = spec.site("target"), spec.worldbody.add_body(name="marker of the target")
+        for axis in np.eye(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        size, group = site.size, VISUAL_GROUP
+        body.add_geom(type=site.type, size=size, rgba=site.rgba, group=group, contype=0, conaffinity=0)
     with explained(robot.scene):
         return spec.compile()
 

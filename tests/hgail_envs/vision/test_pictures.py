@@ -25,8 +25,8 @@ def push():
 
 
 @functools.cache
-def made(look="plain", cameras=("front", "side")):
-    return Pictures(push(), cameras, SIZE, look=look)
+def made(look="plain", cameras=("front", "side"), target="told"):
+    return Pictures(push(), cameras, SIZE, look=look, target=target)
 
 
 def poses():
@@ -47,7 +47,17 @@ def pixel(described, point):
 def orange(picture):
     """Returns the middle of what is orange in a picture, x and y in pixels, and how many pixels are."""
     red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
-    rows, columns = np.nonzero((red > 120) & (green > 60) & (red - blue > 90) & (green - blue > 30))
+    return middle((red > 120) & (green > 60) & (red - blue > 90) & (green - blue > 30))
+
+
+def red(picture):
+    """Returns the middle of what is red in a picture, and how many pixels are."""
+    red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
+    return middle((red > 90) & (red > 3 * green) & (red > 3 * blue))
+
+
+def middle(mask):
+    rows, columns = np.nonzero(mask)
     return np.array([columns.mean() + 0.5, rows.mean() + 0.5]), len(rows)
 
 
@@ -60,6 +70,25 @@ def test_a_cube_is_seen_where_a_pinhole_camera_has_it():
             middle, count = orange(seen[scene, camera])
             assert count >= 4
             np.testing.assert_allclose(middle, pixel(described, place), atol=2.0)
+
+
+def test_the_marker_is_seen_at_the_goal_and_what_is_hidden_changes_nothing():
+    pictures, told = made(target="seen"), made()
+    goals = np.array([[1.2, 0.65, 0.5], [1.2, 0.9, 0.7], [1.5, 0.85, 0.45], [1.45, 0.95, 0.6]])
+    none, see = jnp.zeros((len(goals), pictures.draws)), jax.jit(pictures)
+    seen = np.asarray(see(jnp.concatenate([poses(), goals], axis=1), none))
+    for camera, described in enumerate(describe_cameras(pictures.model, pictures.cameras, SIZE)):
+        for scene, goal in enumerate(goals):
+            where, count = red(seen[scene, camera])
+            assert count >= 4
+            np.testing.assert_allclose(where, pixel(described, goal), atol=1.0)
+    below = np.asarray(see(jnp.concatenate([poses(), goals - [0.0, 0.0, 3.0]], axis=1), none))
+    np.testing.assert_array_equal(below, told(poses(), jnp.zeros((len(goals), told.draws))))
+
+
+@pytest.mark.parametrize("task", ["grasp", "stack"])
+def test_a_scene_that_shows_the_goal_has_no_marker(task):
+    assert not Pictures(hgail_envs.make(task), target="seen").marker
 
 
 def test_each_scene_comes_back_in_its_place_under_vmaps_and_scans():
@@ -111,6 +140,7 @@ def test_wrong_uses_are_told_in_one_line():
         ({"renderer": "warp"}, "the renderer 'warp' needs warp-lang and an NVIDIA GPU; use 'opengl' or 'auto'"),
         ({"renderer": "pencil"}, "pencil"),
         ({"look": "odd"}, "odd"),
+        ({"target": "felt"}, "target is 'felt'; choose from told, seen"),
     ):
         with pytest.raises(ValueError, match=message):
             Pictures(env, **options)

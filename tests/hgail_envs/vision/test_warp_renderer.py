@@ -37,6 +37,24 @@ def test_pictures_are_those_of_mujocos_renderer_but_for_shadows(starts, renderin
     assert np.median(difference) < 8
 
 
+def test_the_marker_is_where_mujocos_renderer_has_it(starts, rendering):
+    env, qpos = starts
+    pictures = Pictures(env, ["front", "side"], SIZE, target="seen")
+    if not pictures.marker:
+        assert env.shows_goal
+        return
+    goals = jax.random.uniform(jax.random.key(2), (SCENES, 3)) * 0.3 + jnp.array([1.15, 0.6, 0.45])
+    qpos, draws = jnp.concatenate([qpos, goals], axis=1), jnp.zeros((SCENES, pictures.draws))
+    seen = np.asarray(jax.jit(pictures)(qpos, draws), int)
+    own = OpenGLRenderer(pictures.model, [0, 1], SIZE, LOOKS["plain"])
+    expected = own._on_host(np.asarray(qpos), np.asarray(draws))[0].reshape(seen.shape).astype(int)
+    for one, other in zip(seen.reshape(-1, SIZE, SIZE, 3), expected.reshape(-1, SIZE, SIZE, 3), strict=True):
+        places = [np.argwhere((picture[..., 0] - picture[..., 1:].max(axis=-1)) > 60) for picture in (one, other)]
+        if min(map(len, places)) >= 4:  # else the hand hides it
+            np.testing.assert_allclose(places[0].mean(axis=0), places[1].mean(axis=0), atol=1.0)
+    assert (seen[..., 0] - seen[..., 1:].max(axis=-1) > 60).sum(axis=(1, 2, 3)).min() >= 4
+
+
 def test_each_scene_comes_back_in_its_place_and_time(starts):
     env, qpos = starts
     pictures = Pictures(env, ["side", "front"], SIZE, look="varied")

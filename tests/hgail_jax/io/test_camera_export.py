@@ -85,6 +85,15 @@ def test_the_metadata_describe_pictures_and_numbers(tmp_path):
     assert about["control_period"] == hgail_envs.make("push").control_period
 
 
+def test_a_policy_that_sees_the_target_describes_no_goal(tmp_path):
+    eyes = init_eyes(jax.random.key(0), 1, 6, (4, 4, 4, 4), (8,), (4, 6))
+    ones = np.ones(6, np.float32)
+    which = CameraPolicy("push", 0, ("front",), 16, ones, ones, ones, jax.tree.map(np.asarray, eyes))
+    export_camera_onnx(tmp_path / "p.onnx", which)
+    about = {prop.key: json.loads(prop.value) for prop in onnx.load(tmp_path / "p.onnx").metadata_props}
+    assert (len(about["numbers"]), about["goal"], about["target"]) == (6, [], "seen")
+
+
 @pytest.mark.parametrize("ending", ["onnx", "mlirbc", "npz"])
 def test_the_command_writes_each_format(ending, tmp_path, capsys):
     save_policy(tmp_path / "p.npz", policy())

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from hgail_envs.scenes import assets_directory
-from hgail_jax import load_policy
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_jax import init_state, load_policy
 from hgail_jax.cli import train as command
 from hgail_jax.io.files import load_npz, save_npz
-from hgail_jax.io.policy import load_any_policy, save_policy
+from hgail_jax.io.policy import from_state, load_any_policy, save_policy
 from hgail_jax.trainer import camera
 from hgail_jax.trainer.options import TrainOptions
 from hgail_jax.trainer.teaching import best_policy, teacher_options
@@ -80,6 +81,7 @@ def test_the_folder_keeps_the_teacher_and_names_it(trained):
         "size": 16,
         "look": "plain",
         "renderer": "map",
+        "target": "told",
         "teacher": hashlib.sha256(TEACHER.read_bytes()).hexdigest(),
     }
 
@@ -92,6 +94,15 @@ def test_a_policys_file_holds_all_of_it(trained, tmp_path):
     for field in dataclasses.fields(CameraPolicy):
         one, other = (getattr(each, field.name) for each in (policy, again))
         jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_a_policy_that_sees_the_target_is_told_no_goal(trained, tmp_path):
+    run = trained[0].run
+    env = CameraEnv(run.env.task, Map(run.env.task, "seen"), run.env.teacher)
+    state = init_state(env, run.config, run.hyperparameters, jax.random.key(0))
+    save_policy(tmp_path / "policy.npz", from_state("push", env, run.config, state))
+    policy = load_any_policy(tmp_path / "policy.npz")
+    assert (policy.target, policy.goal_size, policy.mean.size) == ("seen", 0, trained[0].policy(0).mean.size - 4)
 
 
 def test_a_policy_acts_on_pictures_and_numbers(trained):
@@ -143,6 +154,7 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
     ("words", "message"),
     [
         (["--task", "push", "--camera", "front"], "--camera changes nothing without --observe camera"),
+        (["--task", "push", "--target", "seen"], "--target changes nothing without --observe camera"),
         (
             ["--task", "push", "--observe", "camera", "--method", "her"],
             "--method changes nothing for the method camera",

@@ -17,10 +17,11 @@ SIZE = 16
 class Map:
     """Pictures of push from above without a renderer: a bright spot where the cube is on the table."""
 
-    cameras, size, look, renderer, draws = ("above",), SIZE, "plain", "map", 1
+    cameras, size, look, renderer, draws, marker = ("above",), SIZE, "plain", "map", 1, False
     shape = (1, SIZE, SIZE, 3)
 
-    def __init__(self, env):
+    def __init__(self, env, target="told"):
+        self.target = target
         self.model, self._cube = env.robot.load(visual=True), env.qpos_of("cube")
 
     def __call__(self, qpos, draws):

@@ -1,0 +1,61 @@
+"""What a policy with pictures is told, and what its observation shows."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hgail_envs
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
+
+pytestmark = pytest.mark.usefixtures("rendering")
+
+
+@functools.cache
+def made(task, target):
+    env = hgail_envs.make(task)
+    return CameraEnv(env, Pictures(env, ["front"], 16, target=target))
+
+
+@functools.cache
+def started(task, target):
+    return jax.jit(made(task, target).reset)(jax.random.key(0))
+
+
+def told(task, target):
+    return np.asarray(started(task, target).obs)[made(task, target).known]
+
+
+@pytest.mark.parametrize("task", ["reach", "push", "grasp"])
+def test_the_goal_is_told_unless_it_is_seen(task):
+    goal = np.asarray(started(task, "told").info["desired_goal"])
+    own = told(task, "told")[: -len(goal)]
+    np.testing.assert_array_equal(told(task, "told")[-len(goal) :], goal)
+    np.testing.assert_array_equal(told(task, "seen"), own)
+    assert len(own) and not np.isin(goal[:2], own).any()
+
+
+def test_the_positions_of_cube_and_marker_are_in_the_observation():
+    env, state = made("push", "seen"), started("push", "seen")
+    expected = np.concatenate([state.info["features"][env.task.features_layout["cube position"]], _goal(state)])
+    np.testing.assert_allclose(state.obs[env.objects], expected, atol=1e-6)
+    np.testing.assert_array_equal(made("push", "told").objects, env.objects[:3])
+
+
+@pytest.mark.parametrize("where", ["reset", "step", "move_target"])
+def test_the_marker_is_at_the_goal_of_the_state(where):
+    env, state = made("push", "seen"), started("push", "seen")
+    if where == "step":
+        state = jax.jit(env.step)(state, jnp.ones(4))
+    elif where == "move_target":
+        state = jax.jit(env.move_target)(state, jnp.array([1.3, 0.7, 0.5]))
+    np.testing.assert_array_equal(state.obs[env.objects[-3:]], _goal(state))
+    shown = env.pictures(jnp.concatenate([state.pipeline_state.qpos, _goal(state)]), state.info["look"])
+    np.testing.assert_array_equal(env.see(state.obs), shown)
+
+
+def _goal(state):
+    return state.info["desired_goal"][:3]
