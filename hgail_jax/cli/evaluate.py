@@ -13,15 +13,17 @@ import hgail_envs
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.engines import ENGINES
 from hgail_envs.past import Past
+from hgail_envs.randomization import Randomization
 from hgail_envs.tasks.reference import ReferenceFetch, reference_episode
 from hgail_envs.validation import check_name, counted
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.reference_pictures import ReferencePictures
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import PolicyOptions, describe_policy, find_policies, find_task, make_task, randomization
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.io.provenance import installed
 from hgail_jax.play.evaluation import Evaluation
-from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine
 from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
@@ -30,6 +32,8 @@ from hgail_jax.vision.policy import CameraPolicy
 PROGRAM = "hgail evaluate"
 Measure = Callable[[], EpisodeMetrics]
 """Returns the means over a policy's episodes."""
+Act = Callable[[np.ndarray], np.ndarray]
+"""An observation, `[observation_size]`, to an action, `[4]`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +45,8 @@ class Options(PolicyOptions):
     impl: Annotated[str | None, unless_given("auto", "|".join(["auto", *ENGINES]))] = None
     """Physics engine of the Fetch tasks, always with the reference's 20 steps per action."""
     reference: bool = False
-    """Run in Gymnasium-Robotics' environment of the task instead (extra `compare`), one episode after another."""
+    """Run in Gymnasium-Robotics' environment of the task instead (extra `compare`), one episode after another. A policy
+    of pictures sees its scene, through cameras like those of its own."""
     json: bool = False
     """Print a JSON object instead of text."""
 
@@ -110,24 +115,26 @@ def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[
     """Returns the environment's name, the number of episodes, and functions that measure the policies in it."""
     measures: list[Measure] = []
     for policy in policies:
-        if isinstance(policy, CameraPolicy):
-            raise ValueError("a policy that sees pictures cannot act in the reference, which gives positions")
-        make_task(policy, task, "none")  # refuses a policy that does not fit
+        env = make_task(policy, task, "none")  # refuses a policy that does not fit
         observed = {name: value for name, value in policy.task_options.items() if name in ("observation", "cube")}
         try:
             reference = ReferenceFetch(task, **observed)
         except ModuleNotFoundError as error:
             raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
-        measures.append(functools.partial(_run_in_reference, reference, policy, options))
+        act = _seeing(reference, env, policy) if isinstance(policy, CameraPolicy) else policy
+        measures.append(functools.partial(_run_in_reference, reference, act, policy.randomization, options))
     return str(hgail_envs.find_class(task).reference), options.episodes, measures
 
 
-def _run_in_reference(reference: ReferenceFetch, policy: AnyPolicy, options: Options) -> EpisodeMetrics:
-    assert isinstance(policy, MeanPolicy)  # by `_reference`
-    ends = [
-        reference_episode(reference, policy, Past(policy.randomization), options.seed, index)
-        for index in range(options.episodes)
-    ]
+def _seeing(reference: ReferenceFetch, env: hgail_envs.GoalEnv, policy: CameraPolicy) -> Act:
+    """Returns a policy that sees the reference's pictures as a function of an observation."""
+    assert isinstance(env, CameraEnv)  # by `make_task`
+    see = ReferencePictures(reference, env.task, policy.cameras, policy.size, env.pictures.marker)
+    return lambda observation: policy(see(), observation[env.known])
+
+
+def _run_in_reference(reference: ReferenceFetch, act: Act, trained: Randomization, options: Options) -> EpisodeMetrics:
+    ends = [reference_episode(reference, act, Past(trained), options.seed, index) for index in range(options.episodes)]
     names = [field.name for field in dataclasses.fields(EpisodeMetrics)]
     return EpisodeMetrics(**{name: float(np.mean([getattr(end, name) for end in ends])) for name in names})
 

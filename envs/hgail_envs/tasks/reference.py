@@ -60,6 +60,8 @@ class ReferenceFetch:
 
         env.action_space = gymnasium.spaces.Box(-_LARGEST_ACTION, _LARGEST_ACTION, dtype=np.float64)  # it clips to this
         self.model, self.data = env.model, env.data
+        self.scene = str(env.fullpath)
+        """Its MJCF file."""
         self._env = env
         self._fingers = {self.model.geom(name).id for name in _FINGERS}
 

@@ -21,6 +21,8 @@ from hgail_jax.cli import evaluate, export
 from hgail_jax.cli.policies import make_task
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.trainer.statistics import success_interval
+from hgail_jax.vision.network import init_eyes
+from hgail_jax.vision.policy import CameraPolicy
 
 
 @pytest.fixture
@@ -128,6 +130,35 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
     (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "2"], capsys)["policies"]
     ends = run_episodes(GymnasiumFetch("grasp"), [tracking_policy], range(2), seed=0)
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-9)
+
+
+@pytest.mark.parametrize("goal_size", [4, 0])
+def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
+    goal_size, tmp_path, capsys, monkeypatch, rendering
+):
+    pytest.importorskip("gymnasium_robotics")
+    save_policy(tmp_path / "p.npz", blind_policy(goal_size))
+    given = []
+
+    def stand_still(policy, pictures, numbers):
+        given.append((pictures, numbers))
+        return np.zeros(4, np.float32)
+
+    monkeypatch.setattr(CameraPolicy, "__call__", stand_still)
+    (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "2"], capsys)["policies"]
+    assert len(given) == 100
+    pictures, numbers = (np.stack(column) for column in zip(*given, strict=True))
+    assert pictures.shape == (100, 1, 16, 16, 3) and pictures.dtype == np.uint8 and pictures.std() > 10.0
+    ends = run_episodes(GymnasiumFetch("push"), [lambda _: np.zeros(4)], range(2), seed=0)
+    np.testing.assert_allclose(numbers[:, :3].std(axis=0), 0.0, atol=1e-2)  # the hand, which stands still
+    assert numbers.shape[1] == 6 + goal_size
+    assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
+
+
+def blind_policy(goal_size):
+    eyes = init_eyes(jax.random.key(0), 1, 6 + goal_size, (4, 4, 4, 4), (8,), (4, 3 if goal_size else 6))
+    ones, centre = np.ones(6 + goal_size, np.float32), np.ones(3 if goal_size else 6, np.float32)
+    return CameraPolicy("push", goal_size, ("side",), 16, ones, ones, centre, jax.tree.map(np.asarray, eyes))
 
 
 @pytest.mark.parametrize(
