@@ -8,6 +8,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from hgail_envs.vision.look import LOOKS
+
 
 @dataclasses.dataclass(frozen=True)
 class Augmentation:
@@ -26,10 +28,8 @@ class Augmentation:
 # Half a stop to a third over is what a camera that sets its own exposure leaves; .03 is a small sensor's noise indoors.
 # Three of 64 pixels are about two degrees: a camera that was nudged. With these a student saw through another renderer
 # where one without saw little: success .68 for .15 on push.
-AUGMENTATIONS = {
-    "plain": Augmentation(),
-    "varied": Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3),
-}
+_VARIED = Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3)
+AUGMENTATIONS = dict.fromkeys(LOOKS, Augmentation()) | dict.fromkeys(("varied", "wide", "late", "image"), _VARIED)
 """By the name of the look."""
 
 

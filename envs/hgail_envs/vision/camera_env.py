@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from hgail_envs.base import Controller, GoalEnv, State
+from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import Pictures
 
 KNOWN = (
@@ -33,7 +34,8 @@ class CameraEnv(GoalEnv):
     Everything is the task's but `State.obs`: after the task's observation come the joint positions, the target's if its
     marker is in the pictures, and the draws of the episode's look, from which `see` renders. Rendering a whole batch at
     once is left to the policy, for a task is one environment. The draws are uniform, drawn with the episode's key at
-    the reset.
+    the reset. Where a look has late episodes, half of them for instance, the joint positions are those before the last
+    action, while the task's observation is of the present.
     """
 
     action_size = 0  # brax.Env declares it a property, which an instance could not set
@@ -42,7 +44,7 @@ class CameraEnv(GoalEnv):
         self.task, self.pictures, self.teacher = task, pictures, teacher
         for name in _OWN:
             setattr(self, name, getattr(task, name))
-        model = pictures.model
+        model, self._late = pictures.model, LOOKS[pictures.look].late
         self.known = known_numbers(task, pictures.target)
         """Places in an observation of the numbers that a policy with pictures has; see `known_numbers`."""
         free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
@@ -76,7 +78,11 @@ class CameraEnv(GoalEnv):
         state = self.task.reset(rng, training_goals)
         # the task takes the key apart by `split`, and by `fold_in` of 2
         draws = jax.random.uniform(jax.random.fold_in(rng, 3), (self.pictures.draws,), minval=-1.0)
-        return self._seen(state.replace(info=state.info | {"look": draws}))
+        info = {"look": draws}
+        if self._late:
+            late = jax.random.bernoulli(jax.random.fold_in(rng, 4), self._late)
+            info |= {"late": late, "shown": self._shown(state)}
+        return self._seen(state.replace(info=state.info | info))
 
     def step(self, state: State, action: jax.Array) -> State:
         return self._seen(self.task.step(state, action))
@@ -85,9 +91,16 @@ class CameraEnv(GoalEnv):
         return self._seen(self.task.move_target(state, position))
 
     def _seen(self, state: State) -> State:
+        shown = self._shown(state)
+        if self._late:
+            before, state = state.info["shown"], state.replace(info=state.info | {"shown": shown})
+            shown = jnp.where(state.info["late"], before, shown)
+        return state.replace(obs=jnp.concatenate([state.obs, shown, state.info["look"]]))
+
+    def _shown(self, state: State) -> jax.Array:
+        """Returns joint positions, and the target's if its marker is in the pictures, `[pictures.model.nq]`."""
         target = [state.info["desired_goal"][:3]] if self.pictures.marker else []
-        parts = [state.obs, state.pipeline_state.qpos, *target, state.info["look"]]
-        return state.replace(obs=jnp.concatenate(parts))
+        return jnp.concatenate([state.pipeline_state.qpos, *target])
 
     def curriculum(self, progress: jax.Array | float) -> "CameraEnv":
         return CameraEnv(self.task.curriculum(progress), self.pictures, self.teacher)

@@ -16,7 +16,7 @@ class Look:
     """Bounds of an episode's look."""
 
     colour: float = 0.0
-    """Of each channel of each colour, which are 0 to 1."""
+    """Of each channel of each colour, which are 0 to 1; see `_TOLD_APART`."""
     brightness: float = 0.0
     """Of a light's strength, as a fraction."""
     light_turn: float = 0.0
@@ -27,16 +27,36 @@ class Look:
     """Of a camera's direction about each of its axes, radians."""
     zoom: float = 0.0
     """Of a camera's field of view, as a fraction."""
+    shadows: bool = False
+    """Whether Warp's renderer casts shadows, as MuJoCo's own always does."""
+    late: float = 0.0
+    """Fraction of the episodes whose pictures show the state of an action before."""
 
 
+_VARIED = Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02)
 LOOKS = {
     "plain": Look(),
     # Camera, screen and paint turn a colour by .1 to .2; at .2 the cubes of a stack, .4 and more apart, stay apart. The
     # light of a room differs by a third from hour to hour. A light that turns by .4 of its length does so by up to 30
     # degrees. A camera on a stand is put back to a centimetre and to a degree, and its field of view known to 2 %.
-    "varied": Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02),
+    "varied": _VARIED,
+    # Another cube, table, arm and room: any colours. Light through a window or from a single lamp, with its shadows; a
+    # camera put back by eye, to two centimetres and two degrees, and its field of view taken from a data sheet.
+    "wide": Look(
+        colour=1.0, brightness=0.6, light_turn=0.8, camera_shift=0.02, camera_turn=0.035, zoom=0.04, shadows=True
+    ),
+    # A camera at 30 pictures a second shows the state of 30 to 70 ms ago, an action is 40 ms.
+    "late": dataclasses.replace(_VARIED, late=0.5),
+    # The parts of "varied", each alone; the fourth is in `hgail_jax.vision.augmentation`.
+    "colours": Look(colour=0.2),
+    "light": Look(brightness=0.35, light_turn=0.4),
+    "cameras": Look(camera_shift=0.01, camera_turn=0.02, zoom=0.02),
+    "image": Look(),
 }
 """Looks by name."""
+MARKER = "marker of the target"
+"""Body of the ball that stands for a target that is seen."""
+_TOLD_APART = 0.2  # largest bound of the colour of the marker, and of the objects where there are several
 
 FIELDS = ("geom_rgba", "mat_rgba", "light_diffuse", "light_dir", "cam_fovy")
 """Fields of the model that a look changes."""
@@ -66,21 +86,30 @@ def varied(model: mujoco.MjModel, look: Look, draws: Any, xp: ModuleType) -> dic
         first += size
 
     def coloured(rgba: np.ndarray, offset: Any) -> Any:
-        colour = xp.clip(rgba[:, :3] + look.colour * offset, 0.0, 1.0)
+        colour = xp.clip(rgba[:, :3] + offset, 0.0, 1.0)
         return xp.concatenate([colour, xp.broadcast_to(rgba[:, 3:], (*colour.shape[:-1], 1))], axis=-1)
 
     # A geom that has a material must keep its own colour, or that would count instead of the material's.
     bare = (model.geom_matid < 0)[:, None]
     direction = model.light_dir + look.light_turn * parts["light"]
     return {
-        "geom_rgba": coloured(model.geom_rgba, parts["geom"] * bare),
-        "mat_rgba": coloured(model.mat_rgba, parts["mat"]),
+        "geom_rgba": coloured(model.geom_rgba, _colour_bounds(model, look) * (parts["geom"] * bare)),
+        "mat_rgba": coloured(model.mat_rgba, look.colour * parts["mat"]),
         "light_diffuse": model.light_diffuse * (1.0 + look.brightness * parts["brightness"]),
         "light_dir": direction / xp.sqrt(xp.square(direction).sum(axis=-1, keepdims=True)),
         "cam_fovy": model.cam_fovy * (1.0 + look.zoom * parts["zoom"]),
         "shift": look.camera_shift * parts["shift"],
         "turn": _rotation(look.camera_turn * parts["turn"], xp),
     }
+
+
+def _colour_bounds(model: mujoco.MjModel, look: Look) -> np.ndarray:
+    """Returns the bounds of the geoms' colours, `[ngeom, 1]`."""
+    named = [body for body in range(model.nbody) if model.body(body).name == MARKER]
+    objects = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    told_apart = np.isin(model.geom_bodyid, [*named, *(objects if len(objects) > 1 else [])])
+    bounds = np.where(told_apart, min(look.colour, _TOLD_APART), look.colour)
+    return bounds[:, None].astype(np.float32)  # as the draws are
 
 
 def _rotation(angles: Any, xp: ModuleType) -> Any:

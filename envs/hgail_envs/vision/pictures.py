@@ -12,7 +12,7 @@ from hgail_envs.engines import resolve_impl
 from hgail_envs.scenes import VISUAL_GROUP, explained
 from hgail_envs.validation import check_count, check_name
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS, camera_ids
-from hgail_envs.vision.look import LOOKS, Look, draws_of
+from hgail_envs.vision.look import LOOKS, MARKER, Look, draws_of
 from hgail_envs.vision.opengl import OpenGLRenderer
 from hgail_envs.vision.warp_renderer import WarpRenderer
 
@@ -94,7 +94,7 @@ def _model_to_see(robot: Any, marker: bool) -> mujoco.MjModel:
     for pair in list(spec.pairs):
         spec.delete(pair)
     if marker:
-        site, body = spec.site("target"), spec.worldbody.add_body(name="marker of the target")
+        site, body = spec.site("target"), spec.worldbody.add_body(name=MARKER)
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         size, group = site.size, VISUAL_GROUP

@@ -89,7 +89,7 @@ class WarpRenderer:
                     render_rgb=True,
                     render_depth=False,
                     use_textures=False,
-                    use_shadows=False,
+                    use_shadows=self._look.shadows,
                     enabled_geom_groups=list(_GEOM_GROUPS),
                     use_precomputed_rays=self._look.zoom == 0.0,
                 )

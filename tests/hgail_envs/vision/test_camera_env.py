@@ -57,5 +57,26 @@ def test_the_marker_is_at_the_goal_of_the_state(where):
     np.testing.assert_array_equal(env.see(state.obs), shown)
 
 
+def test_a_late_picture_shows_the_state_before_the_action():
+    env = hgail_envs.make("push")
+    late = CameraEnv(env, Pictures(env, ["front"], 16, look="late"))
+    start = jax.jit(jax.vmap(late.reset))(jax.random.split(jax.random.key(0), 32))
+    fraction = start.info["late"].mean()
+    assert 0.2 < fraction < 0.8
+    after = jax.jit(jax.vmap(late.step))(start, jnp.ones((32, 4)))
+    again = jax.jit(jax.vmap(late.step))(after, jnp.ones((32, 4)))
+    own = np.s_[:, : env.observation_size]
+    positions = np.s_[:, env.observation_size : env.observation_size + env.model.nq]
+    for before, now in ((start, after), (after, again)):
+        one, other = before.pipeline_state.qpos, now.pipeline_state.qpos
+        expected = np.where(start.info["late"][:, None], one, other)
+        np.testing.assert_array_equal(now.obs[positions], expected)
+        np.testing.assert_array_equal(now.obs[own], jax.vmap(env.goal_observation)(*_parts(now)))
+
+
+def _parts(state):
+    return state.info["features"], state.info["desired_goal"]
+
+
 def _goal(state):
     return state.info["desired_goal"][:3]

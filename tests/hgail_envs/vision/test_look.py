@@ -5,8 +5,10 @@ import mujoco
 import numpy as np
 import pytest
 
+import hgail_envs
 from hgail_envs.robots.fetch import Fetch
-from hgail_envs.vision.look import FIELDS, LOOKS, Look, draws_of, varied
+from hgail_envs.vision.look import FIELDS, LOOKS, MARKER, Look, draws_of, varied
+from hgail_envs.vision.pictures import Pictures
 
 MODEL = Fetch("stack").load(visual=True)
 VARIED = LOOKS["varied"]
@@ -43,6 +45,21 @@ def test_a_geom_with_a_material_keeps_its_own_colour_and_opacities_stay():
     np.testing.assert_allclose(look["geom_rgba"][painted], MODEL.geom_rgba[painted], atol=1e-6)
     assert (np.abs(look["geom_rgba"] - MODEL.geom_rgba)[~painted, :3] > 0.01).any(axis=1).all()
     np.testing.assert_array_equal(look["mat_rgba"][:, 3], MODEL.mat_rgba[:, 3])
+
+
+def test_cubes_that_are_told_apart_and_the_marker_keep_near_their_colours():
+    draws = np.random.default_rng(0).uniform(-1.0, 1.0, 4000)
+    for task, names in (("push", ["cube"]), ("stack", ["cube_a", "cube_b"])):
+        model = Pictures(hgail_envs.make(task), target="seen").model
+        looks = [
+            varied(model, LOOKS["wide"], draws[first : first + draws_of(model)], np)["geom_rgba"]
+            for first in range(0, 4000 - draws_of(model), 100)
+        ]
+        change = np.abs(np.array(looks) - model.geom_rgba).max(axis=(0, 2))
+        bounds = [change[model.geom(name).id] for name in names]
+        assert (min(bounds) > 0.5) if task == "push" else (0.1 < max(bounds) <= 0.2 + 1e-6)
+        marker = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name == MARKER]
+        assert len(marker) == (task == "push") and (change[marker] <= 0.2 + 1e-6).all()
 
 
 @pytest.mark.parametrize("axis", range(3))
