@@ -4,7 +4,7 @@ import dataclasses
 import importlib.util
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from hgail_envs.randomization import LEVELS
 from hgail_envs.registry import TASKS
@@ -15,6 +15,7 @@ from hgail_jax.io.camera_export import export_camera_onnx, export_camera_policy
 from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.policy import AnyPolicy, save_policy
+from hgail_jax.lerobot import check_installed
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
@@ -24,6 +25,7 @@ from hgail_jax.vision.policy import CameraPolicy
 PROGRAM = "hgail export"
 FORMATS = {".onnx": "ONNX", ".mlirbc": "StableHLO", ".npz": "npz"}
 """Formats, by the end of a file's name."""
+LEROBOT = "lerobot"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +39,10 @@ class Options:
     --randomize the one trained under that level, for mild and full levels else the robust one."""
     randomize: Annotated[str | None, unless_given("the plain policy", "|".join(LEVELS))] = None
     """Level of the training of the policy, of those that come with the package."""
-    out: Annotated[Path | None, unless_given("<task>.onnx", "FILE")] = None
-    """File to write, which must not exist: .onnx (extra `onnx`), .mlirbc for StableHLO, or .npz."""
+    format: Annotated[Literal["lerobot"] | None, unless_given("by the end of the file's name", "lerobot")] = None
+    """`lerobot` writes a folder for `lerobot-eval --policy.path`; see docs/lerobot.md."""
+    out: Annotated[Path | None, unless_given("<task>.onnx, or <task>-lerobot", "FILE|FOLDER")] = None
+    """What to write, which must not exist: a file .onnx (extra `onnx`), .mlirbc for StableHLO or .npz, or a folder."""
     episodes: int = 100
     """Episodes for the success rate in an ONNX file's metadata, randomised as in training; 0 is none. For a policy
     in its run's folder the run's final evaluation is taken."""
@@ -55,9 +59,8 @@ def main(arguments: list[str] | None = None) -> None:
         if len(found) > 1:
             raise ValueError(f"{options.policy} has {len(found)} policies; name one, e.g. {from_here(found[0][0])}")
         path, policy = found[0]
-        out = options.out or Path(f"{policy.task.replace(':', '.')}.onnx")
-        check_new_file(out, FORMATS)
-        kind, trusted = out.suffix.lower(), policy.task in TASKS or options.task is not None
+        trusted = policy.task in TASKS or options.task is not None
+        kind, out = _kind(options, policy, trusted)
         if kind == ".onnx":
             if importlib.util.find_spec("onnx") is None:
                 raise ValueError("ONNX needs the package onnx: pip install 'hgail-jax[onnx]'")
@@ -72,6 +75,10 @@ def main(arguments: list[str] | None = None) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         if kind == ".npz":
             save_policy(out, policy)
+        elif kind == LEROBOT:
+            from hgail_jax.lerobot.policy import export_lerobot
+
+            export_lerobot(out, policy)
         elif isinstance(policy, CameraPolicy):
             export_camera_onnx(out, policy, success) if kind == ".onnx" else export_camera_policy(out, policy)
         elif kind == ".onnx":
@@ -80,7 +87,25 @@ def main(arguments: list[str] | None = None) -> None:
             export_policy(out, policy)
     except (OSError, ValueError) as error:
         fail(PROGRAM, error, 1)
-    say(f"policy {from_here(path)} as {FORMATS[kind]} -> {out}")
+    say(f"policy {from_here(path)} as {FORMATS.get(kind, 'LeRobot')} -> {out}")
+
+
+def _kind(options: Options, policy: AnyPolicy, trusted: bool) -> tuple[str, Path]:
+    """Returns the format, an ending of `FORMATS` or `LEROBOT`, and what to write; a ValueError if it cannot be."""
+    name = policy.task.replace(":", ".")
+    if options.format is None:
+        out = options.out or Path(f"{name}.onnx")
+        check_new_file(out, FORMATS)
+        return out.suffix.lower(), out
+    check_installed()
+    from hgail_jax.lerobot.policy import check_shown
+
+    out = options.out or Path(f"{name}-lerobot")
+    check_new_file(out)
+    if not trusted:
+        raise ValueError(f"{policy.task!r} is none of this package; name a task of your own by --task")
+    check_shown(policy)
+    return LEROBOT, out
 
 
 def _check(options: Options) -> None:
