@@ -1,6 +1,7 @@
 """The tasks as environments of LeRobot: `--env.type=hgail --env.task=push`."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 from hgail_envs import GoalEnv, State
 from hgail_envs.registry import check_takes_robot
 from hgail_envs.vector import GoalVectorEnv, make_task
-from hgail_envs.vision.camera_env import known_places
+from hgail_envs.vision.camera_env import CameraEnv, known_numbers
 from hgail_envs.vision.pictures import Pictures
 
 SENTENCES = {
@@ -27,8 +28,6 @@ SENTENCES = {
     "tower": "Build a tower of three cubes.",
 }
 """What a policy is told in words, by the task."""
-PICTURE_SIZE = 96
-"""Edge of a picture unless another is given, pixels."""
 _STATE, _OBSERVATION, _PICTURES = "agent_pos", "environment_state", "pixels"  # as LeRobot's roll-outs have them
 
 
@@ -37,34 +36,43 @@ def sentence(task: str) -> str:
     return SENTENCES.get(task, task)
 
 
-def make(task: str, robot: str | None, num_envs: int) -> GoalEnv:
-    """Makes a task; a ValueError says that there is no such task or robot."""
-    if robot is not None:
-        check_takes_robot(task)
-    return make_task(task, num_envs, **({} if robot is None else {"robot": robot}))
+def told_numbers(env: GoalEnv) -> np.ndarray:
+    """Returns the places in a task's observation of LeRobot's state: the robot's own numbers, and the goal's."""
+    return env.known if isinstance(env, CameraEnv) else known_numbers(env, "told")
+
+
+def observation_space(env: GoalEnv) -> spaces.Dict:
+    """Returns the space of an observation of one environment, see `HgailVectorEnv`."""
+
+    def box(size: int) -> spaces.Box:
+        return spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+    state = box(told_numbers(env).size)
+    if not isinstance(env, CameraEnv):
+        return spaces.Dict({_STATE: state, _OBSERVATION: box(env.observation_size)})
+    picture: spaces.Space = spaces.Box(0, 255, env.pictures.shape[1:], np.uint8)
+    pictures = dict.fromkeys(env.pictures.cameras, picture)
+    return spaces.Dict({_STATE: state, _PICTURES: spaces.Dict(pictures)})
 
 
 class HgailVectorEnv(GoalVectorEnv):
     """Many episodes of a task at once, with LeRobot's observations.
 
-    `agent_pos`, `[num_envs, numbers]`, are the numbers that a robot knows: its own, and the goal. With `cameras` there
-    are `pixels` of each by its name, uint8 `[num_envs, picture_size, picture_size, 3]`; without, `environment_state`,
-    `[num_envs, observation_size]`: the task's observation, which policies of this package read.
+    `agent_pos`, `[num_envs, numbers]`, are the numbers that a robot knows: its own, and the goal's unless that is seen.
+    A `CameraEnv` has `pixels` of each camera by its name, uint8 `[num_envs, size, size, 3]`; another task
+    `environment_state`, `[num_envs, observation_size]`: its observation, which policies of this package read.
 
     `info["is_success"]` is whether an episode ended at the goal, and false before its end: LeRobot counts an episode as
     a success if any step was one.
     """
 
-    def __init__(self, task: str, env: GoalEnv, num_envs: int, cameras: tuple[str, ...], picture_size: int) -> None:
-        self._known, self._size, self._cameras = known_places(env), env.observation_size, cameras
-        super().__init__(env, num_envs, render_mode="rgb_array", cameras=cameras, picture_size=picture_size)
-        self.single_observation_space = observation_space(env, cameras, picture_size)
+    def __init__(self, task: str, env: GoalEnv, num_envs: int) -> None:
+        super().__init__(env, num_envs, render_mode="rgb_array")
+        self.single_observation_space = observation_space(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.task, self.task_description, self._max_episode_steps = task, sentence(task), self._length
 
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts an episode in all environments; LeRobot's options say no more than that it is a new one."""
         return super().reset(seed=seed)
 
@@ -88,20 +96,12 @@ class HgailVectorEnv(GoalVectorEnv):
 
     def _seen(self, state: State) -> tuple[dict[str, Any], dict[str, Any]]:
         seen, info = super()._seen(state)
-        observation = np.array(state.obs[:, : self._size], np.float32)
-        parts: dict[str, Any] = {_STATE: observation[:, self._known]}
-        if not self._cameras:
+        observation = np.array(state.obs, np.float32)
+        parts: dict[str, Any] = {_STATE: observation[:, told_numbers(self.env)]}
+        if not isinstance(self.env, CameraEnv):
             return parts | {_OBSERVATION: observation}, info
         pictures = np.moveaxis(seen["pixels"], 1, 0)
-        return parts | {_PICTURES: dict(zip(self._cameras, pictures, strict=True))}, info
-
-
-def observation_space(env: GoalEnv, cameras: tuple[str, ...], picture_size: int) -> spaces.Dict:
-    """Returns the space of an observation of one environment, see `HgailVectorEnv`."""
-    picture = spaces.Box(0, 255, (picture_size, picture_size, 3), np.uint8)
-    sizes = {_STATE: known_places(env).size} | ({} if cameras else {_OBSERVATION: env.observation_size})
-    parts: dict[str, Any] = {name: spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()}
-    return spaces.Dict(parts | ({_PICTURES: spaces.Dict(dict.fromkeys(cameras, picture))} if cameras else {}))
+        return parts | {_PICTURES: dict(zip(self.env.pictures.cameras, pictures, strict=True))}, info
 
 
 @EnvConfig.register_subclass("hgail")
@@ -117,34 +117,28 @@ class HgailEnvConfig(EnvConfig):
     robot: str | None = None
     """The robot that acts, of a task of an arm; the Fetch unless it is named."""
     cameras: str = ""
-    """Cameras of the scene by name, e.g. `front,side`; none unless they are named."""
-    picture_size: int = PICTURE_SIZE
+    """Cameras of the scene, with commas between them; none unless they are named."""
+    picture_size: int = 96
     """Edge of the square pictures, pixels."""
+    target: str = "told"
+    """Whether the target is told by numbers of the state, or with pictures `seen` as a ball."""
 
     def __post_init__(self) -> None:
         try:
-            env = make(str(self.task), self.robot, 1)
-            if self._cameras:
-                Pictures(env, self._cameras, self.picture_size)
+            env = self._make(1)
         except ValueError as error:
             raise DecodingError(("env",), str(error)) from error
         self.fps = round(1 / env.control_period)
-        kinds = {_STATE: (FeatureType.STATE, OBS_STATE), _OBSERVATION: (FeatureType.ENV, OBS_ENV_STATE)}
+        space = observation_space(env)
         self.features = {ACTION: PolicyFeature(FeatureType.ACTION, (env.action_size,))}
-        self.features_map = {ACTION: ACTION}
-        for name, space in observation_space(env, self._cameras, self.picture_size).items():
-            if name == _PICTURES:
-                images = [f"{OBS_IMAGES}.{camera}" for camera in self._cameras]
-                picture = PolicyFeature(FeatureType.VISUAL, (self.picture_size, self.picture_size, 3))
-                self.features |= dict.fromkeys(images, picture)
-                self.features_map |= dict(zip(images, images, strict=True))
-            else:
-                kind, self.features_map[name] = kinds[name]
-                self.features[name] = PolicyFeature(kind, space.shape)
-
-    @property
-    def _cameras(self) -> tuple[str, ...]:
-        return tuple(name.strip() for name in self.cameras.split(",") if name.strip())
+        self.features[_STATE] = PolicyFeature(FeatureType.STATE, space[_STATE].shape)
+        self.features_map = {ACTION: ACTION, _STATE: OBS_STATE, _OBSERVATION: OBS_ENV_STATE}
+        if isinstance(env, CameraEnv):
+            images = [f"{OBS_IMAGES}.{camera}" for camera in env.pictures.cameras]
+            self.features |= dict.fromkeys(images, PolicyFeature(FeatureType.VISUAL, env.pictures.shape[1:]))
+            self.features_map |= dict(zip(images, images, strict=True))
+        else:
+            self.features[_OBSERVATION] = PolicyFeature(FeatureType.ENV, space[_OBSERVATION].shape)
 
     @property
     def gym_kwargs(self) -> dict:
@@ -153,6 +147,14 @@ class HgailEnvConfig(EnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, HgailVectorEnv]]:
         """Returns the task's environments, which one process steps, as LeRobot nests them."""
-        task = str(self.task)
-        env = make(task, self.robot, n_envs)
-        return {self.type: {0: HgailVectorEnv(task, env, n_envs, self._cameras, self.picture_size)}}
+        return {self.type: {0: HgailVectorEnv(str(self.task), self._make(n_envs), n_envs)}}
+
+    def _make(self, num_envs: int) -> GoalEnv:
+        robot: Mapping[str, str] = {} if self.robot is None else {"robot": self.robot}
+        if robot:
+            check_takes_robot(str(self.task))
+        env = make_task(str(self.task), num_envs, **robot)
+        cameras = [name.strip() for name in self.cameras.split(",") if name.strip()]
+        if not cameras and self.target == "told":
+            return env
+        return CameraEnv(env, Pictures(env, cameras, self.picture_size, target=self.target))

@@ -16,7 +16,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 from torch import Tensor, nn
 
 from hgail_envs.registry import make
-from hgail_envs.vision.camera_env import known_places
+from hgail_envs.vision.camera_env import known_numbers
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.policy import MAX_NORMALIZED, NORM_EPSILON
 from hgail_jax.vision.network import KERNELS, STRIDES
@@ -185,7 +185,7 @@ def _named(layer: str, *arrays: Any) -> dict[str, Any]:
 def check_shown(policy: AnyPolicy) -> None:
     """Raises a ValueError unless a policy reads what LeRobot's environment of its task shows, on its robot."""
     env = make(policy.task, **{name: value for name, value in policy.task_options.items() if name == "robot"})
-    shown = known_places(env).size if isinstance(policy, CameraPolicy) else env.observation_size
+    shown = known_numbers(env, policy.target).size if isinstance(policy, CameraPolicy) else env.observation_size
     if policy.mean.size != shown:
         raise ValueError(
             f"the policy reads {policy.mean.size} numbers; LeRobot's environment of {policy.task} shows {shown}, which"

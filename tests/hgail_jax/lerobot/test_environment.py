@@ -81,6 +81,16 @@ def test_pictures_are_those_of_the_cameras():
     assert shapes == {"action": (4,), "observation.state": (10,), **images}
 
 
+def test_a_target_that_is_seen_is_not_told():
+    pictures, numbers = {}, {}
+    for target in ("told", "seen"):
+        _, env = made(4, task="push", cameras="front", picture_size=64, target=target)
+        observation, _ = env.reset(seed=[1, 2, 3, 4])
+        pictures[target], numbers[target] = observation["pixels"]["front"], observation["agent_pos"]
+    np.testing.assert_array_equal(numbers["seen"], numbers["told"][:, :-4])
+    assert (pictures["seen"] != pictures["told"]).any()
+
+
 def test_it_tells_lerobot_what_it_asks_for():
     _, env = made(2, task="pick-and-place")
     env.reset(seed=[0, 1])
@@ -98,6 +108,7 @@ def test_it_tells_lerobot_what_it_asks_for():
         ("--env.task=poke", "unknown task 'poke'; choose from point, reach"),
         ("--env.robot=hal", "robot is 'hal'; choose from"),
         ("--env.cameras=behind", "has no camera 'behind'; it has"),
+        ("--env.target=seen", "no camera is named; choose from front"),
         ("--env.picture_size=4 --env.cameras=front", "the size of a picture is 4"),
     ],
 )
