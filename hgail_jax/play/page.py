@@ -32,6 +32,7 @@ _FIELD_OF_VIEW = np.radians(35.0)
 _HANDLE_SIZE = 0.16  # metres
 _LEAST_WIDTH = 1e-3  # metres, of the space along an axis of the handle
 _MARK_RADIUS = 0.022  # metres
+_ENLARGED = 3  # pixels for each that a policy sees
 
 _MOST_TRIED = 100  # ports
 _COLOURS = {"blue": "#166bb8", "green": "#1e8e4e", "red": "#c0392b", "grey": "#6b7280"}
@@ -69,6 +70,7 @@ class Page:
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closed = threading.Event()
         self._paused, self._speed, self._dragged, self._due = False, 1.0, False, 0.0
+        self._seen: viser.GuiImageHandle | None = None
         self.session = open_session(self._task, seed)
         with contextlib.redirect_stdout(io.StringIO()), any_request():  # without its banner
             self.server = viser.ViserServer(host=host, port=port, label="hgail_jax", verbose=False)
@@ -211,6 +213,10 @@ class Page:
         self._handle.on_update(
             lambda event: self._requests.put(lambda: self._drag(event.phase, np.array(event.target.position)))
         )
+        if self._seen is not None:
+            self._seen.remove()
+        seen, label = session.seen, "What the policy sees"
+        self._seen = None if seen is None else self.server.gui.add_image(_side_by_side(seen), label=label, format="png")
         self._due = 0.0
         self.advance(0.0)
         self._show_status()
@@ -244,6 +250,13 @@ class Page:
             distance += f"; success within {100.0 * env.success_threshold:.0f} cm"
         counted = f"{status.successes} of {status.episodes} episodes succeeded" if status.episodes else "First episode"
         self._status.content = _badge(colour, words, f"{distance}<br>{counted}")
+        if self._seen is not None and (seen := self.session.seen) is not None:
+            self._seen.image = _side_by_side(seen)
+
+
+def _side_by_side(seen: np.ndarray) -> np.ndarray:
+    """Returns pictures `[cameras, size, size, 3]` as one, enlarged as they are, for a browser would blur them."""
+    return np.hstack([picture.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1) for picture in seen])
 
 
 def _standing(status: Status) -> tuple[str, str]:

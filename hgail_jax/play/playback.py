@@ -27,6 +27,7 @@ from hgail_jax.terminal import StatusLine
 _SIZE = (480, 640)  # height, width
 _HOLD = 15  # frames that the last pose of an episode stands still
 _EDGE = 8  # pixels around the last pose
+_INSET = 128  # pixels, edge of what a policy sees, twice as large as it is by default
 _TEXT_SIZE, _TEXT_COLOUR = 20, (35, 55, 85)
 _ZONE_COLOUR = (0.9, 0.1, 0.1, 0.25)  # of the ball within which a position is at the target
 _EDGE_COLOURS = {True: (0, 158, 115), False: (213, 94, 0)}  # green and red that the colour-blind tell apart
@@ -82,13 +83,14 @@ def film(path: Path, env: GoalEnv, policy: Actor, episodes: int = 5, seed: int =
     """Writes a film of a few episodes in real time, in one of `FORMATS`; returns whether each succeeded.
 
     The target is a red ball, or the body that the task names. Each picture has a `caption`; the last pose of an episode
-    has a green edge where it succeeded, a red one where it did not.
+    has a green edge where it succeeded, a red one where it did not. What a policy with cameras sees is in the lower
+    left corner.
     """
     pictures = episodes * (env.episode_length + env.lift_test_steps + _HOLD)
     with StatusLine("compiling and filming") as line, open_film(path, env.control_period) as append:
         session = Session(env, policy, seed)
         for number, frame in enumerate(frames(session, episodes, *_SIZE), start=1):
-            picture = _captioned(frame, caption(session))
+            picture = _with_inset(_captioned(frame, caption(session)), session.seen)
             append(_edged(picture, session.outcomes[-1]) if session.phase is Phase.RESTING else picture)
             line.show(f"filming, picture {number} of {pictures}", log=False)
         line.show(f"writing {path.name}", log=False)
@@ -99,6 +101,18 @@ def _captioned(picture: np.ndarray, text: str) -> np.ndarray:
     image = Image.fromarray(picture)
     at = (_EDGE + 6, _EDGE + 2)
     ImageDraw.Draw(image).text(at, text, _TEXT_COLOUR, ImageFont.load_default(_TEXT_SIZE))
+    return np.asarray(image)
+
+
+def _with_inset(picture: np.ndarray, seen: np.ndarray | None) -> np.ndarray:
+    """Returns a picture, `[height, width, 3]`, with those that a policy sees, if any, in its lower left corner."""
+    if seen is None:
+        return picture
+    image = Image.fromarray(picture)
+    for number, small in enumerate(reversed(seen)):
+        inset = Image.new("RGB", (_INSET + 2, _INSET + 2), "white")
+        inset.paste(Image.fromarray(small).resize((_INSET, _INSET), Image.Resampling.NEAREST), (1, 1))
+        image.paste(inset, (_EDGE, image.height - _EDGE - (number + 1) * inset.height))
     return np.asarray(image)
 
 

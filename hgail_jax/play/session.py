@@ -12,6 +12,7 @@ import numpy as np
 
 from hgail_envs import GoalEnv
 from hgail_envs.scenes import open_scene, pose
+from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.vision.policy import acting
 
@@ -67,6 +68,7 @@ class Session:
         self.env, self._policy = env, acting(env, policy)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         self._move, self._outcome = jax.jit(env.move_target), jax.jit(env.outcome)
+        self._see = jax.jit(env.see) if isinstance(env, CameraEnv) else None
         self.phase = Phase.ACTING
         self.restart(seed)
 
@@ -128,6 +130,11 @@ class Session:
     def target(self) -> np.ndarray:
         """Position of the target, `[3]`, metres, world frame."""
         return np.asarray(self._state.info["desired_goal"])[:3]
+
+    @property
+    def seen(self) -> np.ndarray | None:
+        """What the policy's cameras see, `[cameras, size, size, 3]`, uint8; None if it sees positions."""
+        return None if self._see is None else np.asarray(self._see(self._state.obs))
 
     def pose(self, fraction: float = 1.0) -> None:
         """Poses `data` between the states before (0) and after (1) the last action, with the target's site in place."""

@@ -14,6 +14,8 @@ from PIL import Image
 import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import caption, film, frames
@@ -68,6 +70,22 @@ def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy
         on_the_edge = [bool((picture[at] == colour).all()) for picture in pictures]
         assert on_the_edge == [*episode, *episode]
     assert not any((picture[8:-8, 8:-8] == colour).all(axis=-1).any() for picture in pictures)
+
+
+def test_a_film_shows_what_the_policy_sees(monkeypatch, tmp_path, rendering):
+    env = hgail_envs.make("push")
+    env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen"))
+    frames, seen = [], []
+    monkeypatch.setattr("hgail_jax.play.playback.open_film", lambda *_: contextlib.nullcontext(frames.append))
+    see = Session.seen.fget
+    monkeypatch.setattr(Session, "seen", property(lambda session: seen.append(see(session)) or seen[-1]))
+    film(tmp_path / "f.mp4", env, lambda _: np.zeros(4), episodes=1)
+    assert len(frames) == len(seen) > env.episode_length and seen[0].std() > 10.0
+    for frame, pictures in zip(frames, seen, strict=True):
+        for camera, top in enumerate((480 - 8 - 2 * 130, 480 - 8 - 130)):
+            inset = frame[top + 1 : top + 129, 9 : 9 + 128]
+            np.testing.assert_array_equal(inset[::2, ::2], pictures[camera])
+            np.testing.assert_array_equal(inset[1::2, 1::2], pictures[camera])
 
 
 def test_pictures_say_the_time_and_the_distance_and_show_the_zone_of_success(monkeypatch, shipped_policy):

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.session import Phase, Session
 from tests.support import ROOT, SOURCES, free_port
@@ -57,6 +59,23 @@ def test_a_page_may_be_served_on_ipv6():
     if not socket.has_dualstack_ipv6():
         pytest.skip("no IPv6 here")
     assert web.free_port("::1", None, 8080) >= 8080
+
+
+def test_the_page_shows_what_a_policy_with_cameras_sees(page, monkeypatch, rendering):
+    env = hgail_envs.make("push", impl="c")
+    seeing = CameraEnv(env, Pictures(env, ["front", "side"], 16, target="seen"))
+    sessions = {"push": lambda: Session(seeing, lambda _: np.ones(4)), "reach": lambda: page_session}
+    page_session = page.session
+    monkeypatch.setattr(page, "_open_session", lambda task, seed: sessions[task]())
+    assert page._seen is None
+    page._set_task("push")
+    assert page._seen.image.shape == (48, 96, 3)
+    for _ in range(5):
+        page.session.step()
+    page._show_status()
+    np.testing.assert_array_equal(page._seen.image[1::3, 1::3], np.hstack(page.session.seen))
+    page._set_task("reach")
+    assert page._seen is None
 
 
 def test_time_passes_at_the_speed_that_is_chosen(page):
