@@ -73,17 +73,22 @@ def _shapes(model: mujoco.MjModel) -> dict[str, tuple[int, ...]]:
     return {"geom": (model.ngeom, 3), "mat": (model.nmat, 3)} | of_lights | of_cameras
 
 
+def split_draws(model: mujoco.MjModel, draws: Any) -> dict[str, Any]:
+    """Returns the draws, `[..., draws_of(model)]`, by what they vary, each `[...]` and the shape of its own."""
+    ends = np.cumsum([int(np.prod(shape)) for shape in _shapes(model).values()])
+    return {
+        name: draws[..., end - int(np.prod(shape)) : end].reshape(*draws.shape[:-1], *shape)
+        for end, (name, shape) in zip(ends, _shapes(model).items(), strict=True)
+    }
+
+
 def varied(model: mujoco.MjModel, look: Look, draws: Any, xp: ModuleType) -> dict[str, Any]:
     """Returns what a look changes, by its draws, `[..., draws_of(model)]` in [-1, 1]; the module `xp` computes.
 
     The leaves have the batch's axes in front. They are the `FIELDS` as they are to be, the `shift` of each camera in
     the world, `[..., ncam, 3]`, metres, and its `turn`, `[..., ncam, 3, 3]`, a rotation in the camera's own frame.
     """
-    parts, first = {}, 0
-    for name, shape in _shapes(model).items():
-        size = int(np.prod(shape))
-        parts[name] = draws[..., first : first + size].reshape(*draws.shape[:-1], *shape)
-        first += size
+    parts = split_draws(model, draws)
 
     def coloured(rgba: np.ndarray, offset: Any) -> Any:
         colour = xp.clip(rgba[:, :3] + offset, 0.0, 1.0)
