@@ -18,6 +18,7 @@ from hgail_envs.scenes import assets_directory
 from hgail_envs.validation import MOST_SEED, check_count, check_name
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import AnyPolicy, load_any_policy
 from hgail_jax.terminal import say
@@ -158,10 +159,14 @@ def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
     """Returns a task with the pictures that a policy sees, in the scene's own look."""
     if isinstance(env, RandomizedEnv):
         raise ValueError("a policy that sees pictures was trained without --randomize; leave it out")
-    seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size, target=policy.target))
+    try:
+        seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size, target=policy.target))
+    except RenderingError as error:
+        raise ValueError(str(error)) from error
     for what, given, needed in (
         ("is told", policy.mean.size, len(seen.known)),
         ("commands", policy.action_size, seen.action_size),
+        ("tells the objects' places in", policy.centre.size, len(seen.objects)),
         ("has goals of", policy.goal_size, seen.goal_size if policy.target == "told" else 0),
     ):
         if given != needed:

@@ -32,6 +32,10 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
     """
     cameras = [name.strip() for name in options.camera.split(",")]
     pictures = Pictures(env, cameras, options.picture_size, options.renderer, options.look, options.target)
+    if pictures.renderer == "opengl" and options.renderer == "auto":
+        raise ValueError(
+            "--observe camera trains on an NVIDIA GPU, which is not here; --renderer opengl tries it out on a CPU"
+        )
     if pictures.renderer == "warp" and devices > 1:
         raise ValueError("the renderer 'warp' runs on one device so far; leave out --devices")
     if options.teacher is None:

@@ -16,8 +16,9 @@ from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.randomized import randomize
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax import load_policy, save_policy
-from hgail_jax.cli import evaluate, export
+from hgail_jax.cli import evaluate, export, play
 from hgail_jax.cli.policies import make_task
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.trainer.statistics import success_interval
@@ -153,6 +154,37 @@ def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
     np.testing.assert_allclose(numbers[:, :3].std(axis=0), 0.0, atol=1e-2)  # the hand, which stands still
     assert numbers.shape[1] == 6 + goal_size
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"), [(evaluate, []), (export, ["--out", "p.onnx"]), (play, ["--out", "p.mp4"])]
+)
+def test_where_mujoco_cannot_render_commands_say_so_in_one_line(command, words, tmp_path, capsys, monkeypatch):
+    def fail(*_):
+        raise RenderingError("MuJoCo cannot render here")
+
+    monkeypatch.setattr("hgail_envs.vision.opengl.open_renderer", fail)
+    save_policy(tmp_path / "p.npz", blind_policy(4))
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--policy", str(tmp_path / "p.npz"), *words])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.endswith("MuJoCo cannot render here\n")
+
+
+@pytest.mark.parametrize(
+    ("goal_size", "task", "message"),
+    [
+        (4, "stack", "the policy is told 10 numbers; in stack there are 13"),
+        (0, "reach", "the policy tells the objects' places in 6 numbers; in reach there are 3"),
+        (4, "point", "the task has no scene that a camera could see"),
+    ],
+)
+def test_a_policy_of_pictures_for_another_task_is_refused(goal_size, task, message, tmp_path, capsys, rendering):
+    save_policy(tmp_path / "p.npz", blind_policy(goal_size))
+    with pytest.raises(SystemExit):
+        evaluate.main(["--policy", str(tmp_path / "p.npz"), "--task", task])
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1
 
 
 def blind_policy(goal_size):

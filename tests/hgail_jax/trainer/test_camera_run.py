@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import hgail_envs
 from hgail_envs.scenes import assets_directory
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax import init_state, load_policy
@@ -176,6 +177,20 @@ def test_wrong_options_are_told_in_one_line(words, message, capsys, tmp_path):
     told = capsys.readouterr().err
     assert ended.value.code == 2 and message in told and told.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_training_without_a_gpu_is_refused_unless_the_renderer_is_named(monkeypatch):
+    monkeypatch.setattr(camera, "Pictures", lambda env, *_: _of_opengl(Map(env)))
+    options = TrainOptions(task="push", observe="camera", teacher=TEACHER)
+    env = hgail_envs.make("push")
+    with pytest.raises(ValueError, match="trains on an NVIDIA GPU, which is not here; --renderer opengl tries it out"):
+        camera.with_camera(env, options, 1)
+    camera.with_camera(env, dataclasses.replace(options, renderer="opengl"), 1)
+
+
+def _of_opengl(pictures):
+    pictures.renderer = "opengl"
+    return pictures
 
 
 def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(monkeypatch, tmp_path, capsys):
