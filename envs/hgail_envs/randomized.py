@@ -12,16 +12,10 @@ from hgail_envs.base import Controller, EpisodeMetrics, GoalEnv, State
 from hgail_envs.layout import past
 from hgail_envs.randomization import LEVELS, MODEL_FACTORS, Randomization, Range
 from hgail_envs.variation import SOURCES, Drawn, ModelFactors, RandomizedPhysics
-
-_SAME = (
-    *("goal_size", "goal_layout", "action_size", "action_layout"),
-    *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps"),
-    *("observation_limit", "control_period", "scene", "robot", "target_body", "reference", "training"),
-)
-"""Attributes that the randomised task copies."""
+from hgail_envs.wrapper import Wrapper
 
 
-class RandomizedEnv(GoalEnv):
+class RandomizedEnv(Wrapper):
     """A randomised task; the sizes of each episode are drawn with its key at the reset.
 
     Actions take effect late, their displacements are scaled, and the observed positions of gripper, object and goal
@@ -34,8 +28,6 @@ class RandomizedEnv(GoalEnv):
     An action begins with a displacement in x, y and z, and a goal with a position, as far as they have three numbers. A
     task that lacks `add_sensor_noise`, `vary_model` or `vary_start`, which a size needs, is a ValueError.
     """
-
-    action_size = 0  # brax.Env declares it a property, which an instance could not set
 
     def __init__(self, task: GoalEnv, randomization: Randomization) -> None:
         needed = {
@@ -53,10 +45,8 @@ class RandomizedEnv(GoalEnv):
                 f"{type(task).__name__} cannot be randomised so: its object has no free joint, to which {given[0]}"
                 f" would apply; take a randomisation without {', '.join(given)}"
             )
-        self.task, self.randomization = task, randomization
-        self._sizes = dict(vars(randomization))
-        for name in _SAME:
-            setattr(self, name, getattr(task, name))
+        super().__init__(task)
+        self.randomization, self._sizes = randomization, dict(vars(randomization))
         known, remembered = randomization.known_delay, randomization.history
         self._past_size = known * (1 + task.action_size) + remembered * (task.action_size + task.feature_size)
         self.feature_size = self._past_size + task.feature_size
@@ -64,15 +54,6 @@ class RandomizedEnv(GoalEnv):
         self.controllers = {  # type: ignore[misc]
             name: functools.partial(_act_now, act, self._past_size) for name, act in task.controllers.items()
         }
-
-    @property
-    def max_worlds(self) -> int | None:  # type: ignore[override]
-        return self.task.max_worlds
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in ("impl", "substeps"):
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(self.task, name)  # not copied when it is made: a task may start JAX to find its engine
 
     def reset_physics(self, rng: jax.Array) -> RandomizedPhysics:
         sizes, task = self.randomization, self.task

@@ -1,7 +1,5 @@
 """A task whose observation says what its cameras see."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -10,6 +8,7 @@ import numpy as np
 from hgail_envs.base import Controller, GoalEnv, State
 from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.wrapper import Wrapper
 
 KNOWN = (
     *("gripper position", "gripper velocity", "gap between the fingers"),
@@ -18,17 +17,15 @@ KNOWN = (
 """Quantities of a task's features that a robot measures in itself; the others are seen."""
 
 _OWN = (
-    *("feature_size", "features_layout", "goal_size", "goal_layout", "action_size", "action_layout"),
-    *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps", "observation_limit"),
-    *("control_period", "scene", "robot", "target_body", "shows_goal", "reference", "training"),
+    *("feature_size", "features_layout"),
     *("reset_physics", "training_start", "step_physics", "features", "achieved_goal", "sample_goal", "plan_goals"),
     *("current_goal", "goal_observation", "success", "goal_kind", "goal_test", "goal_tolerance", "reached"),
     *("already_solved", "aim", "lift_test_action", "outcome", "overflow", "prepare"),
 )
-"""Attributes and methods that are the task's."""
+"""More attributes and methods that are the task's."""
 
 
-class CameraEnv(GoalEnv):
+class CameraEnv(Wrapper):
     """A task, the `pictures` of it, and a `teacher` that knows more than they show: it reads the task's observations.
 
     Everything is the task's but `State.obs`: after the task's observation come the joint positions, the target's if its
@@ -38,12 +35,9 @@ class CameraEnv(GoalEnv):
     action, while the task's observation is of the present.
     """
 
-    action_size = 0  # brax.Env declares it a property, which an instance could not set
-
     def __init__(self, task: GoalEnv, pictures: Pictures, teacher: Controller | None = None) -> None:
-        self.task, self.pictures, self.teacher = task, pictures, teacher
-        for name in _OWN:
-            setattr(self, name, getattr(task, name))
+        super().__init__(task, _OWN)
+        self.pictures, self.teacher = pictures, teacher
         model, self._late = pictures.model, LOOKS[pictures.look].late
         self.known = known_numbers(task, pictures.target)
         """Places in an observation of the numbers that a policy with pictures has; see `known_numbers`."""
@@ -58,15 +52,6 @@ class CameraEnv(GoalEnv):
     @property
     def observation_size(self) -> int:
         return self.task.observation_size + self.pictures.model.nq + self.pictures.draws
-
-    @property
-    def max_worlds(self) -> int | None:  # type: ignore[override]
-        return self.task.max_worlds
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in ("impl", "substeps"):
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(self.task, name)  # not copied when it is made: a task may start JAX to find its engine
 
     def see(self, observation: jax.Array) -> jax.Array:
         """Returns what the cameras see in a batch of states, `[..., cameras, size, size, 3]`, uint8."""
