@@ -29,7 +29,9 @@ class Augmentation:
 # Three of 64 pixels are about two degrees: a camera that was nudged. With these a student saw through another renderer
 # where one without saw little: success .68 for .15 on push.
 _VARIED = Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3)
-AUGMENTATIONS = dict.fromkeys(LOOKS, Augmentation()) | dict.fromkeys(("varied", "wide", "late", "image"), _VARIED)
+AUGMENTATIONS = dict.fromkeys(LOOKS, Augmentation()) | dict.fromkeys(
+    ("varied", "shadows", "wide", "late", "image"), _VARIED
+)
 """By the name of the look."""
 
 

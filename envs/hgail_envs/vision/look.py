@@ -40,6 +40,9 @@ LOOKS = {
     # light of a room differs by a third from hour to hour. A light that turns by .4 of its length does so by up to 30
     # degrees. A camera on a stand is put back to a centimetre and to a degree, and its field of view known to 2 %.
     "varied": _VARIED,
+    # A student of "varied" told the cube of push worse in MuJoCo's own pictures, which have shadows, than without them:
+    # one in ten was off by 7.3 cm, without shadows by 3.4.
+    "shadows": dataclasses.replace(_VARIED, shadows=True),
     # Another cube, table, arm and room: any colours. Light through a window or from a single lamp, with its shadows; a
     # camera put back by eye, to two centimetres and two degrees, and its field of view taken from a data sheet.
     "wide": Look(
