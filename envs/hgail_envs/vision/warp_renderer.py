@@ -90,6 +90,7 @@ class WarpRenderer:
                     render_depth=False,
                     use_textures=False,
                     use_shadows=self._look.shadows,
+                    shadow_light_fraction=0.0,  # by default light falls into a shadow, as it does not in OpenGL
                     enabled_geom_groups=list(_GEOM_GROUPS),
                     use_precomputed_rays=self._look.zoom == 0.0,
                 )
