@@ -14,6 +14,7 @@ from hgail_envs.base import EpisodeMetrics
 from hgail_envs.engines import ENGINES
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
+from hgail_envs.registry import check_takes_robot
 from hgail_envs.tasks.reference import ReferenceFetch, reference_episode
 from hgail_envs.validation import check_name, counted
 from hgail_envs.vision.camera_env import CameraEnv
@@ -45,8 +46,8 @@ class Options(PolicyOptions):
     impl: Annotated[str | None, unless_given("auto", "|".join(["auto", *ENGINES]))] = None
     """Physics engine of the Fetch tasks, always with the reference's 20 steps per action."""
     reference: bool = False
-    """Run in Gymnasium-Robotics' environment of the task instead (extra `compare`), one episode after another. A policy
-    of pictures sees its scene, through cameras like those of its own."""
+    """Run with the maker's full model of an arm instead, or for the Fetch in Gymnasium-Robotics (extra `compare`), one
+    episode after another; there a policy of pictures sees that scene, through cameras like those of its own."""
     json: bool = False
     """Print a JSON object instead of text."""
 
@@ -59,7 +60,8 @@ def main(arguments: list[str] | None = None) -> None:
         task = find_task(options.task, options.policy)
         policies = find_policies(task, options.policy, options.randomize)
         found = [policy for _, policy in policies]
-        engine, episodes, measures = (_reference if options.reference else _simulation)(task, options, found)
+        on_the_fetch = options.reference and _robot(task, options, found) == "fetch"
+        engine, episodes, measures = (_reference if on_the_fetch else _simulation)(task, options, found)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     rows = []
@@ -85,10 +87,19 @@ def _check(options: Options) -> None:
     options.check(options.episodes)
     if options.impl is not None:
         check_name("impl", options.impl, ["auto", *ENGINES])
-    if options.reference and (options.impl or options.robot or options.randomize not in (None, "none")):
-        raise ValueError(
-            "the reference is one robot on one engine, not randomised; leave out --impl, --robot and --randomize"
-        )
+    if options.reference and (options.impl or options.randomize not in (None, "none")):
+        raise ValueError("the reference is one engine, not randomised; leave out --impl and --randomize")
+
+
+def _robot(task: str, options: Options, policies: list[AnyPolicy]) -> str:
+    """Returns the robot that policies are evaluated on, which must be the same for all."""
+    if options.robot is not None:
+        check_takes_robot(task)
+        return options.robot
+    robots = {str(policy.task_options.get("robot", "fetch")) for policy in policies}
+    if len(robots) > 1:
+        raise ValueError(f"policies of {', '.join(sorted(robots))} have no reference in common; name one by --robot")
+    return robots.pop()
 
 
 def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:
@@ -100,7 +111,8 @@ def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple
     for policy in policies:
         trained = repr((policy.task_options, policy.randomization, _sees(policy)))
         if trained not in evaluations:
-            env = make_task(policy, task, options.randomize, impl=options.impl, robot=options.robot)
+            level, impl = ("none", "reference") if options.reference else (options.randomize, options.impl)
+            env = make_task(policy, task, level, impl=impl, robot=options.robot)
             evaluations[trained] = Evaluation(env, options.seed, options.episodes)
         measures.append(functools.partial(evaluations[trained], policy))
     return getattr(env, "impl", "JAX"), evaluations[trained].episodes, measures

@@ -60,6 +60,7 @@ def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, 
 
 __all__ = [
     "ENGINES",
+    "CEngine",
     "Control",
     "Engine",
     "EngineState",

@@ -84,7 +84,8 @@ class HostRollout:
     ) -> tuple[np.ndarray, ...]:
         """Returns positions `[..., nq]`, velocities `[..., nv]` and sensors `[..., nsensordata]` after a call's steps.
 
-        `control` is `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies. `fields`,
+        `control` is `[..., nu + 7 nmocap]`: controls, then positions and quaternions of the mocap bodies; without such
+        bodies there may be controls for each step, `[..., substeps * nu]`. `fields`,
         each `[..., size]` in single precision, are values of the model's fields of these `names`.
         """
         model, batch = self._model, qpos.shape[:-1]
@@ -93,7 +94,8 @@ class HostRollout:
             room = self._room = self._room if self._room.count == count else _Room(model, self._substeps, count)
             room.start[:, 1:velocities] = qpos.reshape(count, -1)
             room.start[:, velocities : velocities + model.nv] = qvel.reshape(count, -1)
-            room.control[:] = control.reshape(count, 1, -1)
+            width = room.control.shape[2]
+            room.control[:] = control.reshape(count, max(control.shape[-1] // max(width, 1), 1), width)
             models = room.models
             if names:
                 copies = self._copies.setdefault(tuple(names), _Copies(model, names))

@@ -6,7 +6,7 @@ import jax
 import mujoco
 import numpy as np
 
-from hgail_envs.engines import Control, EngineState
+from hgail_envs.engines import Control, Engine, EngineState
 from hgail_envs.robots.kinematics import Chain, Pose
 from hgail_envs.scenes import check_names, explained, without_visuals
 from hgail_envs.variation import ModelFactors
@@ -73,6 +73,13 @@ class Robot(abc.ABC):
     @abc.abstractmethod
     def spec(self) -> mujoco.MjSpec:
         """Returns the scene with the robot in it."""
+
+    def reference_engine(self, slowdown: int = 1) -> Engine:
+        """Returns an engine that carries out the controls on the robot's full model, in `slowdown` times the period.
+
+        A ValueError says that it has none.
+        """
+        raise ValueError(f"robot {self.name!r} has no full model here; impl 'reference' is of arms with servos")
 
     @abc.abstractmethod
     def settle(self, offset: np.ndarray | float = 0.0) -> mujoco.MjData:

@@ -154,27 +154,34 @@ def _parsed(name: str, text: str) -> Description:
     return arm
 
 
-def attach_arm(name: str, scene: mujoco.MjSpec, base: Sequence[float], stays_closed: bool = False) -> None:
+def attach_arm(
+    name: str, scene: mujoco.MjSpec, base: Sequence[float], stays_closed: bool = False, full: bool = False
+) -> None:
     """Puts the arm into a scene, its base at `base`, `[3]`, metres: on servos of its own, and weightless.
 
     In a scene in which the hand `stays_closed` the gripper is where the pads meet.
 
     It touches nothing but with the geoms `palm`, `right_pad` and `left_pad`. They, sites on the pads of the same names
-    and the site `grip` are added to its model, whose own names get a prefix. A ValueError says that the package with
-    the model is not installed, or that its model is none.
+    and the site `grip` are added to its model, whose own names get a prefix. A `full` model keeps the maker's position
+    servos, joints and colliding geoms, and touches with these, see `hgail_envs.robots.full_model`. A ValueError says
+    that the package with the model is not installed, or that its model is none.
     """
-    arm, spec = read_description(name), read_model(name)
+    arm, spec = read_description(name), read_model(name, full)
     compiled = _compiled(name, text_of(name))
     _add_servos(spec, arm, compiled)
     _keep_inertias(spec, compiled[0])
     for geom in list(spec.geoms):
-        if geom.contype or geom.conaffinity:
-            spec.delete(geom)
-        else:
+        if not (geom.contype or geom.conaffinity):
             geom.group = VISUAL_GROUP
+        elif full:
+            geom.group = _HIDDEN
+        else:
+            spec.delete(geom)
     if arm.scale != 1.0:
         enlarge(spec, arm.scale)
         scene.option.gravity *= arm.scale
+    if full:
+        scene.option.cone, scene.option.impratio = spec.option.cone, spec.option.impratio
     take_options(spec, scene)
     scene.attach(spec, frame=scene.worldbody.add_frame(pos=base), prefix=PREFIX)
     aside = rotation(arm.tool.quat)[:, 1] * (arm.meeting if stays_closed else 0.0)
@@ -214,8 +221,10 @@ def enlarge(spec: mujoco.MjSpec, scale: float) -> None:
     for joint in spec.joints:
         if joint.name in slides:
             joint.range, joint.ref, joint.springref = scale * joint.range, scale * joint.ref, scale * joint.springref
+            joint.frictionloss *= scale
         else:
-            joint.armature *= scale**2
+            joint.armature, joint.frictionloss = scale**2 * joint.armature, scale**2 * joint.frictionloss
+            joint.damping, joint.stiffness = scale**2 * joint.damping, scale**2 * joint.stiffness
     for servo in spec.actuators:
         if servo.target in slides:
             servo.ctrlrange, servo.forcerange = scale * servo.ctrlrange, scale * servo.forcerange
@@ -225,8 +234,11 @@ def enlarge(spec: mujoco.MjSpec, scale: float) -> None:
             servo.biasprm[1:3] *= scale**2
 
 
-def read_model(name: str) -> mujoco.MjSpec:
-    """Returns the model of the arm with its hand, without actuators; a ValueError of one line if it cannot be read."""
+def read_model(name: str, actuators: bool = False) -> mujoco.MjSpec:
+    """Returns the model of the arm with its hand, with or without the maker's position servos.
+
+    A ValueError of one line says that it cannot be read.
+    """
     arm = read_description(name)
     if arm.package:
         package = importlib.util.find_spec(arm.package)
@@ -238,8 +250,12 @@ def read_model(name: str) -> mujoco.MjSpec:
     with explained(f"of robot {name!r}"):
         spec = _read(arm.model, folder)
         if arm.hand_model:
-            attach_hand(spec, _read(arm.hand_model, folder), arm.flange)
-    for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *spec.actuators):
+            hand = _read(arm.hand_model, folder)
+            contacts = hand.option.cone, hand.option.impratio
+            attach_hand(spec, hand, arm.flange)
+            spec.option.cone, spec.option.impratio = contacts  # what the hand holds depends on them
+    others = [servo for servo in spec.actuators if not (actuators and servo.biasprm[1])]
+    for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *others):
         spec.delete(element)
     spec.nuser_actuator = -1  # MuJoCo would warn that there are none
     complete(spec)
@@ -308,14 +324,29 @@ def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, arm: Description, compiled: tuple[mujoco.MjModel, np.ndarray]) -> None:
-    """Puts a servo at each joint of the arm and of its hand, in this order, in place of damping and friction."""
+    """Puts a servo at each joint of the arm and of its hand, in this order, in place of damping and friction.
+
+    Joints of the arm that have one, and a hand that has one, keep it; drives of the hand become as stiff as described.
+    """
     (model, largest), hand, turn = compiled, arm.hand, 2.0 * np.pi * arm.servo_frequency
-    for name, torque in zip(arm.joints, arm.torque, strict=True):
+    driven = {servo.target: servo for servo in spec.actuators}
+    for name, torque, speed in zip(arm.joints, arm.torque, arm.top_speed, strict=True):
+        if name in driven:
+            joint, servo = spec.joint(name), driven[name]
+            if joint.damping[0] * speed > torque:  # not the drive's, which would never get there: the servo's own
+                servo.biasprm[2] -= joint.damping[0]
+                joint.damping = np.zeros(3)
+            continue
         inertia = largest[model.jnt_dofadr[model.joint(name).id]] + arm.armature
         servo = _add_servo(spec, model, name, arm.armature)
         servo.set_to_position(kp=turn**2 * inertia, kv=2.0 * turn * inertia)
         servo.forcerange = (-torque, torque)
     for name in hand.joints:
+        if name in driven:
+            factor = hand.stiffness / -driven[name].biasprm[1]
+            driven[name].gainprm[0] *= factor
+            driven[name].biasprm[1] *= factor
+    for name in hand.joints if driven.keys() <= set(arm.joints) else ():
         servo = _add_servo(spec, model, name, hand.armature)
         servo.set_to_position(kp=hand.stiffness, kv=hand.damping)
         servo.forcerange = (-hand.force, hand.force)

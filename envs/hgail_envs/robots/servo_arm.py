@@ -8,14 +8,15 @@ import mujoco
 import numpy as np
 from brax import math
 
-from hgail_envs.engines import Control
+from hgail_envs.engines import Control, Engine
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, START_HEIGHT, ArmPhysics, Robot
 from hgail_envs.robots.description import PREFIX, attach_arm, read_description
+from hgail_envs.robots.full_model import FullModel, touch_with_bodies
 from hgail_envs.robots.grip import tabulate_hand, without_weight_beyond_grip
 from hgail_envs.robots.hand import PADS, finger_fields, pad_fields, rotation
 from hgail_envs.robots.inverse_kinematics import damped_step
 from hgail_envs.robots.kinematics import Chain, Pose
-from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene
+from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene, without_visuals
 from hgail_envs.variation import ModelFactors
 
 _START = (1.344, 0.749, TABLE_HEIGHT)  # below the gripper's start, as the Fetch's, metres
@@ -63,12 +64,18 @@ class ServoArm(Robot):
         self._start[2] = max(self._start[2], self.lowest_height)
 
     def spec(self) -> mujoco.MjSpec:
+        return self._scene(full=False)
+
+    def _scene(self, full: bool) -> mujoco.MjSpec:
         spec = read_scene(self.scene, {"robot.xml": b"<mujoco><worldbody/></mujoco>", "hand.xml": _OF_HAND})
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # servos of small inertia need it at 5 ms
         spec.option.iterations = max(spec.option.iterations, _ITERATIONS)
         spec.option.ls_iterations = max(spec.option.ls_iterations, _ITERATIONS)
         x, y = self._start[:2] - self._arm.scale * np.asarray(self._arm.reach)
-        attach_arm(self.name, spec, [x, y, TABLE_HEIGHT], stays_closed=spec.text(_HAND) is None)
+        attach_arm(self.name, spec, [x, y, TABLE_HEIGHT], stays_closed=spec.text(_HAND) is None, full=full)
+        if full:
+            bodies = {part: PREFIX + getattr(self._arm, part).body for part in ("palm", *PADS)}
+            touch_with_bodies(spec, bodies, PREFIX)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
         pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
@@ -77,6 +84,22 @@ class ServoArm(Robot):
     def load(self, visual: bool = False) -> mujoco.MjModel:
         """Compiles the scene, whose objects weigh no more than the hand can hold; see `Robot`."""
         return without_weight_beyond_grip(super().load(visual), self.name)
+
+    def full_model(self, visual: bool = False) -> mujoco.MjModel:
+        """Compiles the scene with the arm as its maker has it, see `hgail_envs.robots.full_model`; the same joints."""
+        spec = self._scene(full=True)
+        model = (spec if visual else without_visuals(spec)).compile()
+        return without_weight_beyond_grip(model, self.name)
+
+    def reference_engine(self, slowdown: int = 1) -> Engine:
+        model, hand = self.full_model(), self._arm.hand
+        joints, drives = (
+            [model.joint(PREFIX + name).id for name in names] for names in (self._arm.joints, hand.joints)
+        )
+        start = model.qpos0.copy()
+        start[self._joints] = self._home
+        ends = np.array(drives), self._closed, self._opened
+        return FullModel(model, start, np.array(joints), ends, self._arm.servo_frequency, slowdown)
 
     def settle(self, offset: np.ndarray | float = 0.0) -> mujoco.MjData:
         data = mujoco.MjData(self.model)

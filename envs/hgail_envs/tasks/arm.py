@@ -71,11 +71,14 @@ class ArmEnv(GoalEnv):
     ) -> None:
         check_count("substeps", substeps, FAST_SUBSTEPS, REFERENCE_SUBSTEPS)
         check_count("worlds", worlds)
-        check_impl(impl)
+        of_reference = impl == "reference"
+        if not of_reference:
+            check_impl(impl)
         self.robot = make_robot(robot, find_scene(type(self)), self.base_x, self.start_height)
         self.model = self.robot.model
         check_contacts(self.model, self.robot.scene)
-        self._make_engine = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
+        make_own = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
+        self._make_engine = self.robot.reference_engine if of_reference else make_own
         settled = self.robot.settle()
         self._scene_model = SceneModel(self.robot)
         # What the arm may have touched on its way, a drawer for instance, starts as the scene has it.

