@@ -42,7 +42,7 @@ class CameraEnv(Wrapper):
         self.known = known_numbers(task, pictures.target)
         """Places in an observation of the numbers that a policy with pictures has; see `known_numbers`."""
         free = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-        seen = [*free, model.nq - 3] if pictures.marker else free
+        seen = [*free, pictures.joints - 3] if pictures.marker else free
         self.objects = task.observation_size + np.add.outer(seen, np.arange(3)).astype(int).ravel()
         """Places in an observation of the positions of the objects and of the marker, metres."""
 
@@ -51,12 +51,12 @@ class CameraEnv(Wrapper):
 
     @property
     def observation_size(self) -> int:
-        return self.task.observation_size + self.pictures.model.nq + self.pictures.draws
+        return self.task.observation_size + self.pictures.joints + self.pictures.draws
 
     def see(self, observation: jax.Array) -> jax.Array:
         """Returns what the cameras see in a batch of states, `[..., cameras, size, size, 3]`, uint8."""
         first = self.task.observation_size
-        qpos, draws = jnp.split(observation[..., first:], [self.pictures.model.nq], axis=-1)
+        qpos, draws = jnp.split(observation[..., first:], [self.pictures.joints], axis=-1)
         return self.pictures(qpos, draws)
 
     def reset(self, rng: jax.Array, training_goals: jax.Array | bool = False) -> State:
@@ -83,7 +83,7 @@ class CameraEnv(Wrapper):
         return state.replace(obs=jnp.concatenate([state.obs, shown, state.info["look"]]))
 
     def _shown(self, state: State) -> jax.Array:
-        """Returns joint positions, and the target's if its marker is in the pictures, `[pictures.model.nq]`."""
+        """Returns joint positions, and the target's if its marker is in the pictures, `[pictures.joints]`."""
         target = [state.info["desired_goal"][:3]] if self.pictures.marker else []
         return jnp.concatenate([state.pipeline_state.qpos, *target])
 

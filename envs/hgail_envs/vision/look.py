@@ -10,6 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from hgail_envs.vision.things import THING
+
 
 @dataclasses.dataclass(frozen=True)
 class Look:
@@ -31,6 +33,8 @@ class Look:
     """Whether Warp's renderer casts shadows, as MuJoCo's own always does."""
     late: float = 0.0
     """Fraction of the episodes whose pictures show the state of an action before."""
+    things: bool = False
+    """Whether things stand around the table, see `hgail_envs.vision.things`."""
 
 
 _VARIED = Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02)
@@ -43,6 +47,8 @@ LOOKS = {
     # A student of "varied" told the cube of push worse in MuJoCo's own pictures, which have shadows, than without them:
     # one in ten was off by 7.3 cm, without shadows by 3.4.
     "shadows": dataclasses.replace(_VARIED, shadows=True),
+    # A room is not empty.
+    "things": dataclasses.replace(_VARIED, shadows=True, things=True),
     # Another cube, table, arm and room: any colours. Light through a window or from a single lamp, with its shadows; a
     # camera put back by eye, to two centimetres and two degrees, and its field of view taken from a data sheet.
     "wide": Look(
@@ -112,11 +118,14 @@ def varied(model: mujoco.MjModel, look: Look, draws: Any, xp: ModuleType) -> dic
 
 
 def _colour_bounds(model: mujoco.MjModel, look: Look) -> np.ndarray:
-    """Returns the bounds of the geoms' colours, `[ngeom, 1]`."""
-    named = [body for body in range(model.nbody) if model.body(body).name == MARKER]
+    """Returns the bounds of the geoms' colours, `[ngeom, 1]`: things may have any."""
+    names = np.array([model.body(body).name for body in range(model.nbody)])
     objects = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    told_apart = np.isin(model.geom_bodyid, [*named, *(objects if len(objects) > 1 else [])])
+    if len(objects) < 2:
+        objects = objects[:0]
+    told_apart = np.isin(model.geom_bodyid, [*np.flatnonzero(names == MARKER), *objects])
     bounds = np.where(told_apart, min(look.colour, _TOLD_APART), look.colour)
+    bounds[np.char.startswith(names, THING)[model.geom_bodyid]] = 1.0
     return bounds[:, None].astype(np.float32)  # as the draws are
 
 

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
-import numpy as np
 
 from hgail_envs.base import GoalEnv
 from hgail_envs.engines import resolve_impl
@@ -14,6 +14,7 @@ from hgail_envs.validation import check_count, check_name
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS, camera_ids
 from hgail_envs.vision.look import LOOKS, MARKER, Look, draws_of
 from hgail_envs.vision.opengl import OpenGLRenderer
+from hgail_envs.vision.things import JOINTS, add_sliding_body, add_things, places_of_things
 from hgail_envs.vision.warp_renderer import WarpRenderer
 
 RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look], Callable[..., jax.Array]]] = {
@@ -31,7 +32,7 @@ _SMALLEST, _LARGEST = 16, 256
 class Pictures:
     """What cameras of a task's scene see, in square pictures.
 
-    Called with joint positions, `[..., model.nq]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it
+    Called with joint positions, `[..., joints]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it
     returns pictures `[..., cameras, size, size, 3]`, uint8: the upper row first, red first. It may be traced and
     batched. All scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch
     larger. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's where it can run.
@@ -61,10 +62,13 @@ class Pictures:
             raise ValueError("the task has no scene that a camera could see")
         self.marker = target == "seen" and not env.shows_goal
         """Whether the target's marker is in the pictures."""
-        self.model = _model_to_see(env.robot, self.marker)
+        self.model = _model_to_see(env.robot, self.marker, LOOKS[look].things)
         self.cameras, self.size, self.look, self.target = tuple(cameras), size, look, target
         ids = camera_ids(self.model, env.robot.scene, self.cameras)
-        self.draws = draws_of(self.model)
+        of_things = JOINTS if LOOKS[look].things else 0
+        self.joints = self.model.nq - of_things
+        """Joint positions that it is given."""
+        self.draws = draws_of(self.model) + of_things
         """Numbers that a look takes."""
         self.renderer = resolve_renderer(renderer)
         """Name of the renderer."""
@@ -81,24 +85,26 @@ class Pictures:
         return len(self.cameras), self.size, self.size, 3
 
     def __call__(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
-        pictures = self._render(qpos.reshape(-1, self.model.nq), draws.reshape(-1, self.draws))
+        draws, of_things = jnp.split(draws, [draws_of(self.model)], axis=-1)
+        if of_things.shape[-1]:
+            qpos = jnp.concatenate([qpos, places_of_things(of_things)], axis=-1)
+        pictures = self._render(qpos.reshape(-1, qpos.shape[-1]), draws.reshape(-1, draws.shape[-1]))
         return pictures.reshape(*qpos.shape[:-1], *self.shape)
 
 
-def _model_to_see(robot: Any, marker: bool) -> mujoco.MjModel:
+def _model_to_see(robot: Any, marker: bool, things: bool) -> mujoco.MjModel:
     """Compiles a robot's scene with all that is visible, and without contacts, which MJX may not know.
 
-    A marker is a body whose slides along x, y and z are the last joints.
+    The joints of a marker, and after them those of things, follow the scene's own.
     """
     spec = robot.spec()
     for pair in list(spec.pairs):
         spec.delete(pair)
     if marker:
-        site, body = spec.site("target"), spec.worldbody.add_body(name=MARKER)
-        for axis in np.eye(3):
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        size, group = site.size, VISUAL_GROUP
-        body.add_geom(type=site.type, size=size, rgba=site.rgba, group=group, contype=0, conaffinity=0)
+        site = spec.site("target")
+        add_sliding_body(spec, MARKER, type=site.type, size=site.size, rgba=site.rgba, group=VISUAL_GROUP)
+    if things:
+        add_things(spec, VISUAL_GROUP)
     with explained(robot.scene):
         return spec.compile()
 

@@ -45,6 +45,14 @@ def test_the_positions_of_cube_and_marker_are_in_the_observation():
     np.testing.assert_array_equal(made("push", "told").objects, env.objects[:3])
 
 
+def test_things_have_no_place_among_the_objects():
+    task = hgail_envs.make("push")
+    env = CameraEnv(task, Pictures(task, ["front"], 16, look="things", target="seen"))
+    np.testing.assert_array_equal(env.objects, made("push", "seen").objects)
+    state = jax.jit(env.reset)(jax.random.key(0))
+    assert state.obs.shape == (env.observation_size,) and env.see(state.obs).shape == (1, 16, 16, 3)
+
+
 @pytest.mark.parametrize("where", ["reset", "step", "move_target"])
 def test_the_marker_is_at_the_goal_of_the_state(where):
     env, state = made("push", "seen"), started("push", "seen")

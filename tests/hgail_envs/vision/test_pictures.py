@@ -12,6 +12,7 @@ import pytest
 import hgail_envs
 from hgail_envs.vision.cameras import camera_ids, describe_cameras
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.things import JOINTS
 
 pytestmark = pytest.mark.usefixtures("rendering")
 
@@ -113,6 +114,27 @@ def test_a_look_varies_pictures_and_leaves_no_trace_in_the_next():
     other = np.asarray(pictures(qpos, jnp.ones_like(none)), int)
     assert np.abs(other - plain).mean() > 5.0
     np.testing.assert_array_equal(np.asarray(pictures(qpos, none), int), plain)
+
+
+def test_things_stand_where_the_draws_put_them_and_hide_no_cube():
+    pictures = made("things")
+    none = np.zeros((1, pictures.draws), np.float32)
+    moved = none.copy()
+    moved[0, -3:-1] = 1.0  # the last thing, a ball on the table's rim: 20 cm along x and 2 cm along y
+    described = describe_cameras(pictures.model, pictures.cameras, SIZE)
+    one, other = (np.asarray(pictures(poses()[:1], draws))[0] for draws in (none, moved))
+    changed = (one != other).any(axis=-1)
+    for camera, mask in zip(described, changed, strict=True):
+        rows, columns = np.nonzero(mask)
+        places = [pixel(camera, np.array(place)) for place in ([1.3, 0.44, 0.43], [1.5, 0.46, 0.43])]
+        low, high = np.min(places, axis=0) - 6.0, np.max(places, axis=0) + 6.0  # with shadows
+        assert mask.any() and (low[0] <= columns).all() and (columns <= high[0]).all()
+        assert (low[1] <= rows).all() and (rows <= high[1]).all()
+    draws = np.random.default_rng(0).uniform(-1.0, 1.0, (40, pictures.draws)).astype(np.float32)
+    draws[:, :-JOINTS] = 0.0  # things alone
+    for seen in np.asarray(pictures(jnp.repeat(poses()[1:2], 40, axis=0), jnp.asarray(draws))):
+        for camera, picture in zip(described, seen, strict=True):
+            np.testing.assert_allclose(orange(picture)[0], pixel(camera, PLACES[1]), atol=2.0)
 
 
 def test_the_wrist_camera_moves_with_the_hand_and_sees_the_fingers_end():

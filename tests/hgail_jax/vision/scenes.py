@@ -23,6 +23,7 @@ class Map:
     def __init__(self, env, target="told"):
         self.target = target
         self.model, self._cube = env.robot.load(visual=True), env.qpos_of("cube")
+        self.joints = self.model.nq
 
     def __call__(self, qpos, draws):
         x, y = jnp.moveaxis((qpos[..., self._cube][..., :2] - jnp.array([1.1, 0.5])) / 0.5 * SIZE, -1, 0)
