@@ -24,7 +24,7 @@ from hgail_envs.randomization import LEVELS, Randomization
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
-_WITH_TABLES = ("index", "adversary", "suite", "off-policy", "robust", "tasks", "transfer")
+_WITH_TABLES = ("index", "adversary", "camera", "suite", "off-policy", "robust", "tasks", "transfer")
 PAGES = ("README.md", *(f"docs/{page}.md" for page in _WITH_TABLES))
 """Pages with tables."""
 
@@ -55,6 +55,7 @@ _BESIDE_PUBLISHED = (  # a run, and the success looked for, or None for how it e
     *((run, "0.95") for run in ("push-td3", "push-hgail", "pick-and-place-td3", "pick-and-place-hgail")),
     *(("slide-td3", "0.80"), ("slide-td3", None), ("slide-hgail", None)),
 )
+_CAMERA = ("push", "pick-and-place", "stack", "grasp")
 _RANDOMISED = ("-robust", "-other-arms", "-known-delay")
 _POLICIES = {"other arms": "under `other-arms`", "known delay": "known delay", "robust": "robust policy"}
 
@@ -163,6 +164,16 @@ def _on_a_cpu(run: Row) -> list[str]:
     (seed,) = run["seeds"]
     figures = [f"{seed}", f"{run['success']['mean']:.3f}", _count(run["env_steps"]), _seconds(run["seconds"]["total"])]
     return [run["task"], *_trained_by(run)[:2], *figures, f"{run['cpu_cores']}", _mujoco(run)]
+
+
+def camera() -> list[list[str]]:
+    """Eight seeds of policies that see pictures."""
+    header = ["task", "success", "worst seed", "steps to .95", "all steps", "training of eight seeds", "whole run"]
+    return [header, *(_camera(_run(f"{task}-camera")) for task in _CAMERA)]
+
+
+def _camera(run: Row) -> list[str]:
+    return [run["task"], _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
 
 
 def robust() -> list[list[str]]:
