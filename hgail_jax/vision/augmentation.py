@@ -30,7 +30,7 @@ class Augmentation:
 # where one without saw little: success .68 for .15 on push.
 _VARIED = Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3)
 AUGMENTATIONS = dict.fromkeys(LOOKS, Augmentation()) | dict.fromkeys(
-    ("varied", "shadows", "things", "wide", "late", "image"), _VARIED
+    ("varied", "shadowless", "things", "wide", "late", "image"), _VARIED
 )
 """By the name of the look."""
 

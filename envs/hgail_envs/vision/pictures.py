@@ -1,5 +1,6 @@
 """Pictures of a batch of scenes, rendered within a compiled program."""
 
+import importlib.util
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look], Callable[.
     "opengl": OpenGLRenderer,
     "warp": WarpRenderer,
 }
-"""Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's on an NVIDIA GPU."""
+"""Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's, made for an NVIDIA GPU."""
 TARGETS = ("told", "seen")
 """How a policy with pictures learns where the target is: by the goal's numbers, or from the pictures alone."""
 SIZE = 64
@@ -35,14 +36,14 @@ class Pictures:
     Called with joint positions, `[..., joints]`, and the draws of the scenes' looks, `[..., draws]` in [-1, 1], it
     returns pictures `[..., cameras, size, size, 3]`, uint8: the upper row first, red first. It may be traced and
     batched. All scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch
-    larger. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's where it can run.
+    larger. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's on an NVIDIA GPU.
 
     The marker of a `target` that is `"seen"` is a ball in the pictures, unless the scene shows the goal without it. Its
     three coordinates follow the task's own joint positions. A target that is `"told"` is in no picture.
 
     Raises:
-      ValueError: the task has no scene, the scene has no such camera, there is no such renderer or look, or Warp's
-        renderer finds no GPU.
+      ValueError: the task has no scene, the scene has no such camera, there is no such renderer or look, or warp-lang
+        is missing.
       RenderingError: MuJoCo cannot render here.
     """
 
@@ -114,8 +115,8 @@ def resolve_renderer(renderer: str) -> str:
     check_name("renderer", renderer, ["auto", *RENDERERS])
     if renderer == "auto":
         return "warp" if resolve_impl("auto") == "warp" else "opengl"
-    if renderer == "warp" and resolve_impl("auto") != "warp":
-        raise ValueError("the renderer 'warp' needs warp-lang and an NVIDIA GPU; use 'opengl' or 'auto'")
+    if renderer == "warp" and importlib.util.find_spec("warp") is None:
+        raise ValueError("the renderer 'warp' needs warp-lang (extra warp); use 'opengl' or 'auto'")
     if renderer == "opengl" and resolve_impl("auto") == "warp":
         raise ValueError("the renderer 'opengl' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
     return renderer

@@ -1,4 +1,4 @@
-"""MuJoCo Warp's ray tracer, which renders all scenes of a batch at once on an NVIDIA GPU."""
+"""MuJoCo Warp's ray tracer, which renders all scenes of a batch at once, on a GPU best."""
 
 import threading
 from typing import Any
@@ -21,6 +21,11 @@ def _kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Returns the data with the poses of all geoms and cameras, in full single precision."""
     with jax.default_matmul_precision("highest"), promotion():
         return mjx.camlight(model, mjx.kinematics(model, data))
+
+
+def _in_single(values: jax.Array) -> jax.Array:
+    """Returns numbers in single precision, and truth values as they are."""
+    return values if values.dtype == bool else values.astype(jnp.float32)
 
 
 class WarpRenderer:
@@ -53,7 +58,7 @@ class WarpRenderer:
 
     def _render_all(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
         model, look = self._models["warp"], varied(self._model, self._look, draws, jnp)
-        model = model.tree_replace({name: look[name].astype(jnp.float32) for name in FIELDS if name != "light_dir"})
+        model = model.tree_replace({name: _in_single(look[name]) for name in FIELDS if name != "light_dir"})
         data = jax.vmap(self._posed)(qpos, look["light_dir"], look["shift"], look["turn"])
         context = self._context(len(qpos))
         data = mjx.refit_bvh(model, data, context)
@@ -89,7 +94,7 @@ class WarpRenderer:
                     render_rgb=True,
                     render_depth=False,
                     use_textures=False,
-                    use_shadows=self._look.shadows,
+                    use_shadows=self._look.shadows > 0.0,
                     shadow_light_fraction=0.0,  # by default light falls into a shadow, as it does not in OpenGL
                     enabled_geom_groups=list(_GEOM_GROUPS),
                     use_precomputed_rays=self._look.zoom == 0.0,

@@ -39,6 +39,14 @@ def test_a_look_is_within_its_bounds_and_reaches_near_to_them():
     assert ((look["geom_rgba"] >= 0.0) & (look["geom_rgba"] <= 1.0)).all()
 
 
+def test_lights_cast_shadows_in_a_part_of_the_episodes():
+    draws = np.random.default_rng(0).uniform(-1.0, 1.0, (400, draws_of(MODEL)))
+    for look, share in (("varied", 0.5), ("shadowless", 0.0), ("colours", 1.0)):
+        cast = varied(MODEL, LOOKS[look], draws, np)["light_castshadow"]
+        assert cast.dtype == bool
+        assert abs(cast.mean() - share) < 0.08, look
+
+
 def test_a_geom_with_a_material_keeps_its_own_colour_and_opacities_stay():
     look = varied(MODEL, VARIED, np.ones(draws_of(MODEL)), np)
     painted = MODEL.geom_matid >= 0

@@ -1,4 +1,7 @@
-"""Warp's renderer on an NVIDIA GPU: the poses and the order of its pictures, and against MuJoCo's own renderer."""
+"""Warp's renderer: the poses and the order of its pictures, and against MuJoCo's own renderer.
+
+A GPU is not needed: Warp compiles its kernels for a CPU, too.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -6,15 +9,12 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.engines import resolve_impl
 from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.opengl import OpenGLRenderer
 from hgail_envs.vision.pictures import Pictures
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(resolve_impl("auto") != "warp", reason="needs an NVIDIA GPU and warp-lang"),
-]
+pytest.importorskip("warp", reason="needs warp-lang")
+pytestmark = pytest.mark.slow
 SCENES, SIZE = 8, 64
 
 
@@ -25,22 +25,33 @@ def starts(request):
     return env, jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), SCENES)).pipeline_state.qpos
 
 
-@pytest.mark.parametrize(("look", "differing"), [("plain", 0.12), ("shadows", 0.05)])
-def test_pictures_are_those_of_mujocos_renderer_but_for_shadows(starts, look, differing, rendering):
+def test_pictures_are_those_of_mujocos_renderer(starts, rendering):
     env, qpos = starts
-    pictures = Pictures(env, ["front", "side"], SIZE, look=look)
+    pictures = Pictures(env, ["front", "side"], SIZE, "warp")
     draws = jnp.zeros((SCENES, pictures.draws))
     seen = np.asarray(jax.jit(pictures)(qpos, draws), int)
     own = OpenGLRenderer(pictures.model, [0, 1], SIZE, LOOKS["plain"])
     (expected,) = own._on_host(np.asarray(qpos), np.asarray(draws))
     difference = np.abs(seen - expected.reshape(seen.shape)).max(axis=-1)
-    assert np.mean(difference > 40) < differing  # shadows, and edges, which only one of them smooths
+    assert np.mean(difference > 40) < 0.04  # edges, which only one of them smooths
     assert np.median(difference) < 8
+
+
+def test_a_light_casts_shadows_where_it_is_to(starts):
+    env, qpos = starts
+    seen = {}
+    for look in ("varied", "shadowless"):
+        pictures = Pictures(env, ["front", "side"], SIZE, "warp", look)
+        draws = jnp.zeros((SCENES, pictures.draws))
+        seen[look] = np.asarray(jax.jit(pictures)(qpos, draws), int)
+    fell = seen["shadowless"].sum(axis=-1) - seen["varied"].sum(axis=-1)
+    assert (fell >= -1).all()
+    assert (fell > 60).mean(axis=(1, 2, 3)).min() > 0.02
 
 
 def test_the_marker_is_where_mujocos_renderer_has_it(starts, rendering):
     env, qpos = starts
-    pictures = Pictures(env, ["front", "side"], SIZE, target="seen")
+    pictures = Pictures(env, ["front", "side"], SIZE, "warp", target="seen")
     if not pictures.marker:
         assert env.shows_goal
         return
@@ -52,13 +63,13 @@ def test_the_marker_is_where_mujocos_renderer_has_it(starts, rendering):
     for one, other in zip(seen.reshape(-1, SIZE, SIZE, 3), expected.reshape(-1, SIZE, SIZE, 3), strict=True):
         places = [np.argwhere((picture[..., 0] - picture[..., 1:].max(axis=-1)) > 60) for picture in (one, other)]
         if min(map(len, places)) >= 4:  # else the hand hides it
-            np.testing.assert_allclose(places[0].mean(axis=0), places[1].mean(axis=0), atol=1.0)
+            np.testing.assert_allclose(places[0].mean(axis=0), places[1].mean(axis=0), atol=2.5)
     assert (seen[..., 0] - seen[..., 1:].max(axis=-1) > 60).sum(axis=(1, 2, 3)).min() >= 4
 
 
 def test_each_scene_comes_back_in_its_place_and_time(starts):
     env, qpos = starts
-    pictures = Pictures(env, ["side", "front"], SIZE, look="varied")
+    pictures = Pictures(env, ["side", "front"], SIZE, "warp", look="varied")
     draws = jax.random.uniform(jax.random.key(1), (SCENES, pictures.draws), minval=-1.0)
     flat = np.asarray(jax.jit(pictures)(qpos, draws))
     assert len({picture.tobytes() for picture in flat}) == SCENES
