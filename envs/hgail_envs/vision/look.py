@@ -37,9 +37,7 @@ class Look:
     """Whether things stand around the table, see `hgail_envs.vision.things`."""
 
 
-_VARIED = Look(
-    colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02, shadows=0.5
-)
+_VARIED = Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02, shadows=0.5)
 LOOKS = {
     "plain": Look(),
     # Camera, screen and paint turn a colour by .1 to .2; at .2 the cubes of a stack, .4 and more apart, stay apart. The

@@ -116,7 +116,7 @@ def resolve_renderer(renderer: str) -> str:
     if renderer == "auto":
         return "warp" if resolve_impl("auto") == "warp" else "opengl"
     if renderer == "warp" and importlib.util.find_spec("warp") is None:
-        raise ValueError("the renderer 'warp' needs warp-lang (extra warp); use 'opengl' or 'auto'")
+        raise ValueError("the renderer 'warp' needs warp-lang, the extra warp; use 'opengl' or 'auto'")
     if renderer == "opengl" and resolve_impl("auto") == "warp":
         raise ValueError("the renderer 'opengl' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
     return renderer

@@ -159,7 +159,7 @@ def test_wrong_uses_are_told_in_one_line():
         ({"cameras": []}, "no camera is named; choose from front, side, wrist"),
         ({"cameras": ["side", "side"]}, "a camera is named twice in side, side"),
         ({"size": 8}, "the size of a picture is 8; it must be at least 16"),
-        ({"renderer": "warp"}, "the renderer 'warp' needs warp-lang (extra warp); use 'opengl' or 'auto'"),
+        ({"renderer": "warp"}, "the renderer 'warp' needs warp-lang, the extra warp; use 'opengl' or 'auto'"),
         ({"renderer": "pencil"}, "pencil"),
         ({"look": "odd"}, "odd"),
         ({"target": "felt"}, "target is 'felt'; choose from told, seen"),
