@@ -1,15 +1,21 @@
-"""Records demonstrations of a task by a scripted controller."""
+"""Records demonstrations of a task by a scripted controller or a policy."""
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+from hgail_envs import GoalEnv
 from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.validation import MOST_SEED, check_count, counted
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
 from hgail_jax.cli.command_line import fail, parse
+from hgail_jax.cli.policies import find_policies
 from hgail_jax.io.demonstrations import save_demonstrations
-from hgail_jax.io.files import check_new_file
-from hgail_jax.play.recording import make_for_demonstrations, record
+from hgail_jax.io.files import check_new_file, from_here
+from hgail_jax.lerobot import check_installed
+from hgail_jax.play.recording import make_for_demonstrations, record, successes
+from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
 from hgail_jax.trainer.options import unless_given
 
@@ -18,10 +24,12 @@ PROGRAM = "hgail demos"
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Records demonstrations of a task by a scripted controller."""
+    """Records demonstrations of a task by a scripted controller or a policy."""
 
     task: str = "reach"
-    """A task that has a scripted controller, e.g. reach or grasp."""
+    """A task's name, e.g. reach or grasp."""
+    policy: Annotated[Path | None, unless_given("the task's scripted controller", "FILE|FOLDER")] = None
+    """The policy that demonstrates it, in the task's reference physics."""
     episodes: int = 100
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0
@@ -30,23 +38,42 @@ class Options:
         None
     )
     """The robot that demonstrates it."""
-    out: Annotated[Path | None, unless_given("demonstrations/<task>.npz", "FILE")] = None
-    """File to write, which must not exist."""
+    format: Annotated[Literal["lerobot"] | None, unless_given("npz", "lerobot")] = None
+    """`lerobot` writes a folder, a LeRobotDataset; see docs/lerobot.md."""
+    camera: str = ""
+    """Cameras of the scene, with commas between them, for pictures (--format lerobot)."""
+    picture_size: int = 96
+    """Edge of the square pictures, pixels."""
+    target: str = "told"
+    """Whether the target is told by numbers, or `seen` as a ball in the pictures."""
+    out: Annotated[Path | None, unless_given("demonstrations/<task>.npz, or <task>", "FILE|FOLDER")] = None
+    """File or folder to write, which must not exist."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line `arguments`, or the process's own."""
     options = parse(Options, PROGRAM, __doc__, arguments)
-    path = options.out or Path("demonstrations") / f"{options.task}.npz"
+    path = options.out or Path("demonstrations") / (options.task if options.format else f"{options.task}.npz")
     try:
         check_count("episodes", options.episodes)
         check_count("seed", options.seed, least=0, most=MOST_SEED)
         check_new_file(path)
         if options.robot is not None:
             check_robot(options.robot)
-        env = make_for_demonstrations(options.task, options.episodes, options.robot)
+        if options.format:
+            check_installed()
+        elif options.camera:
+            raise ValueError("--camera goes with --format lerobot")
+        policy = _policy(options)
+        env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
+        if options.camera or options.target != "told":
+            cameras = [name.strip() for name in options.camera.split(",") if name]
+            env = CameraEnv(env, Pictures(env, cameras, options.picture_size, target=options.target))
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):
-            demonstrations = record(env, options.task, options.episodes, options.seed)
+            if options.format:
+                _write_dataset(path, env, options, policy)
+                return
+            demonstrations = record(env, options.task, options.episodes, options.seed, policy)
         path.parent.mkdir(parents=True, exist_ok=True)
         save_demonstrations(path, demonstrations)
     except (ValueError, OSError) as error:
@@ -55,3 +82,24 @@ def main(arguments: list[str] | None = None) -> None:
         f"{counted(options.episodes, 'successful episode')} of {options.task}:"
         f" return {demonstrations.returns.mean():.1f}, L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )
+
+
+def _policy(options: Options) -> MeanPolicy | None:
+    """Returns the policy that demonstrates the task, if there is one; a ValueError says that it cannot."""
+    if options.policy is None:
+        return None
+    (path, policy), *others = find_policies(options.task, options.policy)
+    if others:
+        raise ValueError(f"{options.policy} has {1 + len(others)} policies; name one, e.g. {from_here(path)}")
+    if not isinstance(policy, MeanPolicy):
+        raise ValueError(f"{path} sees pictures; a policy that demonstrates is given positions")
+    return policy
+
+
+def _write_dataset(path: Path, env: GoalEnv, options: Options, policy: MeanPolicy | None) -> None:
+    from hgail_jax.lerobot.dataset import write_dataset
+
+    trajectory, episodes = successes(env, options.task, options.episodes, options.seed, policy)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_dataset(path, options.task, env, trajectory, episodes)
+    say(f"{counted(options.episodes, 'successful episode')} of {options.task} -> {path}")

@@ -24,8 +24,8 @@ from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import RENDERERS, SIZE, TARGETS
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
 from hgail_jax.devices.processes import choose_mesh
-from hgail_jax.io.demonstrations import load_demonstrations
 from hgail_jax.learners import LEARNERS, PPO
+from hgail_jax.lerobot import find_demonstrations
 from hgail_jax.seeds import check_seeds
 from hgail_jax.settings.camera import CAMERA, camera_preset
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
@@ -61,8 +61,8 @@ class TrainOptions:
     """Method to train."""
     learner: Annotated[str | None, unless_given("the task's", f"{{{','.join(LEARNERS)}}}")] = None
     """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer."""
-    demos: Annotated[Path | None, unless_given("none", "FILE")] = None
-    """Demonstrations of the task, from the command demos; gail-demo needs them."""
+    demos: Annotated[Path | None, unless_given("none", "FILE|FOLDER")] = None
+    """Demonstrations of the task, from the command demos, or a LeRobotDataset's folder; gail-demo needs them."""
     seeds: int = 8
     """Number of seeds, trained side by side."""
     first_seed: int = 0
@@ -189,7 +189,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     env = randomize(env, options.randomize)
     if options.observe == "camera":
         env = with_camera(env, options, mesh.size)
-    demonstrations = None if options.demos is None else load_demonstrations(options.demos, options.task).validate(env)
+    demonstrations = None if options.demos is None else find_demonstrations(options.demos, options.task, env)
     if (demonstrations is None) != (preset.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
     return Run(

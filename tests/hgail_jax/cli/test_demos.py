@@ -8,7 +8,11 @@ from hgail_envs.point import Point
 from hgail_jax import TrainOptions, load_demonstrations
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
+from hgail_jax.io.policy import load_policy
 from hgail_jax.trainer.options import plan
+from tests.support import ROOT
+
+POLICIES = ROOT / "assets" / "policies"
 
 
 def test_demonstrations_are_recorded_and_trained_on(tmp_path, monkeypatch):
@@ -35,6 +39,18 @@ def test_another_robot_demonstrates(tmp_path, monkeypatch):
     np.testing.assert_allclose(recorded.features[:, 0, :3], [[1.344, 0.749, 0.6]] * 3, atol=1e-3)
 
 
+def test_a_policy_demonstrates(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = POLICIES / "reach.npz"
+    demos.main(["--task", "reach", "--policy", str(path), "--episodes", "3", "--out", "d.npz"])
+    recorded, policy = load_demonstrations("d.npz", "reach"), load_policy(path)
+    observation = np.concatenate([recorded.features, recorded.goal], axis=-1)
+    np.testing.assert_allclose(recorded.action, policy(observation), atol=1e-5)
+    assert recorded.success.tolist() == [1.0] * 3
+    assert recorded.made_by["controller"] == "policy"
+    assert recorded.made_by["physics"]["substeps"] == 20
+
+
 class Silent(Point):
     """A task that nothing demonstrates."""
 
@@ -50,6 +66,9 @@ class Silent(Point):
         (["--task", "point", "--seed", "-1"], "seed is -1"),
         (["--task", "point", "--robot", "franka"], "--robot is for the tasks of an arm; 'point' is none"),
         (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
+        (["--task", "push", "--policy", str(POLICIES / "reach.npz")], "the policy is for 'reach', not for 'push'"),
+        (["--task", "reach", "--policy", str(POLICIES / "reach-robust.npz")], "the policy reads 39 numbers"),
+        (["--task", "reach", "--camera", "front"], "--camera goes with --format lerobot"),
         (["--task", "point", "--out", "file"], "file exists already"),
         (["--task", "point", "--out", "file/point.npz"], "file: Not a directory"),
     ],

@@ -4,11 +4,16 @@ import importlib.util
 
 import pytest
 
-from hgail_jax.cli import export
+from hgail_jax.cli import demos, export, train
 
 
 @pytest.mark.parametrize(
-    ("command", "arguments"), [(export, ["--task", "reach", "--format", "lerobot", "--out", "folder"])]
+    ("command", "arguments"),
+    [
+        (export, ["--task", "reach", "--format", "lerobot"]),
+        (demos, ["--task", "reach", "--format", "lerobot"]),
+        (train, ["--task", "reach", "--method", "gail-demo", "--demos", "."]),
+    ],
 )
 def test_what_is_missing_is_one_line_and_nothing_is_written(tmp_path, monkeypatch, capsys, command, arguments):
     monkeypatch.chdir(tmp_path)

@@ -1,0 +1,39 @@
+"""Renders many scenes in several processes."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+from hgail_envs.vision.pictures import Pictures
+
+
+def render(pictures: Pictures, batches: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yields the pictures of batches of scenes, uint8 `[N, cameras, size, size, 3]`, one batch after another.
+
+    A batch, `[N, model.nq + draws]`, has the joint positions and the draws of the look of each scene. OpenGL renders in
+    as many processes as there are cores, for one of them hardly fills one.
+    """
+    if pictures.renderer != "opengl":
+        _keep(pictures)
+        yield from map(_render, batches)
+        return
+    spawn = multiprocessing.get_context("spawn")  # a process in which JAX runs must not fork
+    with ProcessPoolExecutor(os.cpu_count(), spawn, _keep, (pictures,)) as pool:
+        yield from pool.map(_render, batches)
+
+
+_kept: dict[str, Any] = {}
+
+
+def _keep(pictures: Pictures) -> None:
+    see: Callable[..., jax.Array] = jax.jit(pictures)
+    _kept.update(nq=pictures.model.nq, see=see)
+
+
+def _render(scenes: np.ndarray) -> np.ndarray:
+    return np.asarray(_kept["see"](*np.split(scenes, [_kept["nq"]], axis=-1)))

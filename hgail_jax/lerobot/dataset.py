@@ -1,0 +1,109 @@
+"""Episodes as a `LeRobotDataset`, and one of a task's shape as demonstrations."""
+
+from pathlib import Path
+from typing import Any
+
+import av
+import datasets
+import jax.numpy as jnp
+import numpy as np
+from lerobot.configs.video import RGBEncoderConfig
+from lerobot.datasets import LeRobotDataset
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+
+from hgail_envs import GoalEnv
+from hgail_envs.layout import Layout
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.parallel import render
+from hgail_jax.io.demonstrations import Demonstrations
+from hgail_jax.lerobot.environment import sentence, told_numbers
+from hgail_jax.rollout import Trajectory
+
+# LeRobot's default, AV1, is slow to start, once for each short episode; a low crf, for small pictures lose much.
+_FILM = RGBEncoderConfig(vcodec="h264", crf=18)
+_REWARD, _SUCCESS, _DONE = "next.reward", "next.success", "next.done"
+
+
+def write_dataset(folder: Path, task: str, env: GoalEnv, trajectory: Trajectory, episodes: np.ndarray) -> None:
+    """Writes episodes of a roll-out, by their places in it, as a dataset with what LeRobot's environment shows.
+
+    A frame has the state, the task's observation or else pictures, the action, and of the state that follows whether it
+    is the goal (`next.success`), its reward, and whether it is the last. The pictures of a `CameraEnv` are rendered
+    from what the roll-out noted, see `hgail_jax.play.recording.successes`.
+    """
+    observation = np.asarray(trajectory.observation(env)[:-1], np.float32)
+    action, reward = np.clip(np.asarray(trajectory.action), -1.0, 1.0), np.asarray(trajectory.reward)
+    camera = env if isinstance(env, CameraEnv) else None
+    datasets.disable_progress_bars()
+    av.logging.set_level(av.logging.ERROR)
+    dataset = LeRobotDataset.create(
+        repo_id=f"hgail/{folder.name}",
+        fps=round(1 / env.control_period),
+        features=_features(env),
+        root=folder,
+        robot_type=None if env.robot is None else env.robot.name,
+        rgb_encoder=_FILM,
+        streaming_encoding=camera is not None,
+    )
+    noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]
+    pictures = render(camera.pictures, noted) if camera else [None] * len(episodes)
+    for episode, shown in zip(episodes, pictures, strict=True):
+        seen, rewards = observation[:, episode], reward[:, episode, None]
+        columns = {OBS_STATE: seen[:, told_numbers(env)], ACTION: action[:, episode]}
+        columns |= {_REWARD: rewards, _SUCCESS: rewards == 0.0, _DONE: np.arange(len(seen))[:, None] == len(seen) - 1}
+        columns |= {OBS_ENV_STATE: seen} if shown is None else {}
+        columns |= {} if shown is None else dict(zip(_images(env), np.moveaxis(shown, 1, 0), strict=True))
+        for step in range(len(seen)):
+            dataset.add_frame({name: values[step] for name, values in columns.items()} | {"task": sentence(task)})
+        dataset.save_episode()
+    dataset.finalize()
+
+
+def _images(env: Any) -> list[str]:
+    return [f"{OBS_IMAGES}.{camera}" for camera in env.pictures.cameras]
+
+
+def _features(env: GoalEnv) -> dict[str, dict[str, Any]]:
+    task = env.task if isinstance(env, CameraEnv) else env
+    names = _titles(task.seen_layout or task.features_layout) + _titles(task.goal_layout)
+
+    def numbers(names: list[str]) -> dict[str, Any]:
+        return {"dtype": "float32", "shape": (len(names),), "names": names}
+
+    seen = {OBS_STATE: numbers([names[place] for place in told_numbers(env)])}
+    if isinstance(env, CameraEnv):
+        axes = ["height", "width", "channels"]
+        seen |= {name: {"dtype": "video", "shape": env.pictures.shape[1:], "names": axes} for name in _images(env)}
+    else:
+        seen[OBS_ENV_STATE] = numbers(names)
+    after = {_REWARD: "float32", _SUCCESS: "bool", _DONE: "bool"}
+    flags = {name: {"dtype": dtype, "shape": (1,), "names": None} for name, dtype in after.items()}
+    return seen | {ACTION: numbers(_titles(env.action_layout))} | flags
+
+
+def _titles(layout: Layout) -> list[str]:
+    return [number.title for number in layout.numbers]
+
+
+def read_dataset(folder: Path, task: str, env: GoalEnv) -> Demonstrations:
+    """Reads a dataset with the observations and actions of a task, whoever wrote it, as demonstrations.
+
+    Its episodes may differ in length, so that they become one; nothing that trains looks at an episode's end.
+
+    Raises:
+      ValueError: the folder is no dataset, or has other features than the task.
+    """
+    if not (folder / "meta" / "info.json").is_file():
+        raise ValueError(f"{folder} is no LeRobotDataset: it has no meta/info.json")
+    dataset = LeRobotDataset(f"hgail/{folder.name}", root=folder)
+    for name, size in ((OBS_ENV_STATE, env.observation_size), (ACTION, env.action_size)):
+        shape = dataset.features.get(name, {}).get("shape")
+        if shape is None or tuple(shape) != (size,):
+            raise ValueError(f"{folder} has {name} of the shape {shape}; {task} has {size} numbers")
+    columns = dataset.hf_dataset.with_format("numpy")
+    observation, action = (np.asarray(columns[name][:], np.float32)[None] for name in (OBS_ENV_STATE, ACTION))
+    features, goal = np.split(observation, [env.feature_size], axis=-1)
+    if not np.array_equal(env.goal_observation(jnp.asarray(features), jnp.asarray(goal)), observation):
+        raise ValueError(f"observations of {task} are not its features and its goal, and are no demonstrations")
+    nothing = np.zeros(1, np.float32)
+    return Demonstrations(task, features, goal, action, nothing + 1.0, nothing, nothing, {"controller": str(folder)})

@@ -1,0 +1,145 @@
+"""Datasets beside the roll-outs that they come from."""
+
+import jax
+import numpy as np
+import pytest
+
+from hgail_jax import TrainOptions
+from hgail_jax.cli import demos, train
+from hgail_jax.io.policy import load_policy
+from hgail_jax.trainer.options import plan
+from tests.support import ROOT
+
+pytest.importorskip("lerobot", reason="LeRobot is missing")
+
+from lerobot.datasets import LeRobotDataset
+
+import hgail_envs
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import Pictures
+from hgail_jax.lerobot.environment import HgailEnvConfig
+from hgail_jax.rollout import rollout
+
+POLICY = ROOT / "assets" / "policies" / "reach.npz"
+EPISODES = 3
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A dataset of each kind, by its cameras."""
+    folder = tmp_path_factory.mktemp("datasets")
+    words = ["--task", "reach", "--policy", str(POLICY), "--episodes", str(EPISODES), "--format", "lerobot"]
+    demos.main([*words, "--out", str(folder / "numbers")])
+    demos.main([*words, "--out", str(folder / "pictures"), "--camera", "side,front", "--picture-size", "32"])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected():
+    """The roll-out, by a policy in NumPy's stead, of as many attempts as the command makes."""
+    policy, env = load_policy(POLICY), hgail_envs.make("reach", substeps=20)
+    camera = CameraEnv(env, Pictures(env, ["side", "front"], 32))
+    size, attempts = env.observation_size, EPISODES + EPISODES // 4 + 4
+
+    def act(observation, rng):
+        return policy(observation[:, :size], xp=jax.numpy), observation
+
+    trajectory = jax.jit(lambda rng: rollout(camera, act, rng, attempts))(jax.random.key(0))
+    assert np.asarray(trajectory.outcome.success)[:EPISODES].all()
+    return camera, jax.tree.map(np.asarray, trajectory)
+
+
+def columns(dataset, name):
+    """Returns a column by episode, `[episodes, steps, ...]`."""
+    values = np.stack([np.asarray(value) for value in dataset.hf_dataset[name]])
+    return values.reshape(EPISODES, -1, *values.shape[1:])
+
+
+def test_numbers_are_those_of_the_roll_out(written, expected):
+    env, trajectory = expected
+    dataset = LeRobotDataset("local/numbers", root=written / "numbers")
+    assert (dataset.num_episodes, len(dataset), dataset.fps) == (EPISODES, EPISODES * 50, 25)
+    observation = np.concatenate([trajectory.features, trajectory.desired], axis=-1).swapaxes(0, 1)[:EPISODES, :50]
+    action, reward = (getattr(trajectory, name).swapaxes(0, 1)[:EPISODES] for name in ("action", "reward"))
+    np.testing.assert_allclose(columns(dataset, "observation.environment_state"), observation, atol=1e-6)
+    np.testing.assert_allclose(columns(dataset, "observation.state"), observation[..., env.known], atol=1e-6)
+    np.testing.assert_allclose(columns(dataset, "action"), action, atol=1e-6)
+    np.testing.assert_array_equal(columns(dataset, "next.reward"), reward)
+    np.testing.assert_array_equal(columns(dataset, "next.success"), reward == 0.0)
+    np.testing.assert_array_equal(columns(dataset, "next.done"), [[False] * 49 + [True]] * EPISODES)
+    assert dataset[60]["task"] == "Move the gripper to the target."
+    assert dataset.meta.robot_type == "fetch"
+    assert dataset.features["observation.state"]["names"][-1] == "target position z"
+    np.testing.assert_allclose(dataset.meta.stats["action"]["mean"], action.mean(axis=(0, 1)), atol=1e-5)
+
+
+def test_pictures_are_those_of_the_roll_out(written, expected):
+    """But for what the encoder of the film loses."""
+    env, trajectory = expected
+    dataset = LeRobotDataset("local/pictures", root=written / "pictures")
+    assert len(dataset) == EPISODES * 50
+    assert "observation.environment_state" not in dataset.features
+    seen = np.asarray(env.see(trajectory.noted[::7, :EPISODES])) / 255.0  # [steps, episodes, cameras, 32, 32, 3]
+    for index, camera in enumerate(("side", "front")):
+        read = [
+            [dataset[50 * episode + step][f"observation.images.{camera}"] for step in range(0, 50, 7)]
+            for episode in range(EPISODES)
+        ]
+        error = np.abs(np.array(read).transpose(1, 0, 3, 4, 2) - seen[:, :, index])
+        assert error.mean() < 0.02
+        others = np.abs(np.array(read).transpose(1, 0, 3, 4, 2) - seen[:, :, 1 - index])
+        assert error.mean() < 0.2 * others.mean()
+
+
+def test_a_dataset_has_what_the_environment_shows(written):
+    for name, options in (("numbers", {}), ("pictures", {"cameras": "side,front", "picture_size": 32})):
+        config = HgailEnvConfig(task="reach", **options)
+        shown = {config.features_map[name]: tuple(feature.shape) for name, feature in config.features.items()}
+        features = LeRobotDataset(f"local/{name}", root=written / name).features
+        assert {name: tuple(feature["shape"]) for name, feature in features.items() if name in shown} == shown
+
+
+def test_a_dataset_demonstrates(written, expected):
+    _, trajectory = expected
+    run = plan(TrainOptions(task="reach", method="gail-demo", demos=written / "numbers", seeds=1), "cpu")
+    samples = run.demonstrations
+    action = trajectory.action.swapaxes(0, 1)[:EPISODES].reshape(-1, 4)
+    np.testing.assert_allclose(samples.action, action, atol=1e-6)
+    np.testing.assert_allclose(
+        samples.observation[:, :6], trajectory.features[:-1].swapaxes(0, 1)[:EPISODES].reshape(-1, 6), atol=1e-6
+    )
+    assert len(samples.weight) == EPISODES * 50
+
+
+@pytest.mark.parametrize(
+    ("task", "name", "line"),
+    [
+        ("push", "numbers", "has observation.environment_state of the shape (9,); push has 19 numbers"),
+        ("reach", "pictures", "has observation.environment_state of the shape None; reach has 9 numbers"),
+        ("reach", ".", "is no LeRobotDataset: it has no meta/info.json"),
+    ],
+)
+def test_other_datasets_are_one_line(written, capsys, task, name, line):
+    with pytest.raises(SystemExit) as ended:
+        train.main(["--task", task, "--method", "gail-demo", "--seeds", "1", "--demos", str(written / name)])
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert line in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--task", "push", "--policy", str(POLICY)], "the policy is for 'reach', not for 'push'"),
+        (["--task", "reach", "--camera", "behind"], "has no camera 'behind'"),
+        (["--task", "reach", "--target", "seen"], "no camera is named"),
+        (["--task", "poke"], "unknown task 'poke'"),
+    ],
+)
+def test_bad_options_are_one_line_and_write_nothing(tmp_path, capsys, arguments, line):
+    with pytest.raises(SystemExit) as ended:
+        demos.main([*arguments, "--format", "lerobot", "--out", str(tmp_path / "new")])
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (2, 1)
+    assert line in error
+    assert not list(tmp_path.iterdir())
