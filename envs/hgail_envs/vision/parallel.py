@@ -15,7 +15,7 @@ from hgail_envs.vision.pictures import Pictures
 def render(pictures: Pictures, batches: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     """Yields the pictures of batches of scenes, uint8 `[N, cameras, size, size, 3]`, one batch after another.
 
-    A batch, `[N, model.nq + draws]`, has the joint positions and the draws of the look of each scene. OpenGL renders in
+    A batch, `[N, joints + draws]`, has the joint positions and the draws of the look of each scene. OpenGL renders in
     as many processes as there are cores, for one of them hardly fills one.
     """
     if pictures.renderer != "opengl":
@@ -32,8 +32,8 @@ _kept: dict[str, Any] = {}
 
 def _keep(pictures: Pictures) -> None:
     see: Callable[..., jax.Array] = jax.jit(pictures)
-    _kept.update(nq=pictures.model.nq, see=see)
+    _kept.update(joints=pictures.joints, see=see)
 
 
 def _render(scenes: np.ndarray) -> np.ndarray:
-    return np.asarray(_kept["see"](*np.split(scenes, [_kept["nq"]], axis=-1)))
+    return np.asarray(_kept["see"](*np.split(scenes, [_kept["joints"]], axis=-1)))
