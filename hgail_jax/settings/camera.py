@@ -8,7 +8,7 @@ from hgail_jax.settings.methods import Method
 from hgail_jax.settings.presets import OBJECT_SUBSTEPS, Preset
 
 CAMERA = Method(
-    "taught by a policy that knows the positions (DAgger: Ross et al. 2011)",
+    "taught by a policy that knows the positions (as DAgger, Ross et al. 2011)",
     without_effect=(
         *("method", "learner", "preset", "demos", "pretrain", "randomize", "p_ht", "strategy", "reward"),
         *("standardize_reward", "environment_reward", "bc_weight"),

@@ -1,1 +1,1 @@
-"""MuJoCo's renderer."""
+"""Pictures of scenes: cameras, renderers, and how looks vary."""

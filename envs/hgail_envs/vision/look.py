@@ -40,11 +40,11 @@ class Look:
 _VARIED = Look(colour=0.2, brightness=0.35, light_turn=0.4, camera_shift=0.01, camera_turn=0.02, zoom=0.02, shadows=0.5)
 LOOKS = {
     "plain": Look(),
-    # Camera, screen and paint turn a colour by .1 to .2; at .2 the cubes of a stack, .4 and more apart, stay apart. The
-    # light of a room differs by a third from hour to hour. A light that turns by .4 of its length does so by up to 30
-    # degrees. A camera on a stand is put back to a centimetre and to a degree, and its field of view known to 2 %.
-    # A lamp casts shadows and an overcast sky does not. A student that had seen none told the place of push's cube to
-    # 1.2 cm without them, and to 2.7 cm with them.
+    # Camera, screen and paint turn a colour by .1 to .2; cubes of a stack or a tower keep within .15, less than half
+    # of what is between them. The light of a room differs by a third from hour to hour. A light that turns by .4 of
+    # its length along each axis does so by up to 43 degrees. A camera on a stand is put back to a centimetre and to a
+    # degree, and its field of view known to 2 %. A lamp casts shadows and an overcast sky does not: a student that
+    # had seen none told the place of push's cube to 1.2 cm without them, and to 2.7 cm with them.
     "varied": _VARIED,
     "shadowless": dataclasses.replace(_VARIED, shadows=0.0),
     # A room is not empty.
@@ -56,16 +56,17 @@ LOOKS = {
     ),
     # A camera at 30 pictures a second shows the state of 30 to 70 ms ago, an action is 40 ms.
     "late": dataclasses.replace(_VARIED, late=0.5),
-    # The parts of "varied", each alone; the fourth is in `hgail_jax.vision.augmentation`.
+    # The parts of "varied", each alone; the last is in `hgail_jax.vision.augmentation`.
     "colours": Look(colour=0.2),
     "light": Look(brightness=0.35, light_turn=0.4),
+    "shadows": Look(shadows=0.5),
     "cameras": Look(camera_shift=0.01, camera_turn=0.02, zoom=0.02),
     "image": Look(),
 }
 """Looks by name."""
 MARKER = "marker of the target"
 """Body of the ball that stands for a target that is seen."""
-_TOLD_APART = 0.2  # largest bound of the colour of the marker, and of the objects where there are several
+_TOLD_APART = 0.15  # largest bound of the colour of the marker, and of the objects where there are several
 
 FIELDS = ("geom_rgba", "mat_rgba", "light_diffuse", "light_dir", "light_castshadow", "cam_fovy")
 """Fields of the model that a look changes."""

@@ -46,7 +46,7 @@ def test_pictures_of_the_plain_look_are_left_alone():
 @pytest.mark.parametrize("size", [1, 3])
 def test_a_shift_continues_the_edge_and_moves_each_picture_on_its_own(size):
     pictures = jnp.arange(2 * 2 * 8 * 8 * 3.0).reshape(2, 2, 8, 8, 3) / 768.0
-    shifted = np.asarray(augment(Augmentation(shift=size), jax.random.key(3), pictures))
+    shifted = np.asarray(augment(Augmentation(shift=size / 8), jax.random.key(3), pictures))
     found = set()
     for sample in range(2):
         for camera in range(2):
