@@ -1,3 +1,5 @@
+"""What `python -m experiments.paper` trains and writes."""
+
 import dataclasses
 import json
 import shutil
@@ -10,28 +12,17 @@ import hgail_envs
 from experiments.paper import __main__ as paper
 from experiments.paper import statistics, tables, work
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
-from experiments.paper.programs import group_by_program, make_program, train_program
-from experiments.paper.studies import STUDIES, SWEEP, studies_of
+from experiments.paper.programs import train_program
+from experiments.paper.studies import SWEEP, studies_of
 from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
 from experiments.paper.tables import make_rows, write_markdown
-from experiments.paper.trials import Scale, hash_json, work_out
+from experiments.paper.trials import Scale, hash_json
 from experiments.paper.work import Unfinished
-from hgail_jax import PRESETS, env_steps, phase_table
-from hgail_jax.settings.defaults import DEFAULTS
-from hgail_jax.settings.presets import AS_WRITTEN
-from hgail_jax.train import EVALUATE
+from hgail_jax import env_steps, phase_table
 from hgail_jax.trainer.loop import Program
+from tests.experiments.test_paper_studies import BY_NAME, trials_of
 
 QUICK = ["--quick", "--seeds", "3"]
-BY_NAME = {study.name: study for study in STUDIES}
-
-
-def trials_of(study, task, platform="gpu"):
-    return [work_out(Scale(task, platform), setting, range(8)) for setting in study.settings]
-
-
-def phases_of(trial):
-    return make_program(hgail_envs.make("point"), [trial], None).phases()
 
 
 def read(path):
@@ -278,19 +269,6 @@ def test_rows_of_another_commit_than_the_newest_are_marked_as_older(tmp_path):
     assert not any(row["older"] for row in make_rows("point", study, same))
 
 
-def test_each_setting_is_compared_with_the_one_of_its_panel():
-    for study in STUDIES:
-        for setting in study.settings:
-            reference = study.compared_with(setting)
-            if reference is None:
-                assert setting.name == (study.reference or study.settings[0].name)
-            else:
-                assert reference in study.settings and reference != setting
-    table3 = BY_NAME["table3"]
-    assert [table3.compared_with(setting) for setting in table3.settings[1::2]] == [*table3.settings[::2]]
-    assert BY_NAME["table1"].compared_with(BY_NAME["table1"].settings[-1]).name == "HGAIL"
-
-
 def test_several_tasks_are_one_command_and_their_seeds_one_mean(tmp_path, trained):
     paper.main([*QUICK, "--study", "gasil", "--task", "point", "reach", "--out", str(tmp_path)])
     means = json.loads((tmp_path / "gasil-point-reach.json").read_text())["means"]
@@ -343,131 +321,6 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, capsys,
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("task", "platform"), [("reach", "gpu"), ("reach", "cpu"), ("grasp", "gpu")])
-def test_methods_have_equal_steps_and_the_longer_ones_ten_times_as_many(task, platform):
-    def steps(config):
-        return env_steps(hgail_envs.find_class(task), config, phase_table(config)).sum()
-
-    expected = steps(Scale(task, platform).preset().config)
-    for trial in trials_of(BY_NAME["table1"], task, platform):
-        one_more = dataclasses.replace(trial.config, rounds=trial.config.rounds + 1)
-        a_round = steps(one_more) - steps(trial.config)
-        assert abs(steps(trial.config) - expected) <= a_round / 2
-        assert trial.method != "hgail" or trial.setting.panel or steps(trial.config) == expected
-    for trial in trials_of(BY_NAME["table1-longer"], task, platform):
-        assert steps(trial.config) == pytest.approx(10 * expected, rel=0.02)
-
-
-def test_settings_of_few_rounds_are_evaluated_in_every_one():
-    for trial in trials_of(BY_NAME["table1-longer"], "reach", "gpu") + trials_of(BY_NAME["table1"], "grasp", "gpu"):
-        np.testing.assert_array_equal(phases_of(trial), phase_table(trial.config))
-
-
-def test_settings_of_ten_times_the_steps_are_evaluated_in_every_tenth_of_many_rounds_and_the_last():
-    for trial in trials_of(BY_NAME["table1-longer"], "grasp", "gpu"):
-        evaluated = np.flatnonzero(phases_of(trial)[:, -1] == EVALUATE)
-        assert [*evaluated] == [*range(0, trial.config.rounds, 10), trial.config.rounds]
-        np.testing.assert_array_equal(phases_of(trial)[:, :-1], phase_table(trial.config)[:, :-1])
-
-
-def test_settings_that_differ_in_numbers_alone_share_a_program():
-    sweep = trials_of(Study("sweep", "", SWEEP), "reach")
-    assert len(sweep) >= 15
-    assert len(group_by_program(sweep)) == 1
-    assert len({trial.key() for trial in sweep}) == len(sweep)
-    assert len(group_by_program(trials_of(BY_NAME["p_ht"], "reach"))) == 2  # with and without pre-training
-    assert len(group_by_program(trials_of(BY_NAME["table2"], "reach"))) == 4
-    parts = trials_of(BY_NAME["parts"], "push")
-    assert [len(group) for group in group_by_program(parts)] == [6, 1, 1, 1]
-    assert {trial.config.rounds for trial in parts} == {40}  # a third of its own
-    assert {trial.evaluate_every for trial in parts} == {5}
-    assert [trial.task_options.get("observation") for trial in parts] == [None] * 8 + ["official"]
-    assert len({trial.key() for trial in parts}) == 8  # one of the solved weights is the task's own
-    assert studies_of("push") == (BY_NAME["parts"],)
-
-
-def test_of_a_discriminator_s_samples_one_choice_is_changed_or_all_are_the_paper_s():
-    preset = DEFAULTS["grasp"]["td3"]["gpu"].hyperparameters
-    trials = trials_of(BY_NAME["off-policy-samples"], "grasp", "gpu")
-    changes = [
-        {name: value for name, value in vars(trial.hyperparameters).items() if value != getattr(preset, name)}
-        for trial in trials
-    ]
-    choices = {"shuffled_goals", "goal_jitter", "negative_p_ht", "negative_weight"}
-    papers = {"shuffled_goals": 0.0, "goal_jitter": 0.0, "negative_weight": 1.0}  # p_ht of grasp's is 0 already
-    assert papers in changes and {"environment_reward": 1.0} in changes
-    assert all(
-        len(change) == 1 and set(change) <= choices for change in changes if change not in (papers, {}, changes[-1])
-    )
-
-
-@pytest.mark.parametrize("task", ["push", "grasp"])
-def test_studies_off_policy_change_one_thing_of_the_learner_td3_and_have_its_steps(task):
-    numbers, sizes = (trials_of(BY_NAME[name], task, "gpu") for name in ("off-policy", "off-policy-sizes"))
-    assert [trial.setting.name for trial in numbers if trial.method == "her"] == ["HER"]
-    preset = DEFAULTS[task]["td3"]["gpu"]
-    of_task = env_steps(hgail_envs.find_class(task), preset.config, phase_table(preset.config)).sum()
-    for trial in numbers + sizes:
-        changed = [
-            name
-            for name, value in vars(trial.hyperparameters).items()
-            if value != getattr(preset.hyperparameters, name)
-        ]
-        before, after = (vars(config) | vars(config.learner) for config in (preset.config, trial.config))
-        changed += [name for name in before if before[name] != after[name] and name not in ("learner", "best_episodes")]
-        if trial.method == "her" and preset.method != "her":  # has no discriminator
-            changed.remove("discriminator_minibatches")
-        if trial.method == "her":
-            changed = [name for name in changed if name not in ("environment_reward", "discriminator_minibatches")]
-        assert len(changed) <= 1 and trial.task_options == preset.task_options
-        assert env_steps(hgail_envs.find_class(task), trial.config, phase_table(trial.config)).sum() == of_task
-        assert not changed or trial.setting.name != "as it is"
-
-
-def test_rewards_are_compared_beside_other_goals_and_ppo():
-    trials = trials_of(BY_NAME["off-policy-rewards"], "stack", "gpu")
-    her, alike, own_goals, ppo = group_by_program(trials)
-    assert [trial.hyperparameters.environment_reward for trial in (*her, *alike, *own_goals)] == [1.0, 0.0, 0.5, 1.0]
-    assert [trial.config.training_goals for trial in (*her, *alike, *own_goals, *ppo)] == [True] * 3 + [False, True]
-    assert [trial.method for trial in (*her, *own_goals)] == ["her"] * 2
-    assert [trial.config.discriminator_minibatches for trial in (*her, *own_goals)] == [0, 0]
-    (row,) = ppo
-    assert row.config == DEFAULTS["stack"]["ppo"]["gpu"].config and row.config.learner.name == "ppo"
-
-
-@pytest.mark.parametrize("task", ["push", "pick-and-place"])
-def test_methods_with_td3_have_its_steps_and_none_but_her_a_reward(task):
-    trials = trials_of(BY_NAME["off-policy-methods"], task, "gpu")
-    preset = DEFAULTS[task]["td3"]["gpu"]
-    for trial in trials:
-        penalty = 10.0 if trial.setting.demonstrations else 0.0
-        assert trial.config.learner == dataclasses.replace(preset.config.learner, gradient_penalty=penalty)
-    assert {trial.config.rounds for trial in trials} == {preset.config.rounds}
-    shuffled = ", half the negatives shuffled"
-    of_half = {trial.setting.name: trial for trial in trials if trial.setting.name.endswith(shuffled)}
-    assert {float(trial.hyperparameters.shuffled_goals) for trial in of_half.values()} == {0.5}
-    found = {
-        trial.setting.name: (
-            trial.config.expert_source,
-            trial.setting.demonstrations,
-            float(trial.hyperparameters.p_ht),
-            float(trial.hyperparameters.environment_reward),
-        )
-        for trial in trials
-    }
-    for name in of_half:
-        assert found.pop(name) == found[name.removesuffix(shuffled)]
-    assert {name.removesuffix(shuffled) for name in of_half} == {"GAIL-demo (20)", "GAIL-demo (100)", "GASIL"}
-    assert found == {
-        "HGAIL": ("relabelled", 0, preset.hyperparameters.p_ht, 0.0),
-        "HGAIL-no": ("relabelled", 0, 0.0, 0.0),
-        "GAIL-demo (20)": ("demonstrations", 20, 0.0, 0.0),
-        "GAIL-demo (100)": ("demonstrations", 100, 0.0, 0.0),
-        "GASIL": ("best", 0, 0.0, 0.0),
-        "HER": ("relabelled", 0, preset.hyperparameters.p_ht, 1.0),
-    }
-
-
 def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(work, "train_program", lambda env, *others: made.append(env))
@@ -475,64 +328,6 @@ def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeyp
     for job in Unfinished(work.Work(scale, 2, tmp_path, (study,))).jobs():
         job.carry_out(threading.Event())
     assert [env.observation for env in made] == ["compact"] * 3 + ["official"]
-
-
-@pytest.mark.parametrize("task", ["reach", "grasp"])
-def test_bc_is_weighed_as_their_names_say(task):
-    trials = {trial.setting.name: trial for trial in trials_of(BY_NAME["table1"], task)}
-    weights = {"with BC": 1.0, "BC × 3": 3.0, "BC × 10": 10.0}
-    for name, weight in weights.items():
-        trial = trials[f"GAIL-demo (20), {name}"]
-        assert (trial.method, trial.setting.demonstrations) == ("gail-demo", 20)
-        assert float(trial.hyperparameters.bc_weight) == weight
-        assert trial.config.learner.bc_batch > 0
-    assert trials["GAIL-demo (20), no BC"].config.learner.bc_batch == 0
-
-
-def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
-    trials = trials_of(BY_NAME["paper-sizes"], "reach")
-    assert len({trial.key() for trial in trials}) == len(trials) >= 48
-    second = [trial for trial in trials if trial.setting.panel == "phases 1 + 3"]
-    preset = PRESETS["paper"].config
-    for trial in second:
-        assert (trial.config.learner.policy_phases, trial.config.learner.discriminator_phases) == (1, 3)
-        assert (trial.config.num_envs, trial.config.learner.minibatches) == (
-            preset.num_envs,
-            preset.learner.minibatches,
-        )
-    assert len(second) == 6
-    for trial in trials_of(BY_NAME["paper-sizes"], "reach", "cpu"):
-        steps = env_steps(hgail_envs.find_class("reach"), trial.config, phase_table(trial.config)).sum()
-        least, most = (490_000, 510_000) if trial.setting.panel == "phases 1 + 3" else (180_000, 260_000)
-        assert least <= steps <= most
-    for trial in [trial for trial in trials if trial not in second]:
-        wanted = {**trial.setting.config, **trial.setting.hyperparameters}
-        changes = {name: value for name, value in wanted.items() if value != AS_WRITTEN.get(name)}
-        changes.pop("pretrain", None)
-        assert len(changes) <= 2 or trial.setting.name == "raw rewards and advantages"
-        assert trial.config.learner.policy_phases == changes.get("policy_phases", 16)
-        assert float(trial.hyperparameters.exploration_noise) == changes.get("exploration_noise", 1.0)
-        assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
-        samples = trial.config.num_envs * 50 // trial.config.learner.minibatches
-        assert samples == pytest.approx(128, abs=6) or set(changes) <= {"epochs", "minibatches"}
-    programs = group_by_program(trials)
-    assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
-
-
-def test_sizes_of_grasp_are_those_that_their_names_tell():
-    trials = trials_of(BY_NAME["grasp-sizes"], "grasp")
-    assert len({trial.key() for trial in trials}) == len(trials) == 12
-    for trial in trials:
-        sizes = f"{trial.config.num_envs} episodes, {trial.config.rounds} rounds"
-        wide = trial.config.policy_hidden == trial.config.discriminator_hidden == (256, 256)
-        assert trial.setting.panel == sizes + (", 256 wide" if wide else "")
-        assert trial.setting.name == f"BC × {float(trial.hyperparameters.bc_weight):g}"
-
-
-def test_sizes_stay_a_preset_s_where_nothing_is_said():
-    assert Scale("reach", "gpu").preset("paper").config == dataclasses.replace(
-        PRESETS["paper"].config, best_episodes=256
-    )
 
 
 @pytest.mark.slow
