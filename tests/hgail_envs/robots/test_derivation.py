@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.robots.derivation import derive
+from hgail_envs.robots.derivation import derive, placement
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.writing import write_description
 from hgail_envs.robots.description import read_description
@@ -24,6 +24,26 @@ def derived(folder, *args, **kwargs):
     path = folder / "arm.xml"
     path.write_text(arm(*args, **kwargs))
     return derive(Given(path, **given))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """The description of the arm as it is; its model is `arm.xml`."""
+    return derived(tmp_path_factory.mktemp("arm"))[0]
+
+
+def written(folder, description, model="arm.xml"):
+    """Returns the path of a description's file, beside the arm."""
+    (folder / "arm.xml").write_text(arm())
+    (folder / "arm.toml").write_text(write_description(dataclasses.replace(description, model=model), ["an arm"]))
+    return str(folder / "arm.toml")
+
+
+@pytest.fixture
+def fewer_places(monkeypatch):
+    """Of an arm that is too short the search goes through all places, for each scale."""
+    monkeypatch.setattr(placement, "_SHARES", placement._SHARES[::3])
+    monkeypatch.setattr(placement, "_RESTARTS", 3)
 
 
 def package(name):
@@ -45,10 +65,8 @@ def test_parts_axes_and_servos_are_those_of_the_arm(tmp_path):
     assert not any("guess" in line for line in notes)
 
 
-def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path):
-    found, _ = derived(tmp_path)
-    (tmp_path / "arm.toml").write_text(write_description(dataclasses.replace(found, model="arm.xml"), ["an arm"]))
-    robot = ServoArm(str(tmp_path / "arm.toml"), "grasp")
+def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path, found):
+    robot = ServoArm(written(tmp_path, found), "grasp")
     data = robot.settle()
     np.testing.assert_allclose(data.site("grip").xpos, [1.344, 0.749, 0.6], atol=2e-3)
     np.testing.assert_allclose(data.site("grip").xmat.reshape(3, 3)[:, :2], [[0, 0], [0, 1], [-1, 0]], atol=5e-3)
@@ -61,10 +79,8 @@ def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path):
     assert fingers[0] - fingers[1] - 0.016 == pytest.approx(0.05, abs=1e-3)  # as the maker's boxes are
 
 
-def test_what_is_written_is_what_is_read(tmp_path):
-    found, _ = derived(tmp_path)
-    (tmp_path / "arm.toml").write_text(write_description(found, ["an arm"]))
-    read = read_description(str(tmp_path / "arm.toml"))
+def test_what_is_written_is_what_is_read(tmp_path, found):
+    read = read_description(written(tmp_path, found))
     for field in dataclasses.fields(found):
         one, other = getattr(found, field.name), getattr(read, field.name)
         if dataclasses.is_dataclass(one):
@@ -78,20 +94,18 @@ def test_what_is_written_is_what_is_read(tmp_path):
             np.testing.assert_allclose(other, one, atol=1e-5) if field.name != "joints" else None
 
 
-def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path):
-    found, _ = derived(tmp_path)
+def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path, found):
     text = arm(compiler='angle="degree"').replace('name="j6" axis="0 0 1"', 'name="j6" axis="0 0 1" limited="false"')
     other = tmp_path / "degrees.xml"
     other.write_text(text)
     same, _ = derive(Given(other))
     assert same.joints == found.joints and same.reach == pytest.approx(found.reach, abs=0.1)
     np.testing.assert_allclose(same.tool.pos, found.tool.pos, atol=1e-6)
-    (tmp_path / "arm.toml").write_text(write_description(dataclasses.replace(same, model="degrees.xml"), []))
-    ranges = ServoArm(str(tmp_path / "arm.toml"), "reach").model.actuator_ctrlrange
+    ranges = ServoArm(written(tmp_path, same, "degrees.xml"), "reach").model.actuator_ctrlrange
     np.testing.assert_allclose(ranges[:6, 1], [3.0] * 5 + [2 * np.pi], atol=1e-5)
 
 
-def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path):
+def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path, fewer_places):
     found, _ = derived(tmp_path, length=0.22)
     assert found.scale > 1.2 and 0.1 < found.reach[0] < 0.5
 
@@ -169,7 +183,7 @@ WEAK = MOTORS + SERVOS.replace("30 30", "0.1 0.1")
         ({"pads": ("left_finger", "finger")}, "--pads: there is no body 'finger'; the fingers are left_finger"),
     ],
 )
-def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, kwargs, line):
+def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, fewer_places, kwargs, line):
     with pytest.raises(ValueError, match=line) as refused:
         derived(tmp_path, **kwargs)
     assert "\n" not in str(refused.value)
@@ -205,11 +219,10 @@ def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
         (("reach =", "reach"), "Expected '='"),
     ],
 )
-def test_a_bad_file_is_refused_in_a_line(tmp_path, change, line):
-    found, _ = derived(tmp_path)
-    text = write_description(dataclasses.replace(found, model="arm.xml"), [])
+def test_a_bad_file_is_refused_in_a_line(tmp_path, found, change, line):
+    path = Path(written(tmp_path, found))
+    text = path.read_text()
     assert change[0] in text
-    path = tmp_path / "bad.toml"
     path.write_text(text.replace(*change))
     with pytest.raises(ValueError, match=line) as refused:
         hgail_envs.make("reach", robot=str(path))
