@@ -262,7 +262,7 @@ def test_actions_pull_the_gripper_and_command_the_hand(tasks, starts):
     action[6] = action[7] = (0.4, -0.6, 0.2, 0.0)
     action[7, 3] = 0.5
     for name in ("reach", "grasp"):
-        one = jax.tree.map(lambda leaf: jnp.repeat(leaf[:1], 8, axis=0), starts[name][0])
+        one = jax.tree.map(lambda leaf: np.repeat(leaf[:1], 8, axis=0), starts[name][0])
         step, state = jax.jit(jax.vmap(tasks[name].step)), one
         for _ in range(3):
             state = step(state, action)

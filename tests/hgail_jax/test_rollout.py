@@ -153,7 +153,7 @@ def test_an_episode_that_mujoco_warns_of_is_not_valid_and_leaves_the_others_alon
 def test_a_detour_is_pursued_for_its_steps_and_measured_by_the_own_goal():
     """Half of the episodes go for a goal beside their own at first; the others, and the end, are as without it."""
     rng, half = jax.random.key(0), np.arange(NUM_ENVS) % 2
-    plain = rollout(Lifted(), passing, rng, NUM_ENVS)
+    plain = jax.jit(lambda: rollout(Lifted(), passing, rng, NUM_ENVS))()
     own = np.asarray(plain.desired[0])
     until = np.where(half, 3 + np.arange(NUM_ENVS), 0)
     beside = np.float32(np.add(own, [0.0, 0.0, 0.06]))

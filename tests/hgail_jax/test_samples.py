@@ -1,5 +1,7 @@
 """Roll-outs and what is drawn from them: hindsight, weights, expert samples and outcomes."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,9 +134,9 @@ def test_negatives_have_the_goal_of_another_episode_at_that_step(share):
 
 
 def test_relabelled_goals_are_jittered_within_the_tolerance_and_nothing_else_is():
-    given, hyper, rng = trajectory(), Hyperparameters(), jax.random.key(0)
-    exact = relabelled_samples(ENV, hyper, given, rng)
-    jittered = relabelled_samples(ENV, hyper, given, rng, jitter=0.5)
+    given, rng = trajectory(), jax.random.key(0)
+    samples = jax.jit(lambda jitter: relabelled_samples(ENV, Hyperparameters(), given, rng, jitter=jitter))
+    exact, jittered = samples(0.0), samples(0.5)
     moved = np.asarray(jittered.observation - exact.observation)[:, 1:]
     half = 0.5 * np.asarray(ENV.goal_tolerance(exact.observation[:, 1:]))
     assert (np.abs(moved) <= half + 1e-4).all() and np.abs(moved).max() > 0.8 * half.max()
@@ -200,9 +202,9 @@ def test_which_step_is_chosen_says_nothing_of_where_its_goal_comes_from():
 
 def test_kinds_count_only_where_their_shares_are_given_too():
     achieved, desired, kind = jnp.arange(10.0)[:, None], jnp.zeros(1), jnp.arange(10) % 2
-    plain = relabel(jax.random.key(0), achieved, desired, 0.5)
-    assert_same(relabel(jax.random.key(0), achieved, desired, 0.5, kind=kind), plain)
-    assert_same(relabel(jax.random.key(0), achieved, desired, 0.5, kind_share=jnp.ones(2)), plain)
+    given = jax.jit(functools.partial(relabel, jax.random.key(0), achieved, desired, 0.5))
+    assert_same(given(kind=kind), given())
+    assert_same(given(kind_share=jnp.ones(2)), given())
 
 
 def test_shapes_that_do_not_fit_are_refused():

@@ -26,9 +26,10 @@ def test_a_sweep_starts_every_setting_with_every_seed():
     keys = seed_keys(3, 2)
     swept = split_sweep(init_sweep(ENV, TINY, settings, keys), 3)
     start = jax.jit(functools.partial(init_state, ENV, TINY))
+    pick = jax.jit(lambda states, i, j: jax.tree.map(lambda leaf: leaf[i, j], states))
     for index, setting in enumerate(settings):
         for seed in range(2):
-            found = jax.tree.map(lambda leaf, i=index, j=seed: leaf[i, j], swept)
+            found = pick(swept, index, seed)
             expected = start(setting, keys[seed])
             jax.tree.map(np.testing.assert_array_equal, found.replace(rng=None), expected.replace(rng=None))
             assert found.rng == expected.rng

@@ -169,10 +169,12 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
     """Not those of two phases, of a phase and an evaluation beside it, of two evaluations, nor the final ones."""
     states, drawn = init_seeds(Telling(), ONE, Hyperparameters(), seed_keys(0, 1)), []
     evaluate_last = trace_evaluation(Telling(), ONE, states, 1)()
-    state = jax.tree.map(lambda leaf: leaf[0], states)
+    alone = jax.jit(lambda states: jax.tree.map(lambda leaf: leaf[0], states))
+    beside = jax.jit(lambda state: jax.tree.map(lambda leaf: leaf[None], state))
+    state = alone(states)
     for phase in (PRETRAIN, POLICY, DISCRIMINATOR, POLICY):
         _, evaluated = telling_step(state, row(EVALUATE)[: phase_table(ONE).shape[1]])
-        final = evaluate_last(jax.tree.map(lambda leaf: leaf[None], state))
+        final = evaluate_last(beside(state))
         assert final.success == Telling.MEASURED
         state, learnt = telling_step(state, row(phase)[: phase_table(ONE).shape[1]])
         for episode in (evaluated.evaluation, learnt.training, final):

@@ -46,7 +46,7 @@ def test_accurate_physics_is_that_of_a_task_made_with_it():
 def test_what_is_seen_of_the_gripper_is_where_mujoco_has_it():
     """Position, and velocity times the period, after some actions, against C MuJoCo's kinematics of the joints."""
     env = hgail_envs.make("grasp")
-    state, step = env.reset(jax.random.key(1)), jax.jit(env.step)
+    state, step = jax.jit(env.reset)(jax.random.key(1)), jax.jit(env.step)
     data, velocity = mujoco.MjData(env.model), np.zeros(6)
     for action in np.random.default_rng(0).uniform(-1, 1, (5, 4)):
         state = step(state, action)

@@ -139,10 +139,10 @@ def test_moving_the_target_puts_the_cube_down():
     data = mujoco.MjData(env.model)
     cube = env.model.body("cube").dofadr[0]
     physics = state.pipeline_state
-    tumbling = physics.qvel.at[cube : cube + 6].set(3.0).at[4].set(0.1)
-    tilted = physics.qpos.at[-7:].set(jnp.array([1.3, 0.7, 0.8, 0.0, 1.0, 0.0, 0.0]))
-    physics = physics.replace(qpos=tilted, qvel=tumbling, sensordata=jnp.ones(2))
-    moved = env.move_target(state.replace(pipeline_state=physics), place)
+    tumbling, tilted = np.array(physics.qvel), np.array(physics.qpos)
+    tumbling[cube : cube + 6], tumbling[4], tilted[-7:] = 3.0, 0.1, [1.3, 0.7, 0.8, 0.0, 1.0, 0.0, 0.0]
+    physics = physics.replace(qpos=tilted, qvel=tumbling, sensordata=np.ones(2, np.float32))
+    moved = jax.jit(env.move_target)(state.replace(pipeline_state=physics), place)
     data.qpos[:], data.qvel[:] = moved.pipeline_state.qpos, moved.pipeline_state.qvel
     mujoco.mj_forward(env.model, data)
     np.testing.assert_allclose(data.body("cube").xpos, place, atol=1e-6)
@@ -192,8 +192,8 @@ def test_a_hand_that_tracks_the_cube_tries_again(start):
     def grasped(env, state):
         act, step = env.controllers["from-above"], jax.vmap(env.step)
         still = jnp.zeros((BATCH, 4))
-        state = jax.lax.fori_loop(0, STEPS, lambda _, now: step(now, act(now.obs)), step(state, still))
-        return holding(state)
+        run = jax.jit(lambda state: jax.lax.fori_loop(0, STEPS, lambda _, now: step(now, act(now.obs)), state))
+        return holding(run(jax.jit(step)(state, still)))
 
     after = pushed(start)
     assert not grasped(ENV, after).any()

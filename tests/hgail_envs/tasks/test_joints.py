@@ -109,7 +109,7 @@ def test_starts_are_drawn_and_are_no_movement(drawer):
 
 def test_randomised_postures_leave_an_opened_drawer_open(drawer):
     ajar = type("Ajar", (type(drawer),), {"joint_starts": (0.1, 0.1)})(substeps=8)
-    states = jax.vmap(randomize(ajar, POSTURE).reset)(jax.random.split(jax.random.key(0), 8))
+    states = jax.jit(jax.vmap(randomize(ajar, POSTURE).reset))(jax.random.split(jax.random.key(0), 8))
     physics = states.pipeline_state.true
     np.testing.assert_allclose(jax.vmap(ajar.joint_position)(physics), 0.1, atol=1e-6)
     assert np.ptp(physics.gripper_position[:, 0]) > 0.02  # while the arm is elsewhere

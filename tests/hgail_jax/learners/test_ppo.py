@@ -563,18 +563,17 @@ def test_a_discriminator_update_is_adam_on_the_cross_entropy_and_leaves_the_poli
 @pytest.mark.parametrize("phase", ["fit_to_first", "update_discriminator"])
 def test_the_discriminator_s_goals_are_jittered_and_shuffled_as_asked(phase, monkeypatch):
     """Of its samples alone: the policy is cloned from the exact goals."""
-    given, fitted = a_trajectory(), []
+    given, found = a_trajectory(), []
 
     def fit(config, state, expert, policy, *rest):
-        fitted.append((expert.observation[:, 2:], policy.observation[:, 2:]))
-        return state, {}
+        return state, {"goals": (expert.observation[:, 2:], policy.observation[:, 2:])}
 
     monkeypatch.setattr("hgail_jax.learners.ppo.fit_discriminator", fit)
+    learn = jax.jit(functools.partial(getattr(CONFIG.learner, phase), ENV, CONFIG))
     for changes in ({}, {"goal_jitter": 0.5, "shuffled_goals": 1.0}):
-        state = make_state(**changes)
-        after, _ = getattr(CONFIG.learner, phase)(ENV, CONFIG, state, given, jax.random.key(0))
-        fitted[-1] += (after.learner.actor_critic["policy"],)
-    (exact, pursued, cloned), (jittered, shuffled, also_cloned) = jax.device_get(fitted)
+        after, measured = learn(make_state(**changes), given, jax.random.key(0))
+        found.append((*measured["goals"], after.learner.actor_critic["policy"]))
+    (exact, pursued, cloned), (jittered, shuffled, also_cloned) = jax.device_get(found)
     half = 0.5 * np.asarray(ENV.goal_tolerance(exact))
     assert (np.abs(jittered - exact) <= half + 1e-5).all() and np.abs(jittered - exact).max() > 0.5 * half.max()
     desired = np.asarray(given.desired[:-1])

@@ -24,7 +24,7 @@ HYPER = Hyperparameters(exploration_noise=0.1, policy_learning_rate=1e-3, enviro
 
 @functools.cache
 def untrained():
-    return init_state(push(), CONFIG, HYPER, jax.random.key(0))
+    return jax.jit(lambda rng: init_state(push(), CONFIG, HYPER, rng))(jax.random.key(0))
 
 
 def after(rollouts, hyper=HYPER):
@@ -41,9 +41,14 @@ def rolled():
     return state, jax.jit(lambda rng: rollout(push(), policy, rng, CONFIG.num_envs))(jax.random.key(1))
 
 
+@jax.jit
+def lesson_of(learner, trajectory):
+    return STUDENT.lesson(push(), learner, trajectory)
+
+
 def test_labels_are_the_teachers_actions_and_it_acts_in_its_share_of_the_episodes():
     state, trajectory = rolled()
-    lesson = STUDENT.lesson(push(), state.learner, trajectory)
+    lesson = lesson_of(state.learner, trajectory)
     observation = np.concatenate([trajectory.features, trajectory.desired], axis=-1)[:-1]
     expected = teacher()(observation)
     np.testing.assert_allclose(lesson.action, expected, atol=1e-4)
@@ -53,7 +58,7 @@ def test_labels_are_the_teachers_actions_and_it_acts_in_its_share_of_the_episode
 
 def test_a_lesson_shows_the_state_that_acted():
     state, trajectory = rolled()
-    lesson = STUDENT.lesson(push(), state.learner, trajectory)
+    lesson = lesson_of(state.learner, trajectory)
     cube = push().features_layout["cube position"]
     places = np.asarray(trajectory.features[:-1][..., cube])
     assert np.abs(np.diff(places, axis=0)).max() > 5e-3  # metres that a cube moves in a step
@@ -73,11 +78,12 @@ def test_the_teacher_leaves(rollouts, share):
 
 def test_the_student_alone_is_evaluated():
     state = after(0)
-    observation = jax.vmap(push().reset)(jax.random.split(jax.random.key(0), 8)).obs
-    action, _ = STUDENT.policy(push(), CONFIG, state, 0.0)(observation, jax.random.key(0))
+    observation = jax.jit(jax.vmap(push().reset))(jax.random.split(jax.random.key(0), 8)).obs
+    act = jax.jit(lambda observation, rng: STUDENT.policy(push(), CONFIG, state, 0.0)(observation, rng))
+    action, _ = act(observation, jax.random.key(0))
     numbers = observation[:, push().known]
-    pictures = push().see(observation).astype(jnp.float32) / 255.0
-    np.testing.assert_allclose(action, look(state.learner.eyes, pictures, numbers)[0], atol=1e-5)
+    pictures = np.float32(push().see(observation)) / 255.0
+    np.testing.assert_allclose(action, jax.jit(look)(state.learner.eyes, pictures, numbers)[0], atol=1e-5)
 
 
 def test_it_learns_to_tell_where_the_cube_is():
@@ -91,14 +97,14 @@ def test_it_learns_to_tell_where_the_cube_is():
         action=jnp.zeros((len(qpos), 4)),
         weight=jnp.ones(len(qpos)),
     )
-    eyes = init_eyes(jax.random.key(0), 1, 2, (8, 8, 8, 8), (32,), (4, 3))
+    eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (8, 8, 8, 8), (32,), (4, 3)))(jax.random.key(0))
     fit = jax.jit(functools.partial(_fit, 100, 32, "plain"))
-    optimizer = STUDENT.init(env, CONFIG, jax.random.split(jax.random.key(0))).optimizer
-    optimizer = optimizer._replace(mu=jax.tree.map(jnp.zeros_like, eyes), nu=jax.tree.map(jnp.zeros_like, eyes))
+    zero = jax.tree.map(np.zeros_like, eyes)
+    optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
     unseen = poses(64, seed=1)
-    pictures = env.pictures(unseen, jnp.zeros((64, 1))).astype(jnp.float32) / 255.0
-    told = look(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
+    pictures = np.float32(env.pictures(unseen, jnp.zeros((64, 1)))) / 255.0
+    told = jax.jit(look)(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
     error = np.abs(told - unseen[:, env.task.qpos_of("cube")])[:, :2].mean()
     assert error < 0.01  # metres, of cubes within 12 cm around the middle
 

@@ -458,14 +458,15 @@ def test_some_episodes_to_learn_from_begin_with_an_achieved_goal():
     config = CONFIG.replace(achieved_first=0.7, num_envs=2000)
     state, rng = make_state(), jax.random.key(3)
     assert CONFIG.learner.detour(ENV, CONFIG, state, rng) is None
-    detour = config.learner.detour(ENV, config, state, rng)
+    detours = jax.jit(functools.partial(config.learner.detour, ENV, config))
+    detour = detours(state, rng)
     led = np.asarray(detour.until) > 0
     assert binomtest(int(led.sum()), len(led), 0.7).pvalue > UNLIKELY
     assert set(np.asarray(detour.until)[led]) == set(range(1, LENGTH + 1))
     achieved = np.asarray(state.buffer.achieved)[np.asarray(state.buffer.valid)][:, 1:].reshape(-1, 2)
     assert {tuple(goal) for goal in np.asarray(detour.goal)} <= {tuple(goal) for goal in achieved}
     fresh = init(CONFIG, HYPER, jax.random.key(0))
-    assert not np.asarray(config.learner.detour(ENV, config, fresh, rng).until).any()
+    assert not np.asarray(detours(fresh, rng).until).any()
     always, phases = CONFIG.replace(achieved_first=1.0), np.array([SKIP, SKIP, EVALUATE])
     plain, measured = (round_of(ENV, each, state, phases)[1].evaluation for each in (CONFIG, always))
     assert_close(measured, plain, rtol=1e-5)

@@ -193,12 +193,14 @@ def _of_opengl(pictures):
     return pictures
 
 
-def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(monkeypatch, tmp_path, capsys):
+def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(trained, monkeypatch, tmp_path, capsys):
+    """The student learns by the program of the runs above, whose sizes it has."""
     make_runs_tiny(monkeypatch)
+    compile_once(monkeypatch)
     options = functools.partial(_with_tiny_learner, command.teacher_options)
     monkeypatch.setattr(command, "teacher_options", options)
-    sizes = ["--seeds", "2", "--num-envs", "2", "--rounds", "0", "--evaluation-episodes", "2"]
-    sizes += ["--settings", "updates=1", "batch=4", "channels=[4,4,4,4]"]
+    sizes = ["--seeds", "2", "--num-envs", "2", "--rounds", "2", "--evaluation-episodes", "2"]
+    sizes += ["--settings", "updates=2", "batch=8", "channels=[4,4,4,4]", "policy_hidden=[8]"]
     command.main(["--task", "push", "--observe", "camera", "--out", "student", *sizes])
     best = best_policy(tmp_path / "student-teacher")
     assert (tmp_path / "student" / "teacher.npz").read_bytes() == best.read_bytes()
