@@ -28,8 +28,10 @@ TIMEOUT = 120.0  # seconds
 LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "learning", "experts"))
-ROLLOUT, TRAIN, DISCRIMINATOR = (f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "train", "discriminator"))
-PPO, PPO_LOSS, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "ppo_loss", "td3"))
+ROLLOUT, ROUNDS, TRAIN, DISCRIMINATOR = (
+    f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "rounds", "train", "discriminator")
+)
+PPO, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "td3"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 EVALUATE, GOALS = "tests/hgail_jax/cli/test_evaluate.py", "tests/hgail_envs/test_goals.py"
 LAYOUT = "tests/hgail_envs/test_layout.py"
@@ -44,15 +46,15 @@ TESTS = {
     "hgail_jax/samples": [SAMPLES, PPO],
     "hgail_jax/experts": [SAMPLES, EXPERTS],
     "hgail_jax/discriminator": [DISCRIMINATOR, PPO],
-    "hgail_jax/networks": [PPO_LOSS, PPO, LEARNING],
+    "hgail_jax/networks": [PPO, LEARNING],
     "hgail_jax/descent": [PPO, LEARNING],
-    "hgail_jax/learners/ppo_loss": [PPO_LOSS, PPO],
-    "hgail_jax/learners/ppo": [PPO, TRAIN, LEARNING],
+    "hgail_jax/learners/ppo_loss": [PPO],
+    "hgail_jax/learners/ppo": [PPO, ROUNDS, TRAIN, LEARNING],
     "hgail_jax/learners/td3": [TD3],
-    "hgail_jax/train": [PPO, TRAIN, LEARNING],
-    "hgail_jax/rollout": [SAMPLES, ROLLOUT, PPO],
-    "hgail_jax/evaluate": [SAMPLES, PPO, TRAIN, EVALUATE],
-    "hgail_jax/state": [PPO, TRAIN, LEARNING],
+    "hgail_jax/train": [ROUNDS, TRAIN, LEARNING],
+    "hgail_jax/rollout": [SAMPLES, ROLLOUT, ROUNDS],
+    "hgail_jax/evaluate": [SAMPLES, ROUNDS, TRAIN, EVALUATE],
+    "hgail_jax/state": [PPO, ROUNDS, TRAIN, LEARNING],
     "hgail_jax/settings/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES],
     "envs/hgail_envs/layout": [LAYOUT],

@@ -9,18 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import (
     PPO,
     Config,
-    Hyperparameters,
-    Trajectory,
-    check_metrics,
-    env_steps,
     init_state,
-    make_policy,
-    phase_table,
-    rollout,
 )
 from hgail_jax.config import DEMONSTRATIONS, FROZEN, REWARDS
 from hgail_jax.descent import shuffled_minibatches
@@ -31,168 +23,38 @@ from hgail_jax.discriminator import (
     fit_discriminator,
     imitation_reward,
 )
-from hgail_jax.evaluate import mean_outcome
-from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.ppo import (
     _expert_samples,
     _policy_network,
     _ppo_batch,
     _value_network,
 )
-from hgail_jax.learners.ppo_loss import policy_loss, standardize, weighted_mean
+from hgail_jax.learners.ppo_loss import generalized_advantages, policy_loss, standardize, weighted_mean
 from hgail_jax.networks import MLP, gaussian_log_prob
 from hgail_jax.samples import Samples, policy_samples
 from hgail_jax.state import split_key
-from hgail_jax.train import RoundMetrics, train_step
+from tests.hgail_jax.learners.track import (
+    CONFIG,
+    DEMONSTRATION,
+    ENV,
+    EPISODES,
+    HYPER,
+    LENGTH,
+    SHOWN,
+    VALID,
+    a_trajectory,
+    act,
+    adam,
+    assert_close,
+    init,
+    log_density,
+    logits,
+    make_state,
+    mlp,
+    normalized,
+)
 
-LENGTH, EPISODES = 5, 8
 RNG = np.random.default_rng(0)
-
-
-class Track(GoalEnv):
-    """A point in the plane that breaks down far right and overflows far up; goals are left, to learn from right."""
-
-    episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.5
-
-    def reset_physics(self, rng):
-        return jax.random.uniform(rng, (2,))
-
-    def step_physics(self, physics, action):
-        following = physics + action
-        return jnp.where(following[0] > 3.0, jnp.nan, following)
-
-    def features(self, physics):
-        return physics
-
-    def achieved_goal(self, physics):
-        return physics
-
-    def sample_goal(self, rng, physics):
-        return jnp.array([-9.0, 0.0])
-
-    def plan_goals(self, rng, physics, training_goals):
-        return jnp.where(training_goals, jnp.array([9.0, 0.0]), self.sample_goal(rng, physics))
-
-    def overflow(self, physics):
-        return physics[1] > 2.0
-
-
-ENV = Track()
-CONFIG = Config(
-    num_envs=EPISODES,
-    rounds=2,
-    learner=PPO(
-        policy_phases=2,
-        discriminator_phases=1,
-        epochs=2,
-        minibatches=3,
-        bc_batch=6,
-        pretrain_policy_minibatches=4,
-        pretrain_policy_batch=5,
-        pretrain_discriminator_minibatches=2,
-    ),
-    discriminator_minibatches=3,
-    discriminator_batch=7,
-    policy_hidden=(6, 5),
-    discriminator_hidden=(7,),
-)
-HYPER = Hyperparameters(
-    exploration_noise=jnp.array([0.3, 0.6]), policy_learning_rate=1e-2, discriminator_learning_rate=1e-2
-)
-DEMONSTRATION = Samples(
-    jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
-)
-SHOWN = jax.device_get(DEMONSTRATION)
-init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def act(config, state, noise, observation, rng):
-    return make_policy(ENV, config, state, noise)(observation, rng)
-
-
-def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
-    """A state with statistics of its own, whose networks have all their weights."""
-    state = init(config, HYPER.replace(**changes), jax.random.key(seed), demonstrations=demonstrations)
-    rng = np.random.default_rng(seed)
-    statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
-    vary = functools.partial(
-        jax.tree.map, lambda leaf: np.asarray(leaf) + 0.3 * rng.normal(size=leaf.shape).astype(np.float32)
-    )
-    learner = state.learner.replace(actor_critic=vary(state.learner.actor_critic))
-    return state.replace(statistics=statistics, learner=learner, discriminator=vary(state.discriminator))
-
-
-def mlp(params, inputs, xp=np):
-    layers = params["params"]
-    for index in range(len(layers)):
-        layer = layers[f"Dense_{index}"]
-        inputs = inputs @ layer["kernel"] + layer["bias"]
-        inputs = xp.tanh(inputs) if index < len(layers) - 1 else inputs
-    return inputs
-
-
-def normalized(state, observation):
-    mean, std = np.asarray(state.statistics.mean), np.asarray(state.statistics.std)
-    return np.clip((np.asarray(observation) - mean) / std, -5, 5)
-
-
-def log_density(action, mean, std, xp=np):
-    return (-0.5 * ((action - mean) / std) ** 2 - xp.log(std) - 0.5 * np.log(2 * np.pi)).sum(axis=-1)
-
-
-def logits(state, observation, action, params=None, xp=np):
-    inputs = xp.concatenate([normalized(state, observation), xp.clip(action, -1, 1)], axis=-1)
-    return mlp(state.discriminator if params is None else params, inputs, xp)[..., 0]
-
-
-def adam(params, gradient_of, rate, steps, share=lambda step: 1.0):
-    """Adam as in the paper (Kingma & Ba 2015); returns the parameters and the mean of the losses."""
-    first, second = (jax.tree.map(np.zeros_like, params) for _ in range(2))
-    losses, value_and_gradient = [], jax.jit(jax.value_and_grad(gradient_of))
-    for step in range(steps):
-        loss, gradient = jax.device_get(value_and_gradient(params))
-        losses.append(loss)
-        first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, gradient)
-        second = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g**2, second, gradient)
-        scale, root = rate * share(step) / (1 - 0.9 ** (step + 1)), np.sqrt(1 - 0.999 ** (step + 1))
-        params = jax.tree.map(
-            lambda p, m, v, a=scale, b=root: p - a * m / (np.sqrt(v) / b + 1e-8), params, first, second
-        )
-    jax.effects_barrier()  # what the loss notes by a callback is all there
-    return params, np.mean(losses)
-
-
-def assert_close(one, other, rtol=1e-3, atol=2e-5):
-    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=rtol, atol=atol), one, other)
-
-
-def a_trajectory(valid=None):
-    rng = np.random.default_rng(1)
-
-    def normal(*shape):
-        return jnp.asarray(rng.normal(size=shape), jnp.float32)
-
-    return Trajectory(
-        features=3.0 * normal(LENGTH + 1, EPISODES, 2),
-        achieved=normal(LENGTH + 1, EPISODES, 2),
-        desired=normal(LENGTH + 1, EPISODES, 2),
-        action=normal(LENGTH, EPISODES, 2),
-        noted=normal(LENGTH, EPISODES) - 2.0,
-        reward=jnp.asarray(rng.integers(-1, 1, (LENGTH, EPISODES)), jnp.float32),
-        valid=jnp.ones(EPISODES, bool) if valid is None else jnp.asarray(valid),
-        overflow=jnp.zeros(EPISODES, bool),
-        outcome=EpisodeMetrics(),
-    )
-
-
-VALID = np.array([1, 1, 0, 1, 1, 1, 0, 1], bool)
-
-
-def test_a_round_keeps_the_shapes_of_the_state():
-    state = jax.eval_shape(functools.partial(init_state, ENV, CONFIG, HYPER), jax.random.key(0))
-    after, _ = jax.eval_shape(functools.partial(train_step, ENV, CONFIG), state, phase_table(CONFIG)[0])
-    assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)
 
 
 # Networks and the policy
@@ -376,6 +238,33 @@ def test_rewards_of_logits_by_hand():
     by_hand = (np.log(1 + np.exp(logit)), np.log(np.clip(logit, 1e-3, 1.0)), logit, logit)
     for form, expected in zip(REWARDS.values(), by_hand, strict=True):
         np.testing.assert_allclose(imitation_reward(form, logit), expected, rtol=1e-4, atol=1e-5)
+
+
+REWARD = RNG.normal(size=(LENGTH, EPISODES)).astype(np.float32)
+VALUE = RNG.normal(size=(LENGTH + 1, EPISODES)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("discount", "gae_lambda"), [(0.98, 0.95), (0.9, 0.0), (1.0, 1.0), (0.0, 0.5)])
+def test_advantages_agree_with_a_double_sum(discount, gae_lambda):
+    expected = np.zeros_like(REWARD)
+    for t in range(LENGTH):
+        for k in range(t, LENGTH):
+            delta = REWARD[k] + discount * VALUE[k + 1] - VALUE[k]
+            expected[t] += (discount * gae_lambda) ** (k - t) * delta
+    np.testing.assert_allclose(
+        generalized_advantages(REWARD, VALUE, discount, gae_lambda), expected, rtol=1e-4, atol=1e-5
+    )
+
+
+def test_the_time_limit_is_a_truncation():
+    """With λ = 1 the return is the rewards plus the value of the state in which the episode was cut off."""
+    returns = np.asarray(generalized_advantages(REWARD, VALUE, 0.9, 1.0)) + VALUE[:-1]
+    expected = VALUE[-1]
+    for reward in REWARD[::-1]:
+        expected = reward + 0.9 * expected
+    np.testing.assert_allclose(returns[0], expected, rtol=1e-4)
+    of_a_terminal = np.asarray(generalized_advantages(REWARD, np.concatenate([VALUE[:-1], 0 * VALUE[:1]]), 0.9, 1.0))
+    assert not np.allclose(returns[0], of_a_terminal[0] + VALUE[0])
 
 
 def test_weighted_means_and_standardised_values_ignore_what_has_no_weight():
@@ -652,206 +541,6 @@ def test_the_discriminator_learns_the_log_ratio_of_two_gaussians_in_what_the_env
     np.testing.assert_allclose(mlp(after.discriminator, inputs)[:, 0], inputs[:, 4] / 0.09, atol=1.2)
     assert metrics["discriminator_loss"] < 0.6
     assert metrics["discriminator_accuracy"] > 0.9
-
-
-# Rounds
-
-one_round = jax.jit(functools.partial(train_step, ENV, CONFIG))
-
-
-def run(state, *phases):
-    return one_round(state, np.array([*phases, *[SKIP] * (5 - len(phases))]))
-
-
-def same_key(one, other):
-    return np.array_equal(jax.random.key_data(one), jax.random.key_data(other))
-
-
-def mean_policy(state):
-    def policy(observation, rng):
-        del rng
-        action = mlp(
-            state.learner.actor_critic["policy"],
-            jnp.clip((observation - state.statistics.mean) / state.statistics.std, -5, 5),
-            jnp,
-        )
-        return action, jnp.zeros(len(observation))
-
-    return policy
-
-
-def broad(state, **changes):
-    """With so wide a policy that its noise alone decides, and breaks some episodes down."""
-    hyper = jax.tree.map(jnp.asarray, HYPER.replace(exploration_noise=jnp.array([0.8, 50.0]), **changes))
-    return state.replace(hyperparameters=hyper)
-
-
-def test_an_evaluation_is_the_mean_action_s_roll_out_with_a_key_of_its_own():
-    state = broad(make_state())
-    after, metrics = run(state, EVALUATE)
-    rng = jax.random.split(split_key(state.rng).evaluation)[0]
-    episodes = jax.jit(lambda state: rollout(ENV, mean_policy(state), rng, EPISODES))(state)
-    assert_close(metrics.evaluation, mean_outcome(episodes))
-    assert float(metrics.evaluation.distance_l1) > 0
-    assert all(np.isinf(leaf) for leaf in jax.tree.leaves((metrics.training, metrics.update, metrics.diverged)))
-    assert metrics.dropped == 1 - np.mean(episodes.valid)
-    assert same_key(after.rng, state.rng)
-    assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
-
-
-UPDATES = CONFIG.learner.phase_updates()
-OF_DISCRIMINATOR = {"discriminator_loss", "discriminator_accuracy"}
-MEASURED = {
-    PRETRAIN: {"bc_loss"} | OF_DISCRIMINATOR,
-    POLICY: {"bc_loss", "reward", "policy_loss", "value_loss", "clip_fraction", "kl"},
-    DISCRIMINATOR: OF_DISCRIMINATOR,
-}
-
-
-@pytest.mark.parametrize("phase", UPDATES, ids=lambda phase: phase.name)
-def test_a_phase_learns_from_a_noisy_roll_out_to_the_training_goals(phase):
-    state = broad(make_state())
-    after, metrics = run(state, phase)
-    keys = split_key(state.rng)
-    rollout_rng, update_rng = jax.random.split(keys.phase)
-
-    @jax.jit
-    def by_hand(state):
-        policy = make_policy(ENV, CONFIG, state, noise=1.0)
-        episodes = rollout(ENV, policy, rollout_rng, EPISODES, training_goals=True)
-        return episodes, UPDATES[phase](ENV, CONFIG, state, episodes, update_rng)
-
-    episodes, (learnt, update) = by_hand(state)
-    assert 0 < episodes.valid.sum() < EPISODES
-    assert 0 < episodes.overflow.sum() < EPISODES
-    assert_close(metrics.training, mean_outcome(episodes))
-    assert_close(after.replace(rng=None), learnt.replace(rng=None))
-    assert same_key(after.rng, keys.following)
-    assert set(update) == MEASURED[phase]
-    assert set(metrics.update) == set(PPO.metrics)
-    for name, value in metrics.update.items():
-        assert_close(value, update.get(name, np.inf))
-    assert all(np.isinf(leaf) for leaf in jax.tree.leaves(metrics.evaluation))
-    np.testing.assert_allclose(
-        (metrics.dropped, metrics.overflow), (1 - episodes.valid.mean(), episodes.overflow.mean())
-    )
-    assert metrics.diverged == 0.0
-
-
-def test_a_round_means_over_the_phases_that_measured():
-    state, parts = make_state(), []
-    row = (POLICY, SKIP, DISCRIMINATOR, POLICY, EVALUATE)
-    together, metrics = one_round(state, np.array(row))
-    for phase in row:
-        state, measured = run(state, phase)
-        parts.append(jax.tree.map(float, measured))
-    assert_close(together.replace(rng=None), state.replace(rng=None))
-    assert same_key(together.rng, state.rng)
-    for leaf, *each in zip(*map(jax.tree.leaves, (metrics, *parts)), strict=True):
-        finite = [value for value in each if np.isfinite(value)]
-        np.testing.assert_allclose(leaf, np.mean(finite) if finite else np.inf, rtol=1e-4)
-
-
-def test_an_update_that_is_not_finite_is_undone_and_counted():
-    for phase, changes in (
-        (POLICY, {"policy_learning_rate": jnp.inf}),
-        (PRETRAIN, {"discriminator_learning_rate": jnp.inf}),
-    ):
-        state = make_state()
-        state = state.replace(hyperparameters=state.hyperparameters.replace(**changes))
-        after, metrics = run(state, phase, EVALUATE)
-        assert metrics.diverged == 1.0
-        assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
-        assert same_key(after.rng, split_key(state.rng).following)
-        with pytest.raises(FloatingPointError):
-            check_metrics(metrics.replace(overflow=0.0))
-
-
-def test_nothing_is_learnt_where_every_episode_breaks_down():
-    state, _ = run(make_state(), POLICY)
-    bias = {"Dense_2": {"kernel": jnp.zeros((5, 2)), "bias": jnp.array([5.0, 0.0])}}
-    params = state.learner.actor_critic["policy"]["params"] | bias
-    actor_critic = state.learner.actor_critic | {"policy": {"params": params}}
-    state = state.replace(learner=state.learner.replace(actor_critic=actor_critic))
-    after, metrics = run(state, POLICY, DISCRIMINATOR, PRETRAIN, EVALUATE)
-    assert_close(after.replace(rng=None), state.replace(rng=None), rtol=0, atol=0)
-    assert (metrics.dropped, metrics.diverged) == (1.0, 0.0)
-    for episodes in (metrics.training, metrics.evaluation):
-        assert episodes.success == 0.0
-        assert np.isinf([episodes.distance_l1, episodes.distance_l2]).all()
-    key = state.rng
-    for _ in range(3):
-        key = split_key(key).following
-    assert same_key(after.rng, key)
-
-
-def test_without_training_goals_no_roll_out_goes_for_them(monkeypatch):
-    asked, axes = [], []
-
-    def watched(env, policy, rng, num_envs, training_goals, *, axis, **options):
-        asked.append(training_goals)
-        axes.append(axis)
-        return rollout(env, policy, rng, num_envs, training_goals, axis=axis, **options)
-
-    class Watched(PPO):
-        def policy(self, env, config, state, noise, axis):
-            axes.append(axis)
-            return super().policy(env, config, state, noise, axis)
-
-    monkeypatch.setattr("hgail_jax.train.rollout", watched)
-    config = CONFIG.replace(learner=Watched(**vars(CONFIG.learner)), training_goals=False)
-    step = functools.partial(train_step, ENV, config, axis="devices")
-    on_two = jax.vmap(step, in_axes=(None, None), axis_name="devices", axis_size=2)
-    jax.eval_shape(on_two, make_state(), phase_table(config)[0])
-    assert asked
-    assert all(training_goals is False for training_goals in asked)
-    assert set(axes) == {"devices"}  # what says along which axis the environments are split reaches both
-
-
-def test_environments_split_over_devices_give_the_roll_out_of_one():
-    state = broad(make_state())
-
-    def roll_out(state, axis):
-        return rollout(ENV, make_policy(ENV, CONFIG, state, 1.0, axis), jax.random.key(3), EPISODES, True, axis=axis)
-
-    alone = jax.jit(lambda state: roll_out(state, None))(state)
-    split = jax.vmap(lambda state: roll_out(state, "devices"), in_axes=None, axis_name="devices", axis_size=2)
-    for device in range(2):
-        assert_close(jax.tree.map(lambda leaf, n=device: leaf[n], jax.jit(split)(state)), alone)
-
-
-def test_the_phases_of_a_run():
-    expected = [[PRETRAIN, SKIP, SKIP, SKIP, EVALUATE]] + 2 * [[SKIP, POLICY, POLICY, DISCRIMINATOR, EVALUATE]]
-    np.testing.assert_array_equal(phase_table(CONFIG), expected)
-    np.testing.assert_array_equal(env_steps(ENV, CONFIG, phase_table(CONFIG)), np.array([1, 3, 3]) * EPISODES * LENGTH)
-    assert env_steps(ENV, CONFIG, phase_table(CONFIG)[1]) == 3 * EPISODES * LENGTH
-    without = phase_table(CONFIG.replace(pretrain=False, rounds=0, discriminator_phases=0))
-    np.testing.assert_array_equal(without, [[SKIP, SKIP, SKIP, EVALUATE]])
-
-
-def test_the_last_step_of_a_run_is_the_last_of_the_learning_rate_s_schedule():
-    state = make_state()
-    for row in phase_table(CONFIG):
-        state, _ = one_round(state, row)
-    counts = {int(leaf) for leaf in jax.tree.leaves(state.learner.optimizer) if leaf.dtype == jnp.int32}
-    assert counts == {4 + 2 * 2 * 2 * 3}
-
-
-def round_metrics(**changes):
-    zero = RoundMetrics(EpisodeMetrics(), EpisodeMetrics(), {}, *np.zeros((3, 2)))
-    return zero.replace(**changes)
-
-
-def test_wrong_results_are_refused():
-    check_metrics(round_metrics())
-    check_metrics(
-        round_metrics(diverged=np.array([1.0, 0.0]), overflow=np.full(2, np.nan), dropped=np.array([1.0, 0.5]))
-    )
-    for overflow in ([0.1, 0.0], [0.0, 1.0]):
-        with pytest.raises(OverflowError):
-            check_metrics(round_metrics(overflow=np.array(overflow)))
-    with pytest.raises(FloatingPointError):
-        check_metrics(round_metrics(diverged=np.array([0.3, 1.0])))
 
 
 @pytest.mark.parametrize(("own", "weight", "batch"), [(64, 0.5, 64), (0, 0.5, 512), (64, 0.0, 0), (0, 0.0, 0)])
