@@ -207,6 +207,12 @@ def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(traine
     assert f"the teacher is {best.relative_to(tmp_path)}" in capsys.readouterr().out
 
 
+def test_the_best_policy_is_of_the_first_seed_with_the_most_success(tmp_path):
+    (tmp_path / "summary.json").write_text('{"success_rate": {"per_seed": [0.2, 0.9, 0.5, 0.9]}}')
+    (tmp_path / "config.json").write_text('{"first_seed": 5}')
+    assert best_policy(tmp_path) == tmp_path / "policies" / "seed-6.npz"
+
+
 def _with_tiny_learner(teacher_options, options):
     return dataclasses.replace(teacher_options(options), learner="ppo")
 
