@@ -10,7 +10,7 @@ own look.
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +22,14 @@ from hgail_envs.validation import check_count, check_not_negative
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.look import LOOKS, split_draws
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.cli.policies import find_policies, find_task, make_task
 from hgail_jax.io.files import from_here, write_json
 from hgail_jax.io.provenance import provenance
 from hgail_jax.play.evaluation import Evaluation
+from hgail_jax.trainer.folder import create_folder, create_numbered_folder
+from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import success_interval
 from hgail_jax.vision.policy import CameraPolicy
 
@@ -56,8 +59,8 @@ class Command:
     """Episodes of each policy at each point."""
     seed: int = 0
     """Of the episodes."""
-    out: Path = Path("runs/camera-moved")
-    """Folder to write the figure and the numbers to."""
+    out: Annotated[Path | None, unless_given("runs/camera-moved-<number>", "FOLDER")] = None
+    """Folder to write the figure and the numbers to, which must not exist."""
 
 
 class Moved:
@@ -92,12 +95,12 @@ def main(arguments: list[str] | None = None) -> None:
         policies = [(path, policy) for path, policy in found if isinstance(policy, CameraPolicy)]
         if not policies:
             raise ValueError(f"{command.policy} sees positions; a policy with cameras is needed")
-        command.out.mkdir(parents=True, exist_ok=True)
-    except (ValueError, OSError) as error:
+        _, first = policies[0]
+        env: Any = make_task(first, first.task, None)
+        pictures = Pictures(env.task, first.cameras, first.size, look=_LOOK, target=first.target)
+        out = create_folder(command.out) if command.out else create_numbered_folder(Path("runs"), "camera-moved")
+    except (ValueError, OSError, RenderingError) as error:
         fail(PROGRAM, error, 2)
-    _, first = policies[0]
-    env: Any = make_task(first, first.task, None)
-    pictures = Pictures(env.task, first.cameras, first.size, look=_LOOK, target=first.target)
     rows = []
     for kind, amount in points:
         moved: Any = Moved(pictures, kind, amount / _KINDS[kind][1])
@@ -107,8 +110,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"{_KINDS[kind][0]}: {amount:g}, success {np.mean(success):.3f}")
     about: dict[str, Any] = {"task": first.task, "policies": [str(from_here(path)) for path, _ in policies]}
     about |= {"renderer": pictures.renderer, "look": first.look, "cameras": first.cameras}
-    write_json(command.out / "camera-moved.json", about | {"rows": rows, "made_by": provenance()})
-    draw(command.out / "camera-moved.png", first.task, rows)
+    write_json(out / "camera-moved.json", about | {"rows": rows, "made_by": provenance()})
+    draw(out / "camera-moved.png", first.task, rows)
 
 
 def _points(command: Command) -> list[tuple[str, float]]:

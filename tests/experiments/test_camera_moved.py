@@ -1,12 +1,18 @@
 """Cameras of the experiment are displaced by what its curves say."""
 
+import json
+import types
+
 import numpy as np
 import pytest
 
+from experiments import camera_moved
 from experiments.camera_moved import Moved, draw, main
 from hgail_envs.robots.fetch import Fetch
 from hgail_envs.scenes import assets_directory
 from hgail_envs.vision.look import FIELDS, LOOKS, draws_of, varied
+from hgail_envs.vision.rendering import RenderingError
+from hgail_jax.vision.policy import CameraPolicy
 
 MODEL = Fetch("push").load(visual=True)
 
@@ -63,3 +69,55 @@ def test_wrong_options_are_told_in_one_line(words, message, tmp_path, capsys):
         main(["--policy", str(policy), "--out", str(tmp_path / "out"), *words])
     told = capsys.readouterr().err
     assert message in told and told.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def measured(monkeypatch, tmp_path):
+    """Has a policy's success be what its cameras are moved by, and runs be in a folder of their own."""
+    policy = object.__new__(CameraPolicy)
+    vars(policy).update(task="push", cameras=("front",), size=16, goal_size=4, look="varied")
+    replaced = {
+        "find_task": lambda *_: "push",
+        "find_policies": lambda *_: [(tmp_path / "policy.npz", policy)],
+        "make_task": lambda *_: types.SimpleNamespace(task=None),
+        "Pictures": lambda *_, **__: types.SimpleNamespace(renderer="drawn"),
+        "Moved": lambda _, kind, amount: amount,
+        "CameraEnv": lambda _, moved: moved,
+        "Evaluation": lambda moved, *_: _Evaluated(moved),
+        "draw": lambda *_: None,
+    }
+    for name, by in replaced.items():
+        monkeypatch.setattr(camera_moved, name, by)
+    monkeypatch.chdir(tmp_path)
+
+
+class _Evaluated:
+    episodes = 2
+
+    def __init__(self, moved):
+        self.moved = moved
+
+    def __call__(self, policy):
+        return types.SimpleNamespace(success=self.moved)
+
+
+def test_amounts_are_given_in_the_units_of_the_axes_and_no_folder_is_written_twice(measured, tmp_path, capsys):
+    words = ["--policy", "policy.npz", "--shift", "0", "50", "--turn", "90", "--zoom", "25"]
+    for number in (1, 2):
+        main(words)
+        written = json.loads((tmp_path / "runs" / f"camera-moved-{number}" / "camera-moved.json").read_text())
+        moved = [row["success"][0] for row in written["rows"]]
+        np.testing.assert_allclose(moved, [0.0, 0.5, np.pi / 2, 0.25])
+    with pytest.raises(SystemExit):
+        main([*words, "--out", "runs/camera-moved-1"])
+    assert "runs/camera-moved-1 exists already" in capsys.readouterr().err
+
+
+def test_where_nothing_can_be_rendered_no_folder_is_made(measured, tmp_path, monkeypatch, capsys):
+    def refuse(*_, **__):
+        raise RenderingError("MuJoCo cannot render here")
+
+    monkeypatch.setattr(camera_moved, "Pictures", refuse)
+    with pytest.raises(SystemExit):
+        main(["--policy", "policy.npz"])
+    assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())
