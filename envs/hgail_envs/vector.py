@@ -63,7 +63,8 @@ class GoalVectorEnv(VectorEnv):
     Raises:
       TypeError: `env` is no `GoalEnv`.
       ValueError: a number is no integer or less than 1, more environments than the task's physics can step at once, an
-        unknown mode, or pictures of a task without a scene or such a camera.
+        unknown mode, pictures of a task without a scene or such a camera, or
+        a size of pictures without cameras.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012  (as Gymnasium has it)
@@ -83,6 +84,8 @@ class GoalVectorEnv(VectorEnv):
             raise TypeError(f"env is {env!r}; it must be a GoalEnv")
         if cameras:
             env = CameraEnv(env, Pictures(env, cameras, picture_size))
+        elif picture_size != SIZE:
+            raise ValueError(f"picture_size is {picture_size}, and there are no cameras; name some")
         length = env.episode_length if max_episode_steps is None else max_episode_steps
         check_count("num_envs", num_envs)
         check_count("max_episode_steps", length, most=sys.maxsize)

@@ -156,5 +156,7 @@ class HgailEnvConfig(EnvConfig):
         env = make_task(str(self.task), num_envs, **robot)
         cameras = [name.strip() for name in self.cameras.split(",") if name.strip()]
         if not cameras and self.target == "told":
+            if self.picture_size != HgailEnvConfig.picture_size:
+                raise ValueError(f"picture_size is {self.picture_size}, and there are no cameras; name some")
             return env
         return CameraEnv(env, Pictures(env, cameras, self.picture_size, target=self.target))

@@ -113,10 +113,13 @@ def _model_to_see(robot: Any, marker: bool, things: bool) -> mujoco.MjModel:
 def resolve_renderer(renderer: str) -> str:
     """Returns the name of the renderer that is asked for, on this machine; a ValueError if it cannot run here."""
     check_name("renderer", renderer, ["auto", *RENDERERS])
+    engine = resolve_impl("auto")  # "c" on a CPU alone
     if renderer == "auto":
-        return "warp" if resolve_impl("auto") == "warp" else "opengl"
+        if engine == "jax":
+            raise ValueError("pictures on a GPU need warp-lang; install the extra warp, or set JAX_PLATFORMS=cpu")
+        return "warp" if engine == "warp" else "opengl"
     if renderer == "warp" and importlib.util.find_spec("warp") is None:
         raise ValueError("the renderer 'warp' needs warp-lang, the extra warp; use 'opengl' or 'auto'")
-    if renderer == "opengl" and resolve_impl("auto") == "warp":
+    if renderer == "opengl" and engine != "c":
         raise ValueError("the renderer 'opengl' is for programs on a CPU; use 'auto', or set JAX_PLATFORMS=cpu")
     return renderer

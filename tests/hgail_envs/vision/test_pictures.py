@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import importlib.util
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import pytest
 
 import hgail_envs
 from hgail_envs.vision.cameras import camera_ids, describe_cameras
-from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.pictures import Pictures, resolve_renderer
 from hgail_envs.vision.things import JOINTS
 
 pytestmark = pytest.mark.usefixtures("rendering")
@@ -152,8 +153,9 @@ def test_the_physics_has_no_camera():
     assert push().model.ncam == 0
 
 
-def test_wrong_uses_are_told_in_one_line():
-    env = push()
+def test_wrong_uses_are_told_in_one_line(monkeypatch):
+    env, find_spec = push(), importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "warp" else find_spec(name))
     for options, message in (
         ({"cameras": ["nose"]}, "scene push has no camera 'nose'; it has front, side, wrist"),
         ({"cameras": []}, "no camera is named; choose from front, side, wrist"),
@@ -171,3 +173,14 @@ def test_wrong_uses_are_told_in_one_line():
     bare = copy.copy(env.model)
     with pytest.raises(ValueError, match="scene push has no camera; give its MJCF a <camera>"):
         camera_ids(bare, "push", ["front"])
+
+
+@pytest.mark.parametrize(
+    ("renderer", "message"),
+    [("auto", "install the extra warp, or set JAX_PLATFORMS=cpu"), ("opengl", "'opengl' is for programs on a CPU")],
+)
+def test_a_gpu_without_warp_is_refused_before_anything_is_compiled(renderer, message, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=message):
+        resolve_renderer(renderer)

@@ -110,6 +110,7 @@ def test_it_tells_lerobot_what_it_asks_for():
         ("--env.cameras=behind", "has no camera 'behind'; it has"),
         ("--env.target=seen", "no camera is named; choose from front"),
         ("--env.picture_size=4 --env.cameras=front", "the size of a picture is 4"),
+        ("--env.picture_size=64", "picture_size is 64, and there are no cameras; name some"),
     ],
 )
 def test_bad_options_are_one_line(option, line):
