@@ -118,6 +118,28 @@ def test_episodes_that_broke_down_teach_nothing():
     assert np.isfinite(metrics["action_error"])
     for name in ("mean", "std", "centre"):
         np.testing.assert_array_equal(getattr(one.learner, name), getattr(other.learner, name))
+    jax.tree.map(np.testing.assert_array_equal, one.learner.eyes, other.learner.eyes)
+    moved = jax.tree.map(lambda after, before: np.abs(after - before).max(), one.learner.eyes, state.learner.eyes)
+    assert max(jax.tree.leaves(moved)) > 1e-4  # the others teach
+
+
+def test_a_look_varies_the_pictures_that_are_learnt_from():
+    qpos, env, learner = poses(16), push(), untrained().learner
+    lesson = _Lesson(
+        pictures=env.pictures(qpos, jnp.zeros((16, 1))),
+        numbers=jnp.zeros((16, len(env.known))),
+        objects=jnp.zeros((16, 3)),
+        action=jnp.zeros((16, 4)),
+        weight=jnp.ones(16),
+    )
+
+    def learnt(name):
+        rng = jax.random.key_data(jax.random.key(0))
+        return _fit(1, 8, name, learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0].convolutions[0][0]
+
+    plain = learnt("plain")
+    np.testing.assert_array_equal(learnt("cameras"), plain)  # whose pictures vary by the scene alone
+    assert np.abs(learnt("varied") - plain).max() > 1e-4
 
 
 def test_a_seed_learns_as_it_does_beside_another():
