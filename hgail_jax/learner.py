@@ -56,6 +56,8 @@ class Learner(abc.ABC):
     """Fields of `Hyperparameters` that this learner alone reads."""
     without_effect: ClassVar[tuple[str, ...]] = ()
     """Options of `hgail train` that change nothing with this learner, and are refused."""
+    ignored: ClassVar[tuple[str, ...]] = ()
+    """Fields of `Config` and `Hyperparameters` that change nothing with this learner, and are refused."""
     convolves: ClassVar[bool] = False
     """Whether its networks have convolutions, for which a GPU's compiler must try several algorithms."""
     squashes: ClassVar[bool] = False

@@ -110,7 +110,7 @@ def _teacher(options: TrainOptions) -> Path:
 def _description(words: list[str]) -> str:
     """Returns the text above the options; for the help with the numbers of the task that is named."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("task", "method", "preset", "learner", "randomize"):
+    for name in ("task", "method", "preset", "learner", "randomize", "observe"):
         parser.add_argument(f"--{name}", default=getattr(TrainOptions, name))
     if not {"-h", "--help"} & set(words):
         return __doc__ or ""

@@ -1,9 +1,9 @@
 """The student: a policy that sees pictures, taught by one that knows the positions.
 
-This is DAgger (Ross et al. 2011): the teacher labels every state of every roll-out with its own action. At first it
-acts in most of the episodes, then in fewer, and after `mixed` roll-outs the student acts alone. A second head of its
-network learns to tell where the objects are. Below, `U` is the gradient steps after a roll-out, `B` the samples in one
-of them, and `S` those of a roll-out, `T * N`.
+The teacher labels every state of every roll-out with its own action, as in DAgger (Ross et al. 2011), but each
+roll-out is used once. At first the teacher acts in all of the episodes, then in fewer, and after `mixed` roll-outs the
+student acts alone. A second head of its network learns to tell where the objects are. Below, `U` is the gradient steps
+after a roll-out, `B` the samples in one of them, and `S` those of a roll-out, `T * N`.
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
+from hgail_envs.validation import check_count
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Config
 from hgail_jax.descent import gradient_step
@@ -26,7 +27,7 @@ from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, Learner, Phase, Update
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.state import TrainState
 from hgail_jax.vision.augmentation import AUGMENTATIONS, augment
-from hgail_jax.vision.network import Eyes, init_eyes, look
+from hgail_jax.vision.network import KERNELS, Eyes, init_eyes, look
 
 OBJECT_SCALE = 0.1
 """Metres that are 1 in the network's positions of objects: an error of so much weighs as one of 1 in an action."""
@@ -82,6 +83,11 @@ class Student(Learner):
     }
     convolves: ClassVar[bool] = True
     squashes: ClassVar[bool] = True
+    ignored: ClassVar[tuple[str, ...]] = (
+        *("layer_norm", "best_episodes", "final_exploration_noise", "standardize_observation"),
+        *("include_current", "solved_weight", "ties_by_distance", "reward_scale", "standardize_advantage"),
+        *("ppo_weight", "discount", "gae_lambda", "clip_ratio"),
+    )
 
     mixed: int = 8
     """Roll-outs until the student acts alone."""
@@ -94,11 +100,17 @@ class Student(Learner):
 
     def __post_init__(self) -> None:
         check_sizes(self)
+        if not isinstance(self.channels, tuple) or len(self.channels) != len(KERNELS):
+            raise ValueError(f"channels is {self.channels!r}; it must be {len(KERNELS)} numbers of features")
+        for features in self.channels:
+            check_count("a number of features in channels", features)
 
     def validate(self, env: GoalEnv, config: Config) -> None:
         """See `Learner`; the task has pictures and a teacher."""
         if not isinstance(env, CameraEnv) or env.teacher is None:
             raise ValueError("a student needs a task with pictures and a teacher: --observe camera")
+        if not config.policy_hidden:
+            raise ValueError("policy_hidden is empty; a student needs a hidden layer at least")
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> StudentState:
         """See `Learner`."""

@@ -22,14 +22,14 @@ from hgail_envs.validation import check_count, check_name, parse_option, plain_n
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS
 from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import RENDERERS, SIZE, TARGETS
-from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES, Config
+from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.lerobot import find_demonstrations
 from hgail_jax.seeds import check_seeds
 from hgail_jax.settings.camera import CAMERA, camera_preset
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
-from hgail_jax.settings.methods import METHODS
+from hgail_jax.settings.methods import METHODS, Method
 from hgail_jax.settings.presets import PRESETS, Preset
 from hgail_jax.trainer.camera import refuse_camera_options, with_camera
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
@@ -147,8 +147,8 @@ def choose(
 
 
 def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
-    """Returns the task's, or the method's, values of the options that are None by default; see `choose`."""
-    chosen = choose(platform=platform, **options)
+    """Returns the task's, or the method's, values of the options that are None by default."""
+    chosen = _choose(TrainOptions(**options), platform)
     config, hyperparameters, physics = chosen.config, chosen.hyperparameters, chosen.task_options
     values = {
         "method": chosen.method,
@@ -161,7 +161,7 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "exploration_noise": " ".join(map(str, np.ravel(hyperparameters.exploration_noise))),
     }
-    method = METHODS[chosen.method]
+    method = _method(chosen)
     refused = method.without_effect + method.decides
     return {name: value for name, value in values.items() if name not in refused}
 
@@ -222,6 +222,10 @@ def _choose(options: TrainOptions, platform: str) -> Preset:
     return choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
 
 
+def _method(preset: Preset) -> Method:
+    return (METHODS | {"camera": CAMERA})[preset.method]
+
+
 def _check(options: TrainOptions) -> None:
     check_name("observe", options.observe, OBSERVED)
     if options.observe != "camera":
@@ -239,8 +243,7 @@ def _check(options: TrainOptions) -> None:
 
 
 def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
-    name, learner = preset.method, preset.config.learner
-    method = CAMERA if options.observe == "camera" else METHODS[name]
+    name, learner, method = preset.method, preset.config.learner, _method(preset)
     others = "" if options.method else ", the task's default; name another by --method"
     for names, why in (
         (method.without_effect, f"changes nothing for the method {name}"),
@@ -271,7 +274,7 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "standardize_reward": options.standardize_reward,
     }
     for name, value in map(_parse_setting, options.settings):
-        _check_effect(name, preset.config)
+        _check_effect(name, preset)
         (scalars if name in vars(preset.hyperparameters) else sizes)[name] = value
     hyperparameters = preset.hyperparameters.replace(**_given(scalars))
     return dataclasses.replace(preset, config=preset.config.replace(**_given(sizes)), hyperparameters=hyperparameters)
@@ -305,12 +308,14 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
         return hgail_envs.make(options.task, **{name: given[name] for name in accepted if name in given} | task_options)
 
 
-def _check_effect(name: str, config: Config) -> None:
+def _check_effect(name: str, preset: Preset) -> None:
     """Raises a ValueError for a setting that nothing reads."""
-    if name in OF_TD3 and name not in config.learner.hyperparameters:
+    config = preset.config
+    if name in config.learner.ignored or (name in OF_TD3 and name not in config.learner.hyperparameters):
         raise ValueError(f"--settings {name} changes nothing for the learner {config.learner.name}")
     if not config.discriminator_minibatches and (name in OF_SAMPLES or name.startswith("discriminator_")):
-        raise ValueError(f"--settings {name} changes nothing for the method her, which has no discriminator")
+        method = f"the method {preset.method}, which has no discriminator"
+        raise ValueError(f"--settings {name} changes nothing for {method}")
 
 
 def with_settings(options: TrainOptions, settings: Mapping[str, Any]) -> TrainOptions:

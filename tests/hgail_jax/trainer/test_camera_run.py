@@ -16,6 +16,7 @@ from hgail_jax import init_state, load_policy
 from hgail_jax.cli import train as command
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.policy import from_state, load_any_policy, save_policy
+from hgail_jax.settings.camera import camera_preset
 from hgail_jax.trainer import camera
 from hgail_jax.trainer.options import TrainOptions
 from hgail_jax.trainer.teaching import best_policy, teacher_options
@@ -27,6 +28,7 @@ from tests.support import compile_once, make_runs_tiny
 
 TEACHER = assets_directory() / "policies" / "push.npz"
 OPTIONS = {"task": "push", "observe": "camera", "teacher": TEACHER, "seeds": 2, "num_envs": 2, "rounds": 2}
+TAUGHT = ["--task", "push", "--observe", "camera", "--teacher", str(TEACHER)]
 OPTIONS |= {"updates": 2, "batch": 8, "evaluation_episodes": 2, "channels": (4, 4, 4, 4), "policy_hidden": (8,)}
 
 
@@ -169,6 +171,15 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
             "reads 12 numbers for 4; an observation of push has 19 for 4",
         ),
         (["--task", "push", "--observe", "smell"], "smell"),
+        ([*TAUGHT, "--settings", "channels=[4,4]"], "channels is (4, 4); it must be 4 numbers of features"),
+        ([*TAUGHT, "--settings", "channels=[4,4,0,4]"], "a number of features in channels is 0"),
+        ([*TAUGHT, "--settings", "policy_hidden=[]"], "policy_hidden is empty; a student needs a hidden layer"),
+        (
+            [*TAUGHT, "--settings", "discriminator_batch=64"],
+            "discriminator_batch changes nothing for the method camera, which has no discriminator",
+        ),
+        ([*TAUGHT, "--settings", "clip_ratio=0.1"], "clip_ratio changes nothing for the learner student"),
+        ([*TAUGHT, "--settings", "layer_norm=true"], "layer_norm changes nothing for the learner student"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(words, message, capsys, tmp_path):
@@ -177,6 +188,14 @@ def test_wrong_options_are_told_in_one_line(words, message, capsys, tmp_path):
     told = capsys.readouterr().err
     assert ended.value.code == 2 and message in told and told.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_help_has_the_numbers_of_the_training_with_pictures(capsys):
+    with pytest.raises(SystemExit):
+        command.main(["--task", "push", "--observe", "camera", "--help"])
+    preset = camera_preset("push", "cpu").config
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"The task push has --num-envs {preset.num_envs} --rounds {preset.rounds} " in shown
 
 
 def test_a_training_without_a_gpu_is_refused_unless_the_renderer_is_named(monkeypatch):
