@@ -6,7 +6,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hgail_envs.robots.description import PREFIX, attach_arm, read_description, text_of
+from hgail_envs.robots.arm_model import PREFIX, attach_arm
+from hgail_envs.robots.description import read_description, text_of
 from hgail_envs.robots.hand import PADS
 
 WEIGHT_PER_FORCE = 0.1

@@ -9,8 +9,9 @@ import numpy as np
 from brax import math
 
 from hgail_envs.engines import Control, Engine
+from hgail_envs.robots.arm_model import PREFIX, attach_arm
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, START_HEIGHT, ArmPhysics, Robot
-from hgail_envs.robots.description import PREFIX, attach_arm, read_description
+from hgail_envs.robots.description import read_description
 from hgail_envs.robots.full_model import FullModel, touch_with_bodies
 from hgail_envs.robots.grip import tabulate_hand, without_weight_beyond_grip
 from hgail_envs.robots.hand import PADS, finger_fields, pad_fields, rotation

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from hgail_envs.robots import ROBOTS, description, grip
+from hgail_envs.robots import ROBOTS, arm_model, grip
+from hgail_envs.robots.description import read_description, text_of
 from hgail_envs.robots.hand import PADS
 from hgail_envs.variation import ModelFactors
 from hgail_jax.play.recording import run_controller
@@ -72,7 +73,7 @@ def test_the_hand_starts_above_the_table_pointing_downward(robot):
 
 
 def test_what_the_model_weighs_is_what_it_weighed():
-    env, (original, _) = made("reach"), description._compiled("franka", description.text_of("franka"))
+    env, (original, _) = made("reach"), arm_model._compiled("franka", text_of("franka"))
     for body in range(1, original.nbody):
         ours, theirs = env.model.body(f"arm/{original.body(body).name}"), original.body(body)
         np.testing.assert_allclose([*ours.mass, *ours.inertia], [*theirs.mass, *theirs.inertia], rtol=1e-6)
@@ -101,7 +102,7 @@ def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_joints_keep_to_their_top_speed(robot):
-    env, arm = made("reach", robot), description.read_description(robot)
+    env, arm = made("reach", robot), read_description(robot)
     physics = acted(env, np.random.default_rng(0).choice([-1.0, 1.0], (40, 4)))
     assert np.abs(physics.qvel[:, env.robot._dofs] / np.array(arm.top_speed)).max() < 1.2
 
@@ -110,7 +111,7 @@ def test_joints_keep_to_their_top_speed(robot):
 def test_the_hand_does_not_press_on_the_table(robot):
     env = made("push", robot)
     data, pads = mujoco.MjData(env.model), [env.model.geom(name) for name in PADS]
-    arm = description.read_description(robot)
+    arm = read_description(robot)
     for qpos in acted(env, [[0.3, 0.3, -1.0, 0.0]] * 10).qpos:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(env.model, data)
@@ -287,7 +288,7 @@ def test_bad_robots_are_refused_in_a_line(monkeypatch):
 @functools.cache
 def as_the_maker_has_it(robot):
     """Returns the model in a description's package, with the arm's own actuators."""
-    arm = description.read_description(robot)
+    arm = read_description(robot)
     folder = importlib.util.find_spec(arm.package).submodule_search_locations[0]
     return mujoco.MjModel.from_xml_path(f"{folder}/{arm.model}")
 
@@ -295,7 +296,7 @@ def as_the_maker_has_it(robot):
 def test_an_enlarged_arm_moves_as_the_maker_s_does():
     """By C MuJoCo: points are twice as far apart, and a torque that is four times as large turns joints alike."""
     ours, theirs = made("reach", "so101").model, as_the_maker_has_it("so101")
-    joints = description.read_description("so101").joints
+    joints = read_description("so101").joints
     ends = []
     for model, prefix, scale in ((ours, "arm/", 2.0), (theirs, "", 1.0)):
         dofs = np.array([model.jnt_dofadr[model.joint(prefix + joint).id] for joint in (*joints, "gripper")])

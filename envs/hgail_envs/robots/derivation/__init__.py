@@ -9,13 +9,14 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from hgail_envs.robots.arm_model import attach_hand, complete
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.limits import for_each, limit_of, torques
 from hgail_envs.robots.derivation.motion import Motion, move_hand
 from hgail_envs.robots.derivation.pads import CUBE_WIDTH, ROOM, Pads, find_pads, quaternion_of, tool_of, turned
 from hgail_envs.robots.derivation.placement import Place, find_place, reach_of
 from hgail_envs.robots.derivation.tree import Parts, find_parts
-from hgail_envs.robots.description import Description, Hand, Part, attach_hand, complete
+from hgail_envs.robots.description import Description, Hand, Part
 from hgail_envs.robots.grip import WEIGHT_PER_FORCE
 from hgail_envs.scenes import explained
 

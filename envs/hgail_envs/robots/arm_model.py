@@ -1,0 +1,230 @@
+"""The MjSpec of an arm's model, on servos of its own and under the names that a scene knows."""
+
+import dataclasses
+import functools
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from hgail_envs.robots.description import Description, Part, read_description, text_of
+from hgail_envs.robots.hand import PADS, rotation
+from hgail_envs.scenes import VISUAL_GROUP, explained
+
+PREFIX = "arm/"
+"""Of all names in the arm's own model."""
+HAND_PREFIX = "hand/"
+"""Of those in the model of a hand that is attached."""
+
+_HIDDEN = 4  # group that pictures leave out
+_POSES = 50  # random ones, over which a joint's largest inertia is sought
+
+
+def attach_arm(
+    name: str, scene: mujoco.MjSpec, base: Sequence[float], stays_closed: bool = False, full: bool = False
+) -> None:
+    """Puts the arm into a scene, its base at `base`, `[3]`, metres: on servos of its own, and weightless.
+
+    In a scene in which the hand `stays_closed` the gripper is where the pads meet.
+
+    It touches nothing but with the geoms `palm`, `right_pad` and `left_pad`. They, sites on the pads of the same names
+    and the site `grip` are added to its model, whose own names get a prefix. A `full` model keeps the maker's position
+    servos, joints and colliding geoms, and touches with these, see `hgail_envs.robots.full_model`. A ValueError says
+    that the package with the model is not installed, or that its model is none.
+    """
+    arm, spec = read_description(name), read_model(name, full)
+    compiled = _compiled(name, text_of(name))
+    _add_servos(spec, arm, compiled)
+    _keep_inertias(spec, compiled[0])
+    for geom in list(spec.geoms):
+        if not (geom.contype or geom.conaffinity):
+            geom.group = VISUAL_GROUP
+        elif full:
+            geom.group = _HIDDEN
+        else:
+            spec.delete(geom)
+    if arm.scale != 1.0:
+        enlarge(spec, arm.scale)
+        scene.option.gravity *= arm.scale
+    if full:
+        scene.option.cone, scene.option.impratio = spec.option.cone, spec.option.impratio
+    take_options(spec, scene)
+    scene.attach(spec, frame=scene.worldbody.add_frame(pos=base), prefix=PREFIX)
+    aside = rotation(arm.tool.quat)[:, 1] * (arm.meeting if stays_closed else 0.0)
+    _add_part(scene, "grip", dataclasses.replace(arm.tool, pos=arm.tool.pos + aside), arm.scale)
+    for title in ("palm", *PADS):
+        part: Part = getattr(arm, title)
+        place = _add_part(scene, title, part, arm.scale)
+        geom = scene.body(PREFIX + part.body).add_geom(**place, size=arm.scale * np.asarray(part.size), mass=0.0)
+        geom.type, geom.contype, geom.conaffinity = mujoco.mjtGeom.mjGEOM_BOX, 0, 0
+
+
+def _add_part(scene: mujoco.MjSpec, title: str, part: Part, scale: float) -> dict[str, Any]:
+    """Adds a part's site; returns its place."""
+    place = {"name": title, "pos": scale * np.asarray(part.pos), "quat": part.quat, "group": _HIDDEN}
+    scene.body(PREFIX + part.body).add_site(**place)
+    return place
+
+
+def enlarge(spec: mujoco.MjSpec, scale: float) -> None:
+    """Enlarges a model whose bodies have explicit inertias. Masses and times stay, so that it moves alike.
+
+    A torque, kg m²/s², and what turns grow by the square of `scale`, the force of a slide's servo by itself.
+    """
+    places = (*spec.bodies[1:], *spec.geoms, *spec.sites, *spec.joints, *spec.frames)
+    for element in places:
+        element.pos = scale * element.pos
+    for body in spec.bodies[1:]:
+        body.ipos, body.inertia = scale * body.ipos, scale**2 * body.inertia
+    for sized in (*spec.geoms, *spec.sites):
+        sized.size, sized.fromto = scale * sized.size, scale * sized.fromto
+    for mesh in spec.meshes:
+        mesh.scale = scale * mesh.scale
+    for equality in spec.equalities:
+        if equality.type in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+            equality.data[:6] = scale * equality.data[:6]  # two points
+    slides = {joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_SLIDE}
+    for joint in spec.joints:
+        if joint.name in slides:
+            joint.range, joint.ref, joint.springref = scale * joint.range, scale * joint.ref, scale * joint.springref
+            joint.frictionloss *= scale
+        else:
+            joint.armature, joint.frictionloss = scale**2 * joint.armature, scale**2 * joint.frictionloss
+            joint.damping, joint.stiffness = scale**2 * joint.damping, scale**2 * joint.stiffness
+    for servo in spec.actuators:
+        if servo.target in slides:
+            servo.ctrlrange, servo.forcerange = scale * servo.ctrlrange, scale * servo.forcerange
+        else:
+            servo.forcerange = scale**2 * servo.forcerange
+            servo.gainprm[0] *= scale**2
+            servo.biasprm[1:3] *= scale**2
+
+
+def read_model(name: str, actuators: bool = False) -> mujoco.MjSpec:
+    """Returns the model of the arm with its hand, with or without the maker's position servos.
+
+    A ValueError of one line says that it cannot be read.
+    """
+    arm = read_description(name)
+    if arm.package:
+        package = importlib.util.find_spec(arm.package)
+        if package is None or not package.submodule_search_locations:
+            raise ValueError(f"robot {name!r} needs the package {arm.package}; pip install 'hgail-jax[{arm.extra}]'")
+        folder = package.submodule_search_locations[0]
+    else:
+        folder = str(Path(name).parent)
+    with explained(f"of robot {name!r}"):
+        spec = _read(arm.model, folder)
+        if arm.hand_model:
+            hand = _read(arm.hand_model, folder)
+            contacts = hand.option.cone, hand.option.impratio
+            attach_hand(spec, hand, arm.flange)
+            spec.option.cone, spec.option.impratio = contacts  # what the hand holds depends on them
+    others = [servo for servo in spec.actuators if not (actuators and servo.biasprm[1])]
+    for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *others):
+        spec.delete(element)
+    spec.nuser_actuator = -1  # MuJoCo would warn that there are none
+    complete(spec)
+    return spec
+
+
+def complete(spec: mujoco.MjSpec) -> None:
+    """Names bodies and joints that have no name, and limits hinges that have no limits to a turn on either side."""
+    turn = 360.0 if spec.compiler.degree else 2.0 * np.pi
+    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints)):
+        for number, element in enumerate(elements):
+            element.name = element.name or f"{kind}-{number}"
+    for joint in spec.joints:
+        unlimited = joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE or not joint.range.any()
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and unlimited:
+            joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-turn, turn]
+
+
+def _read(model: str, folder: str) -> mujoco.MjSpec:
+    if model.endswith(".xml"):
+        return mujoco.MjSpec.from_file(f"{folder}/{model}")
+    return mujoco.MjSpec.from_string(model.replace("{package}", folder))
+
+
+def take_options(spec: mujoco.MjSpec, other: mujoco.MjSpec) -> None:
+    """Gives a model the options of the one that it will be attached to, or MuJoCo would warn of those that differ."""
+    for name in dir(other.option):
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(other.option, name))
+
+
+def attach_hand(spec: mujoco.MjSpec, hand: mujoco.MjSpec, flange: str) -> None:
+    """Attaches a hand at a site or a body of an arm; a ValueError if there is none of this name."""
+    take_options(hand, spec)
+    sites = [site.name for site in spec.sites]
+    bodies = [body.name for body in spec.bodies[1:]]
+    if flange in sites:
+        spec.attach(hand, site=spec.site(flange), prefix=HAND_PREFIX)
+    elif flange in bodies:
+        spec.attach(hand, frame=spec.body(flange).add_frame(), prefix=HAND_PREFIX)
+    else:
+        there = ", ".join(filter(None, (*sites, *bodies)))
+        raise ValueError(f"the arm has no site or body {flange!r} as its flange; it has {there}")
+
+
+@functools.cache
+def _compiled(name: str, text: str) -> tuple[mujoco.MjModel, np.ndarray]:
+    """Returns the model as it comes, and the largest inertia of each degree of freedom over many poses, `[nv]`."""
+    del text  # the cache's
+    model = read_model(name).compile()
+    data, rng, inertias = mujoco.MjData(model), np.random.default_rng(0), np.zeros((_POSES, model.nv, model.nv))
+    for inertia in inertias:
+        data.qpos[:] = rng.uniform(*model.jnt_range.T)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+    return model, inertias.max(axis=0).diagonal()
+
+
+def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Writes down the inertias that follow from geoms."""
+    for body in spec.bodies[1:]:  # the first is the world
+        of = model.body(body.name)
+        body.explicitinertial, body.gravcomp = True, 1.0
+        body.mass, body.ipos, body.iquat, body.inertia = of.mass[0], of.ipos, of.iquat, of.inertia
+        body.fullinertia = np.full(6, np.nan)  # the same in another form, which excludes this one
+
+
+def _add_servos(spec: mujoco.MjSpec, arm: Description, compiled: tuple[mujoco.MjModel, np.ndarray]) -> None:
+    """Puts a servo at each joint of the arm and of its hand, in this order, in place of damping and friction.
+
+    Joints of the arm that have one, and a hand that has one, keep it; drives of the hand become as stiff as described.
+    """
+    (model, largest), hand, turn = compiled, arm.hand, 2.0 * np.pi * arm.servo_frequency
+    driven = {servo.target: servo for servo in spec.actuators}
+    for name, torque, speed in zip(arm.joints, arm.torque, arm.top_speed, strict=True):
+        if name in driven:
+            joint, servo = spec.joint(name), driven[name]
+            if joint.damping[0] * speed > torque:  # not the drive's, which would never get there: the servo's own
+                servo.biasprm[2] -= joint.damping[0]
+                joint.damping = np.zeros(3)
+            continue
+        inertia = largest[model.jnt_dofadr[model.joint(name).id]] + arm.armature
+        servo = _add_servo(spec, model, name, arm.armature)
+        servo.set_to_position(kp=turn**2 * inertia, kv=2.0 * turn * inertia)
+        servo.forcerange = (-torque, torque)
+    for name in hand.joints:
+        if name in driven:
+            factor = hand.stiffness / -driven[name].biasprm[1]
+            driven[name].gainprm[0] *= factor
+            driven[name].biasprm[1] *= factor
+    for name in hand.joints if driven.keys() <= set(arm.joints) else ():
+        servo = _add_servo(spec, model, name, hand.armature)
+        servo.set_to_position(kp=hand.stiffness, kv=hand.damping)
+        servo.forcerange = (-hand.force, hand.force)
+
+
+def _add_servo(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, armature: float) -> Any:
+    joint = spec.joint(name)
+    joint.armature, joint.damping, joint.stiffness, joint.frictionloss = armature, np.zeros(3), np.zeros(3), 0.0
+    servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.ctrllimited = servo.forcelimited = True
+    servo.ctrlrange = model.joint(name).range  # radians, whatever the file's unit
+    return servo
