@@ -24,11 +24,11 @@ from hgail_jax.play.playback import film
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import in_a_thread, say, stop_on_signal
 from hgail_jax.trainer.camera import MissingTeacherError
-from hgail_jax.trainer.folder import RunFolder, open_run_folder
+from hgail_jax.trainer.folder import RunFolder, open_run_folder, student_folder
 from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
-from hgail_jax.trainer.teaching import best_policy, kept_teacher, teacher_options
+from hgail_jax.trainer.teaching import best_policy, teacher_options
 from hgail_jax.trainer.training import train_run
 
 PROGRAM = "hgail train"
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
             try:
                 run = plan(options, platform_name())
             except MissingTeacherError:
-                options = dataclasses.replace(options, teacher=_teacher(options))
+                options = dataclasses.replace(options, teacher=_teacher(options, words))
                 run = plan(options, platform_name())
             if command.video and run.env.scene is None:
                 raise ValueError(f"task {command.task!r} has no scene to film; leave out --video")
@@ -88,16 +88,13 @@ def main(arguments: list[str] | None = None) -> None:
             _film(run, folder)
 
 
-def _teacher(options: TrainOptions) -> Path:
-    """Returns the file of a student's teacher: the one in the folder that is resumed, else one that is trained now."""
-    kept = None if options.resume is None else kept_teacher(Path(options.resume).expanduser())
-    if kept is not None:
-        return kept
-    teacher = teacher_options(options)
+def _teacher(options: TrainOptions, words: list[str]) -> Path:
+    """Returns the file of a student's teacher, which is trained now."""
+    teacher = teacher_options(options, student_folder(options.task, "camera", options.out, options.resume))
     run = plan(teacher, platform_name())
-    with open_run_folder(run, teacher.out, None) as folder:
+    with open_run_folder(run, teacher.out, teacher.resume) as folder:
         say(f"first the teacher: {run.method} on {teacher.task}, {counted(teacher.seeds, 'seed')} -> {folder.path}")
-        later = f"when it is trained, name its best seed by --teacher {folder.path}/policies/seed-{run.first_seed}.npz"
+        later = f"resume with: {_command(words)}"
         summary = _train(run, folder, later)
         if summary is None:
             fail(PROGRAM, f"{_stopped(run, folder)} of the teacher; {later}", 1)
@@ -159,9 +156,14 @@ def _resume_hint(words: list[str], folder: Path) -> str:
     """Returns a line with the command that resumes a run: the words of its own, less another folder."""
     pairs = itertools.pairwise(["", *with_new_names(words)])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
+    return f"resume with: {_command([*kept, '--resume', str(folder)])}"
+
+
+def _command(words: list[str]) -> str:
+    """Returns the command line of `hgail train` with these words."""
     script = Path(sys.executable).with_name("hgail")  # of an environment that need not be activated
     hgail = from_here(script) if script.exists() and shutil.which("hgail") != str(script) else "hgail"
-    return f"resume with: {shlex.join([str(hgail), 'train', *kept, '--resume', str(folder)])}"
+    return shlex.join([str(hgail), "train", *words])
 
 
 def _film(run: Run, folder: RunFolder) -> None:

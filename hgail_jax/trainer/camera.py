@@ -2,19 +2,23 @@
 
 import functools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import jax.numpy as jnp
 
-from hgail_envs import GoalEnv
+from hgail_envs import TASKS, GoalEnv
 from hgail_envs.base import Controller
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.pictures import Pictures
 from hgail_jax.io.policy import load_policy
+from hgail_jax.policy import MeanPolicy
 
 if TYPE_CHECKING:
     from hgail_jax.trainer.options import TrainOptions
 
+TEACHER = "teacher.npz"
+"""Name of the teacher's file in a student's folder."""
 _OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer", "target")
 
 
@@ -25,9 +29,10 @@ class MissingTeacherError(ValueError):
 def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEnv:
     """Returns the task with the pictures that the options ask for, on so many devices, and with its teacher.
 
+    Where they name none, its teacher raises a MissingTeacherError once it is asked.
+
     Raises:
       ValueError: the scene, the renderer or the teacher is not as the options ask for.
-      MissingTeacherError: they ask for no teacher.
       RenderingError: MuJoCo cannot render here.
     """
     cameras = [name.strip() for name in options.camera.split(",")]
@@ -39,8 +44,9 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
     if pictures.renderer == "warp" and devices > 1:
         raise ValueError("the renderer 'warp' runs on one device so far; leave out --devices")
     if options.teacher is None:
-        raise MissingTeacherError("--observe camera needs a --teacher, a policy of the task that sees positions")
+        return CameraEnv(env, pictures, cast(Controller, refuse_missing_teacher))
     policy = load_policy(options.teacher)
+    _check_task(policy, options)
     sizes = [(one.observation_size, one.action_size) for one in (policy, env)]
     if sizes[0] != sizes[1]:
         raise ValueError(
@@ -48,6 +54,26 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
             f" {options.task} has {env.observation_size} for {env.action_size}"
         )
     return CameraEnv(env, pictures, cast(Controller, functools.partial(policy, xp=jnp)))
+
+
+def refuse_missing_teacher(*_: Any) -> NoReturn:
+    """Raises a MissingTeacherError."""
+    raise MissingTeacherError("--observe camera needs a --teacher, a policy of the task that sees positions")
+
+
+def _check_task(teacher: MeanPolicy, options: "TrainOptions") -> None:
+    """Raises a ValueError for a teacher of another task or robot; a user's own task may have a teacher of another."""
+    if teacher.task != options.task and {teacher.task, options.task} <= set(TASKS):
+        raise ValueError(f"{options.teacher} was trained on {teacher.task}, not on {options.task}")
+    robots = [str(teacher.task_options.get("robot", "fetch")), options.robot]
+    if len({Path(robot).name for robot in robots}) > 1:  # a description's file may be in another folder by now
+        raise ValueError(f"{options.teacher} was trained on the robot {robots[0]}, not on {robots[1]}")
+
+
+def kept_teacher(folder: Path) -> Path | None:
+    """Returns the teacher's file in the folder of a student's run; None if there is none."""
+    path = folder / TEACHER
+    return path if path.exists() else None
 
 
 def refuse_camera_options(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:

@@ -28,7 +28,7 @@ _NAME_ANOTHER = "name another folder, or none to have one numbered"
 
 def create_numbered_folder(parent: Path, stem: str) -> Path:
     """Makes and returns `parent/stem-N` for the smallest N from 1 that is larger than any there already."""
-    for number in itertools.count(1 + max(_numbers(parent, stem), default=0)):
+    for number in itertools.count(_next_number(parent, stem)):
         path = parent / f"{stem}-{number}"
         try:
             return create_folder(path)
@@ -36,6 +36,10 @@ def create_numbered_folder(parent: Path, stem: str) -> Path:
             if not path.exists():  # else a run that began at the same moment has this number
                 raise
     raise AssertionError("numbers do not end")
+
+
+def _next_number(parent: Path, stem: str) -> int:
+    return 1 + max(_numbers(parent, stem), default=0)
 
 
 def newest_folder(parent: Path, stem: str) -> Path | None:
@@ -69,17 +73,54 @@ def create_folder(path: Path) -> Path:
         path.mkdir(parents=True)
         return path
     except FileExistsError:
-        unfinished = (path / "config.json").exists() and not (path / "summary.json").exists()
-        hint = f"resume its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
-        raise ValueError(f"{path} exists already; {hint}") from None
+        raise _taken(path) from None
     except OSError as error:
         raise ValueError(f"cannot make the folder {path}: {error.strerror}") from None
+
+
+def _taken(path: Path) -> ValueError:
+    unfinished = (path / "config.json").exists() and not (path / "summary.json").exists()
+    hint = f"resume its run by --resume {path}, or name another folder" if unfinished else _NAME_ANOTHER
+    return ValueError(f"{path} exists already; {hint}")
+
+
+def resumed_folder(task: str, method: str, resume: Path | str | None) -> Path | None:
+    """Returns the folder that `resume` names, `"auto"` the newest of the task and method; None begins a run."""
+    if resume == "auto":
+        return newest_folder(_RUNS, _stem(task, method))
+    return Path(resume).expanduser() if resume else None
+
+
+def student_folder(task: str, method: str, out: Path | str | None, resume: Path | str | None) -> Path:
+    """Returns the folder that a run without a teacher as yet will have, not made; a ValueError if it cannot have it."""
+    path = resumed_folder(task, method, resume)
+    if path is not None:
+        if not path.is_dir():
+            raise _missing(path)
+        if not _is_empty(path):
+            raise ValueError(f"{path} holds a run without a teacher, which cannot be resumed as a student's")
+        return path
+    if not out:
+        stem = _stem(task, method)
+        return _RUNS / f"{stem}-{_next_number(_RUNS, stem)}"
+    path = Path(out).expanduser()
+    if path.exists():
+        raise _taken(path)
+    return path
+
+
+def _missing(path: Path) -> ValueError:
+    return ValueError(f"there is no folder {path} to resume")
+
+
+def _stem(task: str, method: str) -> str:
+    return f"{task.split(':')[-1]}-{method}"
 
 
 def reopen_folder(path: Path, identity: dict) -> None:
     """Checks that a folder is empty, or that of the run with this identity; writes nothing."""
     if not path.is_dir():
-        raise ValueError(f"there is no folder {path} to resume")
+        raise _missing(path)
     if _is_empty(path):
         return
     try:
@@ -142,9 +183,9 @@ def open_run_folder(run: Run, out: Path | str | None, resume: Path | str | None)
 
 
 def _open(run: Run, out: Path | str | None, resume: Path | str | None, held: contextlib.ExitStack) -> RunFolder:
-    stem = f"{run.task.split(':')[-1]}-{run.method}"
-    path = newest_folder(_RUNS, stem) if resume == "auto" else resume and Path(resume).expanduser()
-    if not path:
+    path = resumed_folder(run.task, run.method, resume)
+    if path is None:
+        stem = _stem(run.task, run.method)
         path = create_folder(Path(out).expanduser()) if out else create_numbered_folder(_RUNS, stem)
         held.enter_context(sole_user(path))
         folder = RunFolder(path, Checkpoints(path / "checkpoints", run.identity()), None)

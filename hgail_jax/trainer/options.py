@@ -31,7 +31,8 @@ from hgail_jax.settings.camera import CAMERA, camera_preset
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
 from hgail_jax.settings.methods import METHODS, Method
 from hgail_jax.settings.presets import PRESETS, Preset
-from hgail_jax.trainer.camera import refuse_camera_options, with_camera
+from hgail_jax.trainer.camera import kept_teacher, refuse_camera_options, refuse_missing_teacher, with_camera
+from hgail_jax.trainer.folder import resumed_folder
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
 
@@ -167,13 +168,21 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
-    """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`; a ValueError names what it cannot."""
+    """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`.
+
+    Raises:
+      ValueError: an option has a value that it cannot have.
+      MissingTeacherError: no teacher is named, nor in the folder that is resumed, and all else is well.
+    """
     started = time.perf_counter()
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined, unused-ignore]  # declared from JAX 0.11 on
         raise ValueError("JAX_ENABLE_X64 is set, and training is in float32; unset it")
     _check(options)
     chosen = _choose(options, platform)
     _refuse_without_effect(options, chosen)
+    if options.observe == "camera" and options.teacher is None:
+        resumed = resumed_folder(options.task, chosen.method, options.resume)
+        options = dataclasses.replace(options, teacher=resumed and kept_teacher(resumed))
     preset = _with_options(options, chosen)
     if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
@@ -192,7 +201,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     demonstrations = None if options.demos is None else find_demonstrations(options.demos, options.task, env)
     if (demonstrations is None) != (preset.method != "gail-demo"):
         raise ValueError("--demos goes with the method gail-demo, which needs it; the command demos makes such a file")
-    return Run(
+    run = Run(
         task=options.task,
         method=preset.method,
         seeds=options.seeds,
@@ -212,6 +221,9 @@ def plan(options: TrainOptions, platform: str) -> Run:
         options=dataclasses.asdict(options),
         started=started,
     )
+    if options.observe == "camera" and options.teacher is None:  # all else is checked
+        refuse_missing_teacher()
+    return run
 
 
 def _choose(options: TrainOptions, platform: str) -> Preset:

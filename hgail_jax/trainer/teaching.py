@@ -2,11 +2,10 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 from hgail_jax.trainer.options import TrainOptions
 
-TEACHER = "teacher.npz"
-"""Name of the teacher's file in a student's folder."""
 _SHARED = (
     *("task", "seeds", "first_seed", "robot", "impl", "substeps", "task_options", "devices", "checkpoint_every"),
     *("evaluation_episodes", "logger"),
@@ -14,16 +13,14 @@ _SHARED = (
 """Options of a student's training that its teacher's has too."""
 
 
-def teacher_options(options: TrainOptions) -> TrainOptions:
-    """Returns the options of the training of a teacher, by the task's default method, for a student's training."""
-    out = None if options.out is None else options.out.with_name(f"{options.out.name}-teacher")
-    return TrainOptions(out=out, **{name: getattr(options, name) for name in _SHARED})
+def teacher_options(options: TrainOptions, folder: Path) -> TrainOptions:
+    """Returns the options of the training of a teacher, by the task's default method, for a student's training.
 
-
-def kept_teacher(folder: Path) -> Path | None:
-    """Returns the teacher's file in the folder of a student's run; None if there is none."""
-    path = folder / TEACHER
-    return path if path.exists() else None
+    The `folder` is the student's. The teacher's is beside it, and resumed where it is there already.
+    """
+    out = folder.with_name(f"{folder.name}-teacher")
+    place: dict[str, Any] = {"resume": str(out)} if out.exists() else {"out": out}
+    return TrainOptions(**place, **{name: getattr(options, name) for name in _SHARED})
 
 
 def best_policy(folder: Path) -> Path:

@@ -23,13 +23,13 @@ from hgail_jax.io.provenance import provenance
 from hgail_jax.seeds import SeedsEvaluation, SeedsStep, trace_evaluation
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import StatusLine
+from hgail_jax.trainer.camera import TEACHER, kept_teacher
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
 from hgail_jax.trainer.options import TrainOptions, plan, with_settings
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
-from hgail_jax.trainer.teaching import TEACHER, kept_teacher
 
 _MOST_OF_SAVING = 0.05  # of the time of a run with a replay buffer
 

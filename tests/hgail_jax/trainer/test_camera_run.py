@@ -3,6 +3,9 @@
 import dataclasses
 import functools
 import hashlib
+import shutil
+import types
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -168,7 +171,7 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
         ),
         (
             ["--task", "push", "--observe", "camera", "--teacher", str(TEACHER.with_name("grasp.npz"))],
-            "reads 12 numbers for 4; an observation of push has 19 for 4",
+            "was trained on grasp, not on push",
         ),
         (["--task", "push", "--observe", "smell"], "smell"),
         ([*TAUGHT, "--settings", "channels=[4,4]"], "channels is (4, 4); it must be 4 numbers of features"),
@@ -232,14 +235,85 @@ def test_the_best_policy_is_of_the_first_seed_with_the_most_success(tmp_path):
     assert best_policy(tmp_path) == tmp_path / "policies" / "seed-6.npz"
 
 
-def _with_tiny_learner(teacher_options, options):
-    return dataclasses.replace(teacher_options(options), learner="ppo")
+def _with_tiny_learner(teacher_options, options, folder):
+    return dataclasses.replace(teacher_options(options, folder), learner="ppo")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--out", "there"], "there exists already; name another folder"),
+        (["--resume", "nowhere"], "there is no folder nowhere to resume"),
+        (["--resume", "there"], "there holds a run without a teacher, which cannot be resumed as a student's"),
+        (["--settings", "policy_learning_rate=-1"], "policy_learning_rate is -1"),
+        (["--settings", "policy_hidden=[]"], "policy_hidden is empty"),
+    ],
+)
+def test_faults_are_told_before_a_teacher_is_trained(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "train_run", None)
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "config.json").write_text("{}")
+    (tmp_path / "there" / "summary.json").write_text("{}")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--task", "push", "--observe", "camera", *words])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and message in told and told.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("out", "folder"), [(["--out", "student"], "student"), ([], "runs/push-camera-1")])
+def test_a_stopped_teacher_is_resumed_by_the_command_that_is_printed(out, folder, capsys, tmp_path, monkeypatch):
+    make_runs_tiny(monkeypatch)
+    monkeypatch.setattr(command, "teacher_options", functools.partial(_with_tiny_learner, command.teacher_options))
+    opened = []
+    monkeypatch.setattr(command, "train_run", lambda run, folder, stop: opened.append(folder.path))
+    words = ["--task", "push", "--observe", "camera", *out]
+    for _ in range(2):
+        with pytest.raises(SystemExit):
+            command.main(words)
+        assert capsys.readouterr().err.endswith(f"resume with: {command._command(words)}\n")
+    assert opened == [Path(f"{folder}-teacher")] * 2
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_the_teacher_in_the_folder_that_is_resumed_is_found(trained, named, tmp_path):
+    folder = tmp_path / "runs" / "push-camera-3"
+    shutil.copytree(trained[0].folder, folder)
+    options = {name: value for name, value in OPTIONS.items() if name != "teacher"}
+    again = Trainer(**options, resume=folder if named else "auto")
+    assert again.run.teacher.resolve() == folder / "teacher.npz"
+    assert again.run.identity() == trained[0].run.identity()
+
+
+@pytest.mark.parametrize(
+    ("task", "changes", "message"),
+    [
+        ("slide", {}, "push.npz was trained on push, not on slide"),
+        ("push", {"task_options": {"robot": "franka"}}, "was trained on the robot franka, not on fetch"),
+        ("grasp", {"task": "mine:Push"}, "reads 19 numbers for 4; an observation of grasp has 12 for 4"),
+    ],
+)
+def test_a_teacher_of_another_task_or_robot_is_refused(task, changes, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(camera, "Pictures", lambda env, *_: types.SimpleNamespace(renderer="map"))
+    save_policy(tmp_path / "push.npz", dataclasses.replace(load_policy(TEACHER), **changes))
+    options = TrainOptions(task=task, observe="camera", teacher=tmp_path / "push.npz")
+    with pytest.raises(ValueError, match=message):
+        camera.with_camera(hgail_envs.make(task), options, 1)
+
+
+def test_pictures_are_those_that_the_options_ask_for(monkeypatch):
+    given = []
+    monkeypatch.setattr(camera, "Pictures", lambda env, *rest: given.append(rest) or Map(env))
+    asked = {"camera": "side, wrist", "picture_size": 32, "renderer": "opengl", "look": "wide", "target": "seen"}
+    camera.with_camera(hgail_envs.make("push"), TrainOptions("push", observe="camera", teacher=TEACHER, **asked), 1)
+    assert given == [(["side", "wrist"], 32, "opengl", "wide", "seen")]
 
 
 def test_a_teacher_is_trained_by_the_tasks_own_settings():
     options = TrainOptions(task="push", observe="camera", seeds=3, num_envs=7, rounds=2, settings=("updates=1",))
-    teacher = teacher_options(options)
-    assert teacher == TrainOptions(task="push", seeds=3)
+    teacher = teacher_options(options, Path("runs/push-camera-2"))
+    assert teacher == TrainOptions(task="push", seeds=3, out=Path("runs/push-camera-2-teacher"))
 
 
 def test_the_best_seed_is_the_first_of_the_best(tmp_path):
