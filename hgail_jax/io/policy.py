@@ -18,6 +18,7 @@ A policy that sees pictures has a format of its own:
      "numbers": {"size": 10, "goal": 4},                       # what it is told: `KNOWN` features, then the goal;
                                                                # no goal where it sees the target in the pictures
      "action": {"size": 4, "low": -1.0, "high": 1.0}, "convolutions": 4, "layers": 2, "look": "varied",
+     "look_sizes": {"scene": {}, "image": {}},                 # fields of `Look` and `Augmentation`
      "task_options": {}, "versions": {}}
 
 with `kernel_i`, `kernel_biases_i` of its convolutions, layers as above, `action_weights`, `action_biases`, and
@@ -44,7 +45,7 @@ from hgail_jax.io.provenance import installed
 from hgail_jax.policy import MAX_NORMALIZED, MeanPolicy
 from hgail_jax.state import TrainState
 from hgail_jax.vision.network import Eyes
-from hgail_jax.vision.policy import CameraPolicy
+from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
 
 _FORMAT, _CAMERA_FORMAT = "hgail_jax policy 2", "hgail_jax camera policy 1"
 _ACTION = {"low": -1.0, "high": 1.0}
@@ -78,6 +79,7 @@ def from_state(
             versions=versions,
             task_options=dict(task_options or {}),
             look=env.pictures.look,
+            look_sizes=sizes_of_look(env.pictures.look),
         )
     return MeanPolicy(
         task=task,
@@ -130,6 +132,7 @@ def _save_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
         "convolutions": len(eyes.convolutions),
         "layers": len(eyes.hidden),
         "look": policy.look,
+        "look_sizes": policy.look_sizes,
         "task_options": policy.task_options,
         "versions": policy.versions,
     }
@@ -165,6 +168,7 @@ def _camera_policy_from_file(header: dict, file: Mapping[str, np.ndarray]) -> Ca
         versions=dict(header["versions"]),
         task_options=dict(header["task_options"]),
         look=str(header["look"]),
+        look_sizes=dict(header.get("look_sizes", {})),  # older files have none
     )
     if (policy.mean.size, policy.action_size) != (numbers["size"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")

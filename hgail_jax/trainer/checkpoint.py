@@ -26,6 +26,8 @@ from hgail_jax.devices.sharding import is_first_process, is_key, without_keys
 
 SCHEMA = 4
 """Version of the content of a checkpoint; one of another schema is refused."""
+LOOK_SIZES = "look_sizes"
+"""Entry of an identity that runs of older versions do not have, and may lack."""
 KEPT = 3
 """Number of the last checkpoints that are kept, besides the best."""
 
@@ -332,7 +334,10 @@ def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
 def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
     if not (isinstance(there, dict) and isinstance(here, dict)):
         return None if there == here else (name, there, here)
-    for key in [*here, *(key for key in there if key not in here)]:
+    for key in [
+        *(key for key in here if key != LOOK_SIZES or key in there),
+        *(key for key in there if key not in here),
+    ]:
         found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)
         if found is not None:
             return found

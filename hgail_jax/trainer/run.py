@@ -11,7 +11,9 @@ from jax.sharding import Mesh
 from hgail_envs.randomized import RandomizedEnv
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Hyperparameters
+from hgail_jax.trainer.checkpoint import LOOK_SIZES
 from hgail_jax.trainer.loop import Program
+from hgail_jax.vision.policy import sizes_of_look
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,7 @@ class Run(Program):
             physics["pictures"] = {
                 "cameras": list(pictures.cameras),
                 **{name: getattr(pictures, name) for name in ("size", "look", "renderer", "target")},
+                LOOK_SIZES: sizes_of_look(pictures.look),
                 "teacher": self.teacher and hashlib.sha256(self.teacher.read_bytes()).hexdigest(),
             }
         return {

@@ -12,7 +12,14 @@ import numpy as np
 from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
 from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.look import LOOKS
+from hgail_jax.vision.augmentation import AUGMENTATIONS
 from hgail_jax.vision.network import KERNELS, Eyes, look
+
+
+def sizes_of_look(look: str) -> dict[str, Any]:
+    """Returns the sizes that a look's name stands for in this version: of the scene's, and of the images' variation."""
+    return {"scene": dataclasses.asdict(LOOKS[look]), "image": dataclasses.asdict(AUGMENTATIONS[look])}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +47,8 @@ class CameraPolicy:
     """Options of the task's class that it was trained with."""
     look: str = "plain"
     """How the look of the scene varied in its training."""
+    look_sizes: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """By how much, see `sizes_of_look`; empty in older files."""
 
     randomization = Randomization()
     """Randomisation of its training episodes: none."""

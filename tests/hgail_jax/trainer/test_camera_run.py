@@ -1,5 +1,6 @@
 """Runs that see pictures: resumed, written and read again, and refused in one line."""
 
+import copy
 import dataclasses
 import functools
 import hashlib
@@ -15,17 +16,20 @@ import pytest
 import hgail_envs
 from hgail_envs.scenes import assets_directory
 from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.look import LOOKS
 from hgail_jax import init_state, load_policy
 from hgail_jax.cli import train as command
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.policy import from_state, load_any_policy, save_policy
 from hgail_jax.settings.camera import camera_preset
 from hgail_jax.trainer import camera
+from hgail_jax.trainer.checkpoint import AnotherRunError, as_json, refuse_another_run
 from hgail_jax.trainer.options import TrainOptions
 from hgail_jax.trainer.teaching import best_policy, teacher_options
 from hgail_jax.trainer.training import Trainer
+from hgail_jax.vision.augmentation import Augmentation
 from hgail_jax.vision.network import look
-from hgail_jax.vision.policy import CameraPolicy
+from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
 from tests.hgail_jax.vision.scenes import Map
 from tests.support import compile_once, make_runs_tiny
 
@@ -86,10 +90,30 @@ def test_the_folder_keeps_the_teacher_and_names_it(trained):
         "cameras": ["above"],
         "size": 16,
         "look": "plain",
+        "look_sizes": {"scene": dataclasses.asdict(LOOKS["plain"]), "image": dataclasses.asdict(Augmentation())},
         "renderer": "map",
         "target": "told",
         "teacher": hashlib.sha256(TEACHER.read_bytes()).hexdigest(),
     }
+
+
+def test_a_run_of_a_look_of_other_sizes_is_another_and_one_without_them_is_not(trained):
+    here = trained[0].run.identity()
+    other, older = copy.deepcopy(here), copy.deepcopy(here)
+    other["physics"]["pictures"]["look_sizes"]["scene"]["shadows"] = 0.25
+    with pytest.raises(AnotherRunError, match=r"look_sizes.scene.shadows is 0.25 there and 1.0 here"):
+        refuse_another_run("folder", as_json(other), here)
+    del older["physics"]["pictures"]["look_sizes"]
+    refuse_another_run("folder", as_json(older), here)
+
+
+def test_an_older_file_of_a_policy_has_no_sizes_of_its_look(trained, tmp_path):
+    path, kind = trained[0].folder / "policies" / "seed-0.npz", "hgail_jax camera policy 1"
+    header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
+    arrays.pop("header")
+    assert header.pop("look_sizes") == load_any_policy(path).look_sizes == sizes_of_look("plain")
+    save_npz(tmp_path / "older.npz", header, arrays)
+    assert load_any_policy(tmp_path / "older.npz").look_sizes == {}
 
 
 def test_a_policys_file_holds_all_of_it(trained, tmp_path):
