@@ -33,6 +33,8 @@ from hgail_jax.vision.policy import CameraPolicy
 PROGRAM = "hgail evaluate"
 Measure = Callable[[], EpisodeMetrics]
 """Returns the means over a policy's episodes."""
+Where = dict[str, str]
+"""The engine or the reference's environment, and of a policy of pictures the look of the scene and the renderer."""
 Act = Callable[[np.ndarray], np.ndarray]
 """An observation, `[observation_size]`, to an action, `[4]`."""
 
@@ -61,7 +63,7 @@ def main(arguments: list[str] | None = None) -> None:
         policies = find_policies(task, options.policy, options.randomize)
         found = [policy for _, policy in policies]
         on_the_fetch = options.reference and _robot(task, options, found) == "fetch"
-        engine, episodes, measures = (_reference if on_the_fetch else _simulation)(task, options, found)
+        where, episodes, measures = (_reference if on_the_fetch else _simulation)(task, options, found)
     except (ValueError, OSError) as error:
         fail(PROGRAM, error, 2)
     rows = []
@@ -72,10 +74,11 @@ def main(arguments: list[str] | None = None) -> None:
     except OverflowError as error:
         fail(PROGRAM, error, 1)
     if options.json:
-        print(json.dumps(_report(task, engine, options, policies[0][1], rows), indent=2))
+        print(json.dumps(_report(task, where, options, policies[0][1], rows), indent=2))
         return
     for (path, policy), row in zip(policies, rows, strict=True):
-        print(describe_policy(path, policy, "none" if options.reference else options.randomize) + f", engine {engine}")
+        described = describe_policy(path, policy, "none" if options.reference else options.randomize)
+        print(", ".join([described, *(f"{name} {value}" for name, value in where.items())]))
         print(_text(row))
     if len(rows) > 1:
         mean = _mean(rows)
@@ -102,8 +105,8 @@ def _robot(task: str, options: Options, policies: list[AnyPolicy]) -> str:
     return robots.pop()
 
 
-def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:
-    """Returns the engine's name, the number of episodes, and functions that measure the policies in the task here."""
+def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[Where, int, list[Measure]]:
+    """Returns where it is, the number of episodes, and functions that measure the policies in the task here."""
     if options.impl and "impl" not in hgail_envs.accepted_options(task):
         raise ValueError(f"task {task!r} has no engines to choose from; leave out --impl")
     evaluations: dict[str, Evaluation] = {}
@@ -115,7 +118,10 @@ def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple
             env = make_task(policy, task, level, impl=impl, robot=options.robot)
             evaluations[trained] = Evaluation(env, options.seed, options.episodes)
         measures.append(functools.partial(evaluations[trained], policy))
-    return getattr(env, "impl", "JAX"), evaluations[trained].episodes, measures
+    where = {"engine": getattr(env, "impl", "JAX")}
+    if isinstance(env, CameraEnv):
+        where |= {"look": env.pictures.look, "renderer": env.pictures.renderer}
+    return where, evaluations[trained].episodes, measures
 
 
 def _sees(policy: AnyPolicy) -> Any:
@@ -123,8 +129,8 @@ def _sees(policy: AnyPolicy) -> Any:
     return (policy.cameras, policy.size, policy.target) if isinstance(policy, CameraPolicy) else policy.observation_size
 
 
-def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[str, int, list[Measure]]:
-    """Returns the environment's name, the number of episodes, and functions that measure the policies in it."""
+def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[Where, int, list[Measure]]:
+    """Returns where it is, the number of episodes, and functions that measure the policies in it."""
     measures: list[Measure] = []
     for policy in policies:
         env = make_task(policy, task, "none")  # refuses a policy that does not fit
@@ -135,7 +141,10 @@ def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[
             raise ValueError(f"--reference needs the package {error.name}: pip install 'hgail-jax[compare]'") from None
         act = _seeing(reference, env, policy) if isinstance(policy, CameraPolicy) else policy
         measures.append(functools.partial(_run_in_reference, reference, act, policy.randomization, options))
-    return str(hgail_envs.find_class(task).reference), options.episodes, measures
+    where = {"engine": str(hgail_envs.find_class(task).reference)}
+    if isinstance(policy, CameraPolicy):
+        where |= {"look": "the reference's", "renderer": "opengl"}
+    return where, options.episodes, measures
 
 
 def _seeing(reference: ReferenceFetch, env: hgail_envs.GoalEnv, policy: CameraPolicy) -> Act:
@@ -174,11 +183,11 @@ def _mean(rows: list[dict[str, Any]]) -> dict[str, float]:
     return {"success": mean} | ({"low": max(mean - half, 0.0), "high": min(mean + half, 1.0)} if half >= 0 else {})
 
 
-def _report(task: str, engine: str, options: Options, policy: AnyPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _report(task: str, where: Where, options: Options, policy: AnyPolicy, rows: list[dict[str, Any]]) -> dict[str, Any]:
     sizes = randomization(policy, "none" if options.reference else options.randomize)
     return {
         "task": task,
-        "engine": engine,
+        **where,
         "seed": options.seed,
         "randomization": dataclasses.asdict(sizes),
         "policies": rows,

@@ -156,6 +156,15 @@ def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
 
 
+def test_look_and_renderer_of_a_policy_of_pictures_are_said(tmp_path, capsys, rendering):
+    save_policy(tmp_path / "p.npz", dataclasses.replace(blind_policy(4), look="varied"))
+    words = ["--policy", str(tmp_path / "p.npz"), "--episodes", "1"]
+    shown = report(words, capsys)
+    assert (shown["look"], shown["renderer"]) == ("plain", "opengl")
+    evaluate.main(words)
+    assert capsys.readouterr().out.splitlines()[0].endswith(f"engine {shown['engine']}, look plain, renderer opengl")
+
+
 @pytest.mark.parametrize(
     ("command", "words"), [(evaluate, []), (export, ["--out", "p.onnx"]), (play, ["--out", "p.mp4"])]
 )
