@@ -168,11 +168,9 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
 
 
 def plan(options: TrainOptions, platform: str) -> Run:
-    """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`.
+    """Returns the run that the options ask for on a platform, `"cpu"` or `"gpu"`; a ValueError names what it cannot.
 
-    Raises:
-      ValueError: an option has a value that it cannot have.
-      MissingTeacherError: no teacher is named, nor in the folder that is resumed, and all else is well.
+    It is a MissingTeacherError where all is well but that a teacher is neither named nor in the folder to resume.
     """
     started = time.perf_counter()
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined, unused-ignore]  # declared from JAX 0.11 on
