@@ -7,8 +7,8 @@ COMMANDS = {
     "train": "trains seeds of a method on a task and writes the results to a folder",
     "play": "rolls out a trained policy, in the browser, in a viewer or as a film",
     "evaluate": "measures the success of trained policies, with its interval",
-    "export": "writes a trained policy for other programs: ONNX, StableHLO or npz",
-    "demos": "records demonstrations by a scripted controller",
+    "export": "writes a trained policy for other programs: ONNX, StableHLO, npz or LeRobot",
+    "demos": "records demonstrations by a scripted controller or a policy, also as a dataset of LeRobot",
     "robot": "derives the description of an arm of your own from its MJCF",
 }
 """Help of each command; its module has its name."""
