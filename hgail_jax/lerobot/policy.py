@@ -40,6 +40,12 @@ class HgailConfig(PreTrainedConfig):
     """Whether layer normalisation and relu, or tanh, come after a hidden layer."""
     squash: bool = True
     """Whether tanh brings the actions into [-1, 1]; else they are clipped."""
+    versions: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Versions of the packages that trained it."""
+    randomization: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Randomisation of its training episodes."""
+    task_options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of the task's class that it was trained with."""
     normalization_mapping: dict[str, NormalizationMode] = dataclasses.field(
         default_factory=lambda: dict.fromkeys(("STATE", "ENV", "VISUAL", "ACTION"), NormalizationMode.IDENTITY)
     )
@@ -91,9 +97,16 @@ class HgailPolicy(PreTrainedPolicy):
         """Does nothing: the policy remembers nothing."""
 
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns actions, `[batch, action_size]`; a ValueError if what it reads has another size."""
+        """Returns actions, `[batch, action_size]`; a ValueError if what it reads is missing or has another size."""
+        return self._action(batch).clamp(-1.0, 1.0)
+
+    def _action(self, batch: dict[str, Tensor]) -> Tensor:
+        """Returns actions before they are clipped: of what is clipped there is no gradient."""
         config = self.config
         for name, feature in config.input_features.items():
+            if name not in batch:
+                named = f"name --env.cameras={','.join(config.cameras)}"
+                raise ValueError(f"{name} is missing; {named if config.cameras else 'leave out --env.cameras'}")
             if tuple(batch[name].shape[1:]) != tuple(feature.shape):
                 raise ValueError(
                     f"{name} is {(*batch[name].shape[1:],)}; this policy of {config.task} reads {feature.shape}"
@@ -108,7 +121,7 @@ class HgailPolicy(PreTrainedPolicy):
         for index, layer in enumerate(inner):
             hidden = layer(hidden)
             hidden = torch.relu(self.norms[index](hidden)) if config.layer_norm else torch.tanh(hidden)
-        return torch.tanh(last(hidden)) if config.squash else last(hidden).clamp(-1.0, 1.0)
+        return torch.tanh(last(hidden)) if config.squash else last(hidden)
 
     def _places(self, pictures: Tensor) -> Tensor:
         """Returns the mean place of each feature of pictures, see `hgail_jax.vision.network.look`."""
@@ -125,7 +138,7 @@ class HgailPolicy(PreTrainedPolicy):
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, None]:
         """Returns the mean squared error of the actions, `[]`: behavioural cloning."""
-        return nn.functional.mse_loss(self.select_action(batch), batch[ACTION]), None
+        return nn.functional.mse_loss(self._action(batch), batch[ACTION]), None
 
 
 class _Same(nn.Conv2d):
@@ -155,6 +168,9 @@ def export_lerobot(folder: Path, policy: AnyPolicy) -> None:
         channels=[biases.size for _, biases in convolutions],
         layer_norm=len(layers[0]) > 2,
         squash=squash,
+        versions=policy.versions,
+        randomization=dataclasses.asdict(policy.randomization),
+        task_options=policy.task_options,
     )
     kind = FeatureType.STATE if cameras else FeatureType.ENV
     picture = PolicyFeature(FeatureType.VISUAL, (3, *[getattr(policy, "size", 0)] * 2))
@@ -188,6 +204,6 @@ def check_shown(policy: AnyPolicy) -> None:
     shown = known_numbers(env, policy.target).size if isinstance(policy, CameraPolicy) else env.observation_size
     if policy.mean.size != shown:
         raise ValueError(
-            f"the policy reads {policy.mean.size} numbers; LeRobot's environment of {policy.task} shows {shown}, which"
-            " are not of the past, and as without task options"
+            f"the policy reads {policy.mean.size} numbers; LeRobot's environment of {policy.task} shows {shown}:"
+            " policies that read the past, or were trained with options such as cube=tracked, cannot be exported"
         )

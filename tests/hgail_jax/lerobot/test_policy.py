@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hgail_jax.cli import export
-from hgail_jax.io.policy import load_policy
+from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.vision.network import init_eyes
 from hgail_jax.vision.policy import CameraPolicy
 from tests.support import ROOT
@@ -56,8 +56,10 @@ def test_actions_from_pictures_are_those_of_the_policy(tmp_path, cameras, size):
     eyes = jax.tree.map(lambda values: np.asarray(values + 0.1 * rng.normal(size=values.shape), np.float32), eyes)
     mean, std, centre = (rng.uniform(0.5, 1.0, count).astype(np.float32) for count in (10, 10, 3))
     policy = CameraPolicy("push", 4, cameras, size, mean, std, centre, eyes)
-    export_lerobot(tmp_path, policy)
-    act, _ = acting(tmp_path, task="push", cameras=",".join(cameras), picture_size=size)
+    save_policy(tmp_path / "policy.npz", policy)
+    folder = tmp_path / "folder"
+    export.main(["--policy", str(tmp_path / "policy.npz"), "--format", "lerobot", "--out", str(folder)])
+    act, _ = acting(folder, task="push", cameras=",".join(cameras), picture_size=size)
     pictures = rng.integers(0, 256, (7, *policy.pictures_shape)).astype(np.uint8)
     numbers = (mean + std * rng.normal(size=(7, 10))).astype(np.float32)
     shown = {"agent_pos": numbers, "pixels": {name: pictures[:, i] for i, name in enumerate(cameras)}}
@@ -84,9 +86,23 @@ def test_a_policy_learns_from_actions(tmp_path):
     assert policy.predict_action_chunk(batch).shape == (1, 1, 4)
 
 
+def test_an_action_that_is_clipped_is_learnt_from(tmp_path):
+    export_lerobot(tmp_path, load_policy(POLICIES / "reach.npz"))
+    _, policy = acting(tmp_path, task="reach")
+    assert not policy.config.squash
+    batch = {"observation.environment_state": policy.mean[None], "action": torch.full((1, 4), 0.3)}
+    with torch.no_grad():
+        policy.layers[-1].bias += 10.0
+    assert (policy.select_action(batch) == 1.0).all()
+    policy.forward(batch)[0].backward()
+    assert (policy.layers[-1].bias.grad > 0.0).all()
+
+
 def test_a_policy_of_other_sizes_is_refused(tmp_path):
     export_lerobot(tmp_path, load_policy(POLICIES / "reach.npz"))
     act, _ = acting(tmp_path, task="push")
+    with pytest.raises(ValueError, match=r"^observation.environment_state is missing; leave out --env.cameras$"):
+        act({"agent_pos": np.zeros((2, 10), np.float32)})
     with pytest.raises(ValueError, match=r"environment_state is \(19,\); this policy of reach reads \(9,\)"):
         act({"agent_pos": np.zeros((2, 10), np.float32), "environment_state": np.zeros((2, 19), np.float32)})
 
