@@ -9,12 +9,14 @@ from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
 from hgail_jax.cli.policies import find_policies
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_new_file, from_here
+from hgail_jax.io.provenance import installed, own_command
 from hgail_jax.lerobot import check_installed
-from hgail_jax.play.recording import make_for_demonstrations, record, successes
+from hgail_jax.play.recording import made_by, make_for_demonstrations, record, successes
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
 from hgail_jax.trainer.options import unless_given
@@ -60,10 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
         check_new_file(path)
         if options.robot is not None:
             check_robot(options.robot)
-        if options.format:
-            check_installed()
-        elif options.camera:
-            raise ValueError("--camera goes with --format lerobot")
+        _check_pictures(options)
         policy = _policy(options)
         env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
         if options.camera or options.target != "told":
@@ -76,12 +75,25 @@ def main(arguments: list[str] | None = None) -> None:
             demonstrations = record(env, options.task, options.episodes, options.seed, policy)
         path.parent.mkdir(parents=True, exist_ok=True)
         save_demonstrations(path, demonstrations)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RenderingError) as error:
         fail(PROGRAM, error, 2)
     say(
         f"{counted(options.episodes, 'successful episode')} of {options.task}:"
         f" return {demonstrations.returns.mean():.1f}, L1 distance {demonstrations.distance_l1.mean():.4f} m -> {path}"
     )
+
+
+def _check_pictures(options: Options) -> None:
+    if options.format:
+        check_installed()
+    for name in ("camera", "picture_size", "target"):
+        chosen = getattr(options, name) != getattr(Options, name)
+        if chosen and not options.format:
+            raise ValueError(f"--{name.replace('_', '-')} goes with --format lerobot")
+        if chosen and not options.camera:
+            raise ValueError(f"--{name.replace('_', '-')} goes with --camera")
+    if options.picture_size % 2:
+        raise ValueError(f"picture-size is {options.picture_size}; a film needs an even one")
 
 
 def _policy(options: Options) -> MeanPolicy | None:
@@ -101,5 +113,7 @@ def _write_dataset(path: Path, env: GoalEnv, options: Options, policy: MeanPolic
 
     trajectory, episodes = successes(env, options.task, options.episodes, options.seed, policy)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_dataset(path, options.task, env, trajectory, episodes)
+    made = made_by(env, options.seed, policy) | {"command": own_command()}
+    made["versions"] |= installed("lerobot")
+    write_dataset(path, options.task, env, trajectory, episodes, made)
     say(f"{counted(options.episodes, 'successful episode')} of {options.task} -> {path}")

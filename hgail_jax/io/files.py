@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shutil
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
@@ -28,14 +29,17 @@ def replace_file(path: Path | str, mode: str = "w") -> Iterator[IO]:
 
 @contextlib.contextmanager
 def replace_path(path: Path | str) -> Iterator[Path]:
-    """Yields the name of a temporary file for a writer that opens files itself; see `replace_file`."""
+    """Yields the name of a temporary file or folder, for a writer that makes it itself; see `replace_file`."""
     path = Path(path)
     temporary = path.with_name(f".{os.getpid()}{_PARTIAL}.{path.name}")
     try:
         yield temporary
         temporary.replace(path)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
         raise
 
 

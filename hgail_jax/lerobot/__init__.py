@@ -11,9 +11,11 @@ from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations
 
 
 def check_installed() -> None:
-    """Raises a ValueError that says how to install LeRobot, if it is missing."""
-    if importlib.util.find_spec("lerobot") is None:
-        raise ValueError("LeRobot is missing: pip install 'lerobot[training,evaluation]', with Python 3.12 or later")
+    """Raises a ValueError that says how to install LeRobot, if it or one of its extras is missing."""
+    missing = [name for name in ("lerobot", "datasets", "av") if importlib.util.find_spec(name) is None]
+    if missing:
+        install = "pip install 'lerobot[training,evaluation]~=0.6.1', with Python 3.12 or later"
+        raise ValueError(f"LeRobot is missing, or a part of it ({', '.join(missing)}): {install}")
 
 
 def find_demonstrations(path: Path, task: str, env: GoalEnv) -> Demonstrations:
@@ -25,6 +27,8 @@ def find_demonstrations(path: Path, task: str, env: GoalEnv) -> Demonstrations:
     """
     if not path.is_dir():
         return load_demonstrations(path, task).validate(env)
+    if not (path / "meta" / "info.json").is_file():
+        raise ValueError(f"{path} is no LeRobotDataset: it has no meta/info.json")
     check_installed()
     from hgail_jax.lerobot.dataset import read_dataset
 

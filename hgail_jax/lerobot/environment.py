@@ -17,6 +17,7 @@ from hgail_envs.registry import check_takes_robot
 from hgail_envs.vector import GoalVectorEnv, make_task
 from hgail_envs.vision.camera_env import CameraEnv, known_numbers
 from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.rendering import RenderingError
 
 SENTENCES = {
     "reach": "Move the gripper to the target.",
@@ -28,7 +29,7 @@ SENTENCES = {
     "tower": "Build a tower of three cubes.",
 }
 """What a policy is told in words, by the task."""
-_STATE, _OBSERVATION, _PICTURES = "agent_pos", "environment_state", "pixels"  # as LeRobot's roll-outs have them
+_STATE, OBSERVATION, _PICTURES = "agent_pos", "environment_state", "pixels"  # as LeRobot's roll-outs have them
 
 
 def sentence(task: str) -> str:
@@ -49,7 +50,7 @@ def observation_space(env: GoalEnv) -> spaces.Dict:
 
     state = box(told_numbers(env).size)
     if not isinstance(env, CameraEnv):
-        return spaces.Dict({_STATE: state, _OBSERVATION: box(env.observation_size)})
+        return spaces.Dict({_STATE: state, OBSERVATION: box(env.observation_size)})
     picture: spaces.Space = spaces.Box(0, 255, env.pictures.shape[1:], np.uint8)
     pictures = dict.fromkeys(env.pictures.cameras, picture)
     return spaces.Dict({_STATE: state, _PICTURES: spaces.Dict(pictures)})
@@ -99,7 +100,7 @@ class HgailVectorEnv(GoalVectorEnv):
         observation = np.array(state.obs, np.float32)
         parts: dict[str, Any] = {_STATE: observation[:, told_numbers(self.env)]}
         if not isinstance(self.env, CameraEnv):
-            return parts | {_OBSERVATION: observation}, info
+            return parts | {OBSERVATION: observation}, info
         pictures = np.moveaxis(seen["pixels"], 1, 0)
         return parts | {_PICTURES: dict(zip(self.env.pictures.cameras, pictures, strict=True))}, info
 
@@ -109,9 +110,12 @@ class HgailVectorEnv(GoalVectorEnv):
 class HgailEnvConfig(EnvConfig):
     """Options of a task, from which features and steps per second follow.
 
-    A DecodingError, of which LeRobot's commands print one line, says that there is no such task, robot or camera.
+    A DecodingError, of which LeRobot's commands print one line, says that there is no such task, robot or camera, or no
+    OpenGL.
     """
 
+    fps: int = 0
+    """Steps per second, which the task has; none other can be chosen."""
     task: str | None = "pick-and-place"
     """A task's name, or 'module:Class' of your own."""
     robot: str | None = None
@@ -126,19 +130,22 @@ class HgailEnvConfig(EnvConfig):
     def __post_init__(self) -> None:
         try:
             env = self._make(1)
-        except ValueError as error:
+            steps = round(1 / env.control_period)
+            if self.fps not in (0, steps):
+                raise ValueError(f"fps is {self.fps}; {self.task} has {steps} steps per second")
+        except (ValueError, RenderingError) as error:
             raise DecodingError(("env",), str(error)) from error
-        self.fps = round(1 / env.control_period)
+        self.fps = steps
         space = observation_space(env)
         self.features = {ACTION: PolicyFeature(FeatureType.ACTION, (env.action_size,))}
         self.features[_STATE] = PolicyFeature(FeatureType.STATE, space[_STATE].shape)
-        self.features_map = {ACTION: ACTION, _STATE: OBS_STATE, _OBSERVATION: OBS_ENV_STATE}
+        self.features_map = {ACTION: ACTION, _STATE: OBS_STATE, OBSERVATION: OBS_ENV_STATE}
         if isinstance(env, CameraEnv):
             images = [f"{OBS_IMAGES}.{camera}" for camera in env.pictures.cameras]
             self.features |= dict.fromkeys(images, PolicyFeature(FeatureType.VISUAL, env.pictures.shape[1:]))
             self.features_map |= dict(zip(images, images, strict=True))
         else:
-            self.features[_OBSERVATION] = PolicyFeature(FeatureType.ENV, space[_OBSERVATION].shape)
+            self.features[OBSERVATION] = PolicyFeature(FeatureType.ENV, space[OBSERVATION].shape)
 
     @property
     def gym_kwargs(self) -> dict:
@@ -154,6 +161,8 @@ class HgailEnvConfig(EnvConfig):
         if robot:
             check_takes_robot(str(self.task))
         env = make_task(str(self.task), num_envs, **robot)
+        if env.robot is None:
+            raise ValueError(f"the task {self.task} has no scene that LeRobot could film")
         cameras = [name.strip() for name in self.cameras.split(",") if name.strip()]
         if not cameras and self.target == "told":
             if self.picture_size != HgailEnvConfig.picture_size:

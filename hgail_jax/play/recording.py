@@ -110,11 +110,17 @@ def record(
         success=np.asarray(trajectory.outcome.success, np.float32)[succeeded],
         returns=np.asarray(trajectory.reward.sum(axis=0), np.float32)[succeeded],
         distance_l1=np.asarray(trajectory.outcome.distance_l1, np.float32)[succeeded],
-        made_by={
-            "controller": next(iter(env.controllers)) if policy is None else "policy",
-            **({} if env.robot is None else {"robot": env.robot.name}),
-            "seed": seed,
-            "physics": {option: getattr(env, option, None) for option in ("impl", "substeps")},
-            "versions": installed("hgail-jax", "jax", "mujoco-mjx"),
-        },
+        made_by=made_by(env, seed, policy),
     )
+
+
+def made_by(env: hgail_envs.GoalEnv, seed: int, policy: MeanPolicy | None) -> dict[str, Any]:
+    """Returns the provenance of demonstrations: who made them, the seed, the physics and the versions."""
+    task_itself = env.task if isinstance(env, CameraEnv) else env
+    return {
+        "controller": next(iter(task_itself.controllers)) if policy is None else "policy",
+        **({} if env.robot is None else {"robot": env.robot.name}),
+        "seed": seed,
+        "physics": {option: getattr(task_itself, option, None) for option in ("impl", "substeps")},
+        "versions": installed("hgail-jax", "jax", "mujoco-mjx"),
+    }

@@ -69,6 +69,8 @@ class Silent(Point):
         (["--task", "push", "--policy", str(POLICIES / "reach.npz")], "the policy is for 'reach', not for 'push'"),
         (["--task", "reach", "--policy", str(POLICIES / "reach-robust.npz")], "the policy reads 39 numbers"),
         (["--task", "reach", "--camera", "front"], "--camera goes with --format lerobot"),
+        (["--task", "reach", "--target", "seen"], "--target goes with --format lerobot"),
+        (["--task", "reach", "--picture-size", "64"], "--picture-size goes with --format lerobot"),
         (["--task", "point", "--out", "file"], "file exists already"),
         (["--task", "point", "--out", "file/point.npz"], "file: Not a directory"),
     ],

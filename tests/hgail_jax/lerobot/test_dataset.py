@@ -1,5 +1,8 @@
 """Datasets beside the roll-outs that they come from."""
 
+import json
+import shutil
+
 import jax
 import numpy as np
 import pytest
@@ -17,11 +20,13 @@ from lerobot.datasets import LeRobotDataset
 import hgail_envs
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.pictures import Pictures
+from hgail_jax.lerobot.dataset import read_dataset, write_dataset
 from hgail_jax.lerobot.environment import HgailEnvConfig
 from hgail_jax.rollout import rollout
 
 POLICY = ROOT / "assets" / "policies" / "reach.npz"
 EPISODES = 3
+RENDER = "hgail_jax.lerobot.dataset.render"
 
 
 @pytest.fixture(scope="module")
@@ -111,12 +116,80 @@ def test_a_dataset_demonstrates(written, expected):
     assert len(samples.weight) == EPISODES * 50
 
 
+def test_pictures_are_those_of_the_episodes_that_are_chosen(tmp_path, monkeypatch, expected):
+    env, trajectory = expected
+    monkeypatch.setattr(RENDER, lambda pictures, noted: map(np.asarray, map(env.see, noted)))  # without processes
+    write_dataset(tmp_path / "chosen", "reach", env, trajectory, np.array([2, 0]), {})
+    read = LeRobotDataset("local/chosen", root=tmp_path / "chosen")
+    for place, episode in enumerate((2, 0)):
+        seen = np.asarray(env.see(trajectory.noted[10, episode]))[0] / 255.0
+        pictures = [read[50 * index + 10]["observation.images.side"].permute(1, 2, 0).numpy() for index in (0, 1)]
+        errors = [np.abs(picture - seen).mean() for picture in pictures]
+        assert errors[place] < 0.02
+        assert errors[place] < errors[1 - place]
+
+
+def test_what_fails_half_way_leaves_nothing(tmp_path, monkeypatch, expected):
+    env, trajectory = expected
+
+    def render(pictures, noted):
+        yield np.asarray(env.see(noted[0]))
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(RENDER, render)
+    with pytest.raises(OSError, match="no space is left"):
+        write_dataset(tmp_path / "half", "reach", env, trajectory, np.array([0, 1]), {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dataset_says_what_made_it(written):
+    made = json.loads((written / "pictures" / "meta" / "made_by.json").read_text())
+    assert (made["controller"], made["seed"], made["physics"]["substeps"]) == ("policy", 0, 20)
+    assert made["versions"]["lerobot"].startswith("0.6")
+
+
+def changed(written, folder, **information):
+    """Returns a copy of a dataset with other entries in its meta/info.json."""
+    shutil.copytree(written / "numbers", folder)
+    path = folder / "meta" / "info.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | information))
+    return folder
+
+
+def test_datasets_that_lerobot_cannot_read_are_a_value_error(tmp_path, written):
+    env = hgail_envs.make("reach")
+    for version in ("v2.1", "v2.0"):
+        older = changed(written, tmp_path / version, codebase_version=version)
+        with pytest.raises(ValueError, match=f"{version} is of another version of LeRobot"):
+            read_dataset(older, "reach", env)
+    for part in ("data", "meta/episodes"):
+        shutil.copytree(written / "numbers", tmp_path / part)
+        shutil.rmtree(tmp_path / part / part)
+        with pytest.raises(ValueError, match="was not written to its end"):
+            read_dataset(tmp_path / part, "reach", env)
+
+
+def test_what_lerobot_recorded_demonstrates(tmp_path, written):
+    """It names the features as the environment does."""
+    env, folder = hgail_envs.make("reach"), tmp_path / "recorded"
+    first = LeRobotDataset("local/numbers", root=written / "numbers")
+    names = {"agent_pos": "observation.state", "environment_state": "observation.environment_state", "action": "action"}
+    features = {name: first.features[own] for name, own in names.items()}
+    recorded = LeRobotDataset.create("local/recorded", 25, features, root=folder)
+    for step in range(50):
+        recorded.add_frame({name: first[step][own] for name, own in names.items()} | {"task": "reach"})
+    recorded.save_episode()
+    recorded.finalize()
+    read, whole = (read_dataset(path, "reach", env) for path in (folder, written / "numbers"))
+    np.testing.assert_array_equal(read.features, whole.features[:, :50])
+    np.testing.assert_array_equal(read.action, whole.action[:, :50])
+
+
 @pytest.mark.parametrize(
     ("task", "name", "line"),
     [
         ("push", "numbers", "has observation.environment_state of the shape (9,); push has 19 numbers"),
-        ("reach", "pictures", "has observation.environment_state of the shape None; reach has 9 numbers"),
-        ("reach", ".", "is no LeRobotDataset: it has no meta/info.json"),
+        ("reach", "pictures", "has no observation.environment_state; a dataset with pictures is no demonstration"),
     ],
 )
 def test_other_datasets_are_one_line(written, capsys, task, name, line):
@@ -132,7 +205,11 @@ def test_other_datasets_are_one_line(written, capsys, task, name, line):
     [
         (["--task", "push", "--policy", str(POLICY)], "the policy is for 'reach', not for 'push'"),
         (["--task", "reach", "--camera", "behind"], "has no camera 'behind'"),
-        (["--task", "reach", "--target", "seen"], "no camera is named"),
+        (["--task", "reach", "--target", "seen"], "--target goes with --camera"),
+        (
+            ["--task", "reach", "--camera", "side", "--picture-size", "33"],
+            "picture-size is 33; a film needs",
+        ),
         (["--task", "poke"], "unknown task 'poke'"),
     ],
 )

@@ -97,7 +97,9 @@ def test_it_tells_lerobot_what_it_asks_for():
     assert env.call("task_description") == (SENTENCES["pick-and-place"],) * 2
     assert env.get_attr("task") == ("pick-and-place",) * 2
     assert env.unwrapped.metadata["render_fps"] == 25
-    (picture,) = env.call("render")
+    (picture,), (first, second) = env.call("render"), env.render()
+    np.testing.assert_array_equal(picture, first)
+    assert (first != second).any()
     assert (picture.shape, picture.dtype) == ((480, 640, 3), np.uint8)
     assert SENTENCES.keys() == hgail_envs.TASKS.keys() - {"point"}
 
@@ -110,6 +112,8 @@ def test_it_tells_lerobot_what_it_asks_for():
         ("--env.cameras=behind", "has no camera 'behind'; it has"),
         ("--env.target=seen", "no camera is named; choose from front"),
         ("--env.picture_size=4 --env.cameras=front", "the size of a picture is 4"),
+        ("--env.task=point", "the task point has no scene that LeRobot could film"),
+        ("--env.fps=10", "fps is 10; pick-and-place has 25 steps per second"),
         ("--env.picture_size=64", "picture_size is 64, and there are no cameras; name some"),
     ],
 )
