@@ -18,7 +18,6 @@ FEWER = {
     "--batch_size=64": "--batch_size=2",
     "--eval.n_episodes=100 --eval.batch_size=50\n": "--eval.n_episodes=2 --output_dir=act-eval --policy.device=cpu\n",
     "--method gail-demo": "--method gail-demo --rounds 1 --seeds 1 --evaluation-episodes 8",
-    "assets/": f"{ROOT}/assets/",
 }
 
 
