@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,7 @@ from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.registry import check_takes_robot
 from hgail_envs.robots import ROBOTS
-from hgail_envs.validation import check_count, check_name, parse_option, plain_number
+from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS
 from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import RENDERERS, SIZE, TARGETS
@@ -326,16 +326,6 @@ def _check_effect(name: str, preset: Preset) -> None:
     if not config.discriminator_minibatches and (name in OF_SAMPLES or name.startswith("discriminator_")):
         method = f"the method {preset.method}, which has no discriminator"
         raise ValueError(f"--settings {name} changes nothing for {method}")
-
-
-def with_settings(options: TrainOptions, settings: Mapping[str, Any]) -> TrainOptions:
-    """Returns options with further `settings`, Python values by the names of their fields."""
-    given = {name: plain_number(value) for name, value in settings.items()}
-    try:
-        written = tuple(f"{name}={json.dumps(value)}" for name, value in sorted(given.items()))
-    except TypeError as error:
-        raise ValueError(f"settings {given} are not numbers, True, False or lists of numbers") from error
-    return dataclasses.replace(options, settings=(*options.settings, *written))
 
 
 def _parse_setting(setting: str) -> tuple[str, Any]:

@@ -6,7 +6,7 @@ import json
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, cast
@@ -27,7 +27,7 @@ from hgail_jax.trainer.camera import TEACHER, kept_teacher
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
-from hgail_jax.trainer.options import TrainOptions, plan, with_settings
+from hgail_jax.trainer.options import TrainOptions, plan
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
 
@@ -76,6 +76,16 @@ class Trainer:
         with open_run_folder(self.run, self.options.out, self.options.resume) as folder:
             self._folder = folder.path
             return train_run(self.run, folder, stop)
+
+
+def with_settings(options: TrainOptions, settings: Mapping[str, Any]) -> TrainOptions:
+    """Returns options with further `settings`, Python values by the names of their fields."""
+    given = {name: plain_number(value) for name, value in settings.items()}
+    try:
+        written = tuple(f"{name}={json.dumps(value)}" for name, value in sorted(given.items()))
+    except TypeError as error:
+        raise ValueError(f"settings {given} are not numbers, True, False or lists of numbers") from error
+    return dataclasses.replace(options, settings=(*options.settings, *written))
 
 
 def train_run(run: Run, folder: RunFolder, stop: threading.Event | None = None) -> dict[str, Any] | None:
