@@ -16,6 +16,7 @@ from hgail_envs.engines.host_call import host_call
 from hgail_envs.vision.look import FIELDS, Look, varied
 from hgail_envs.vision.rendering import open_renderer
 
+_FACETS = 14, 8, 1  # of a round shape, around, along and across: finer ones are smaller than a pixel
 _SHADOW, _SAMPLES = 512, 4  # most texels along a shadow and samples in a pixel; the scenes' are for large pictures
 
 
@@ -37,6 +38,7 @@ class OpenGLRenderer:
     def _open(self) -> None:
         quality = self._model.vis.quality
         quality.shadowsize, quality.offsamples = min(quality.shadowsize, _SHADOW), min(quality.offsamples, _SAMPLES)
+        quality.numslices, quality.numstacks, quality.numquads = _FACETS  # a third of the time, .3 of 255 apart
         self._renderer = open_renderer(self._model, self._size, self._size)
         # At the end of the process it must be closed before MuJoCo closes EGL, else each complains of the other.
         atexit.register(weakref.finalize(self, self._renderer.close))
