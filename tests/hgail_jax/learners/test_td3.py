@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, kstest, norm
 
-from hgail_envs.base import EpisodeMetrics, GoalEnv
+from hgail_envs.base import EpisodeMetrics
 from hgail_jax import (
     METHODS,
     TD3,
@@ -32,33 +32,12 @@ from hgail_jax.samples import Samples, relabelled_samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import training
+from tests.hgail_jax.learners.track import LENGTH, Plane
 from tests.hgail_jax.trainer.test_resume import crash, fail_in_round, outcome, start
 from tests.support import compile_once, make_runs_tiny
 
-LENGTH, EPISODES, HELD = 5, 8, 12
+EPISODES, HELD = 8, 12
 UNLIKELY = 1e-5  # a p-value; keys are fixed, so that a test does not fail by chance now and then
-
-
-class Plane(GoalEnv):
-    """A point in the plane that breaks down far right."""
-
-    episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.5
-
-    def reset_physics(self, rng):
-        return jax.random.uniform(rng, (2,))
-
-    def step_physics(self, physics, action):
-        following = physics + action
-        return jnp.where(following[0] > 3.0, jnp.nan, following)
-
-    def features(self, physics):
-        return physics
-
-    def achieved_goal(self, physics):
-        return physics
-
-    def sample_goal(self, rng, physics):
-        return jax.random.uniform(rng, (2,), minval=-2.0, maxval=2.0)
 
 
 ENV = Plane()

@@ -20,8 +20,8 @@ from hgail_jax.samples import Samples
 LENGTH, EPISODES = 5, 8
 
 
-class Track(GoalEnv):
-    """A point in the plane that breaks down far right and overflows far up; goals are left, to learn from right."""
+class Plane(GoalEnv):
+    """A point in the plane that breaks down far right."""
 
     episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.5
 
@@ -37,6 +37,13 @@ class Track(GoalEnv):
 
     def achieved_goal(self, physics):
         return physics
+
+    def sample_goal(self, rng, physics):
+        return jax.random.uniform(rng, (2,), minval=-2.0, maxval=2.0)
+
+
+class Track(Plane):
+    """It also overflows far up; goals are left, to learn from right."""
 
     def sample_goal(self, rng, physics):
         return jnp.array([-9.0, 0.0])
