@@ -128,7 +128,21 @@ def read_model(name: str, actuators: bool = False) -> mujoco.MjSpec:
         spec.delete(element)
     spec.nuser_actuator = -1  # MuJoCo would warn that there are none
     complete(spec)
+    _check_names(name, arm, spec)
     return spec
+
+
+def _check_names(name: str, arm: Description, spec: mujoco.MjSpec) -> None:
+    """Raises a ValueError for the first joint or body of a description that its model does not have."""
+    bodies = [getattr(arm, part).body for part in ("tool", "palm", *PADS)]
+    for kind, elements, named in (
+        ("joint", spec.joints, (*arm.joints, *arm.hand.joints)),
+        ("body", spec.bodies[1:], bodies),
+    ):
+        there = [element.name for element in elements]
+        for one in named:
+            if one not in there:
+                raise ValueError(f"robot {name!r}: its model has no {kind} {one!r}; it has {', '.join(there)}")
 
 
 def complete(spec: mujoco.MjSpec) -> None:

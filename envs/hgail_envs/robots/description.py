@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from hgail_envs.robots.hand import PADS
 from hgail_envs.scenes import assets_directory
+
+_POSITIVE = ("torque", "top_speed", "servo_frequency", "lead", "payload", "scale", "size", "force", "stiffness")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,11 +136,38 @@ def _parsed(name: str, text: str) -> Description:
         raise ValueError(f"robot {name!r}: {path} has no [{missing.args[0]}]") from None
     except (tomllib.TOMLDecodeError, TypeError) as error:
         raise ValueError(f"robot {name!r}: {path}: {str(error).replace('.__init__()', '')}") from None
-    joints, hand = len(arm.joints), len(arm.hand.joints)
-    for field, values, count in (
-        *((field, getattr(arm, field), joints) for field in ("torque", "top_speed", "home")),
-        *((f"hand.{field}", getattr(arm.hand, field), hand) for field in ("closed", "opened")),
-    ):
-        if len(values) != count:
-            raise ValueError(f"robot {name!r}: {path}: {field} has {len(values)} numbers for {count} joints")
+    try:
+        _check(arm)
+    except ValueError as error:
+        raise ValueError(f"robot {name!r}: {path}: {error}") from None
     return arm
+
+
+def _check(arm: Description) -> None:
+    """Raises a ValueError for the first value of a wrong kind, count or sign."""
+    for title, joints in (("joints", arm.joints), ("hand.joints", arm.hand.joints)):
+        if not (joints and isinstance(joints, list) and all(isinstance(joint, str) for joint in joints)):
+            raise ValueError(f"{title} is {joints!r}, and must be names of joints")
+    joints, drives = len(arm.joints), len(arm.hand.joints)
+    _check_numbers("", arm, {"torque": joints, "top_speed": joints, "home": joints, "reach": 2})
+    _check_numbers("hand.", arm.hand, {"closed": drives, "opened": drives})
+    for part in ("tool", "palm", *PADS):
+        _check_numbers(f"{part}.", getattr(arm, part), {"pos": 3, "quat": 4, "size": 3})
+        if not any(getattr(arm, part).quat):
+            raise ValueError(f"{part}.quat is 0, which is no orientation")
+    if arm.hand.closed == arm.hand.opened:
+        raise ValueError("hand.closed and hand.opened are the same, so that the hand does not move")
+
+
+def _check_numbers(title: str, table: Any, counts: Mapping[str, int]) -> None:
+    """Checks the fields of a table that are one number each, and those that are `counts` numbers."""
+    for name in (field.name for field in dataclasses.fields(table) if field.type is float or field.name in counts):
+        value = getattr(table, name)
+        numbers = value if name in counts else [value]
+        if not isinstance(numbers, list | tuple) or not all(isinstance(one, float | int) for one in numbers):
+            raise ValueError(f"{title}{name} is {value!r}, and must be {'numbers' if name in counts else 'a number'}")
+        if len(numbers) != counts.get(name, 1):
+            raise ValueError(f"{title}{name} has {len(numbers)} numbers, and must have {counts[name]}")
+        if not np.isfinite(numbers).all() or (name in _POSITIVE and min(numbers) <= 0.0):
+            above = " and above 0" if name in _POSITIVE else ""
+            raise ValueError(f"{title}{name} is {value!r}, and must be finite{above}")

@@ -25,6 +25,7 @@ _RAISE = 2.0  # leads per metre below the lowest height, for a tilted hand whose
 _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
 _ITERATIONS = 10  # of the solver, at least: fingers that are coupled need more than the Fetch's
+_AT_START = 0.01  # metres of the robot, within which the search ends where the start is in reach
 _LONGEST = 0.05  # metres of a step in the search for a posture
 _SEARCH_STEPS, _SETTLE_STEPS = 300, 400
 _HAND = "hand"  # text in the model of a scene whose hand opens
@@ -63,6 +64,7 @@ class ServoArm(Robot):
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
         self.lowest_height = TABLE_HEIGHT + table.depth + scale * self._arm.clearance
         self._start[2] = max(self._start[2], self.lowest_height)
+        self._check_start()
 
     def spec(self) -> mujoco.MjSpec:
         return self._scene(full=False)
@@ -130,6 +132,18 @@ class ServoArm(Robot):
             way *= _LONGEST / max(_LONGEST, float(np.linalg.norm(way)))
             posture += self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
         return posture
+
+    def _check_start(self) -> None:
+        """Raises a ValueError if the gripper does not come to its start."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self._joints] = self._posture(self._home)
+        mujoco.mj_kinematics(self.model, data)
+        away = float(np.linalg.norm(data.site("grip").xpos - self._start)) / self.scale
+        if away > _AT_START:
+            raise ValueError(
+                f"robot {self.name!r}: the gripper stays {1000 * away:.0f} mm away from its start above the table; look"
+                " at home, reach and [tool] of its description"
+            )
 
     def control(self, physics: ArmPhysics, displacement: jax.Array, grip: jax.Array | None) -> Control:
         """Returns what the servos are led to: joints for the displacement, and fingers by `grip` metres each."""
