@@ -88,15 +88,25 @@ def test_the_gripper_s_place_is_achieved_until_the_part_has_moved(drawer):
         assert drawer.reached(opened(drawer, position), goal) == is_there
 
 
-def test_a_hand_behind_the_handle_opens_the_part(env):
+def pulled(env):
+    """Returns how far the part has moved, and the state, once a closed hand behind the handle was drawn back."""
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
     handle = site_at(env, 0.0)
     for away, steps in (([0.04, 0.0, 0.1], 15), ([0.035, 0.0, 0.0], 10), ([-0.1, 0.0, 0.0], 15)):
         for _ in range(steps):
             apart = handle + np.array(away) - state.pipeline_state.gripper_position
             state = step(state, jnp.append(jnp.clip(apart / 0.033, -1.0, 1.0), 0.0))
-    moved = np.linalg.norm(env.object_position(state.pipeline_state) - handle)
+    return np.linalg.norm(env.object_position(state.pipeline_state) - handle), state
+
+
+def test_a_hand_behind_the_handle_opens_the_part(env):
+    moved, state = pulled(env)
     assert moved > 0.08 and state.info["achieved_goal"][3] == 1.0
+
+
+def test_another_arm_opens_the_drawer(folder):
+    pytest.importorskip("gymnasium_robotics")
+    assert pulled(hgail_envs.make("drawer:Drawer", substeps=8, robot="franka"))[0] > 0.08
 
 
 def test_starts_are_drawn_and_are_no_movement(drawer):
