@@ -3,10 +3,12 @@
 import contextlib
 import dataclasses
 import functools
+import importlib
 import os
 import re
 import resource
 import socket
+import sys
 from pathlib import Path
 
 import jax
@@ -27,6 +29,20 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 def files_of(page):
     """Returns the files that a page gives, each after its name and a colon: content by name."""
     return dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE))
+
+
+@contextlib.contextmanager
+def own_tasks(folder):
+    """Writes the files of the page on own tasks to a folder, from which they can be imported."""
+    files = files_of(ROOT / "docs" / "add-a-task.md")
+    for name, content in files.items():
+        (folder / name).write_text(content)
+    sys.path.insert(0, str(folder))
+    importlib.invalidate_caches()
+    yield folder
+    sys.path.remove(str(folder))
+    for name in files:
+        sys.modules.pop(name.removesuffix(".py"), None)
 
 
 SOURCES = f"{ROOT}:{ROOT / 'envs'}"

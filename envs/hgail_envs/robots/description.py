@@ -145,9 +145,9 @@ def _parsed(name: str, text: str) -> Description:
 
 def _check(arm: Description) -> None:
     """Raises a ValueError for the first value of a wrong kind, count or sign."""
-    for title, joints in (("joints", arm.joints), ("hand.joints", arm.hand.joints)):
-        if not (joints and isinstance(joints, list) and all(isinstance(joint, str) for joint in joints)):
-            raise ValueError(f"{title} is {joints!r}, and must be names of joints")
+    for title, names in (("joints", arm.joints), ("hand.joints", arm.hand.joints)):
+        if not (names and isinstance(names, list) and all(isinstance(name, str) for name in names)):
+            raise ValueError(f"{title} is {names!r}, and must be names of joints")
     joints, drives = len(arm.joints), len(arm.hand.joints)
     _check_numbers("", arm, {"torque": joints, "top_speed": joints, "home": joints, "reach": 2})
     _check_numbers("hand.", arm.hand, {"closed": drives, "opened": drives})

@@ -215,7 +215,10 @@ def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
         (("[tool]", "[toll]"), r"has no \[tool\]"),
         (('model = "arm.xml"', 'model = "gone.xml"'), "gone.xml"),
         (("torque = [", "torque = [1.0, "), "arm.toml: torque has 7 numbers, and must have 6"),
-        (("torque = [", "torque = [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0] # "), r"torque is \[-1.0, .* must be finite and above 0"),
+        (
+            ("torque = [", "torque = [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0] # "),
+            r"torque is \[-1.0, .* must be finite and above 0",
+        ),
         (("reach = [", "reach = [inf, 0.0] # "), r"reach is \[inf, 0.0\], and must be finite$"),
         (("payload = ", 'payload = "light" # '), "payload is 'light', and must be a number"),
         (("closed = [", "closed = 0.0 # ["), "hand.closed is 0.0, and must be numbers"),

@@ -1,8 +1,6 @@
 """Tasks whose goals are about a joint: the drawer and the door of the page."""
 
 import dataclasses
-import importlib
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -15,22 +13,15 @@ from hgail_envs.quantities import describe
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.tasks.reach import Reach
-from tests.support import ROOT, files_of
+from tests.support import own_tasks
 
 POSTURE = Randomization(posture=0.04)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("own")
-    for name, content in files_of(ROOT / "docs" / "add-a-task.md").items():
-        (folder / name).write_text(content)
-    sys.path.insert(0, str(folder))
-    importlib.invalidate_caches()
-    yield folder
-    sys.path.remove(str(folder))
-    for name in ("drawer", "door"):
-        sys.modules.pop(name, None)
+    with own_tasks(tmp_path_factory.mktemp("own")) as folder:
+        yield folder
 
 
 @pytest.fixture(scope="module", params=["drawer:Drawer", "door:Door"])
