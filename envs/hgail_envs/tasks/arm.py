@@ -76,7 +76,7 @@ class ArmEnv(GoalEnv):
             check_impl(impl)
         self.robot = make_robot(robot, find_scene(type(self)), self.base_x, self.start_height)
         self.model = self.robot.model
-        check_contacts(self.model, self.robot.scene)
+        self._check_scene()
         make_own = functools.partial(make_engine, impl, self.model, CONTROL_PERIOD, substeps, worlds)
         self._make_engine = self.robot.reference_engine if of_reference else make_own
         settled = self.robot.settle()
@@ -89,6 +89,10 @@ class ArmEnv(GoalEnv):
         self._settled: dict[float, ArmPhysics] = {}
         if jax_has_started():  # at once: later it would wait for a GPU that is loading kernels
             self.engine, self._initial_physics  # noqa: B018
+
+    def _check_scene(self) -> None:
+        """Raises a ValueError if the scene is not as the task needs it."""
+        check_contacts(self.model, self.robot.scene)
 
     @functools.cached_property
     def not_randomized(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -161,10 +165,14 @@ class ArmEnv(GoalEnv):
         return self._numbers_of(joint, "dofadr")
 
     def _numbers_of(self, joint: str, address: str) -> slice:
+        size = 3 if self.is_free(joint) else 1
+        first = int(getattr(self.model.joint(joint), address)[0])
+        return slice(first, first + size)
+
+    def is_free(self, joint: str) -> bool:
+        """Returns whether a joint is free; a ValueError if the scene has none of this name."""
         check_names(self.model, self.robot.scene, "joint", joint)
-        found = self.model.joint(joint)
-        first = int(getattr(found, address)[0])
-        return slice(first, first + (3 if found.type[0] == mujoco.mjtJoint.mjJNT_FREE else 1))
+        return bool(self.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_FREE)
 
     def put_down(self, physics: PhysicsT, joint: str, position: jax.Array) -> PhysicsT:
         """Returns the physics with the body of a free joint at `position`, `[3]`, upright and at rest."""

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hgail_envs.layout import Layout
 from hgail_envs.randomization import OF_OBJECT
@@ -40,6 +41,24 @@ class JointEnv(ObjectEnv):
     """Least and largest position of the joint at a target, metres or radians."""
     joint_starts: tuple[float, float] = (0.0, 0.0)
     """Least and largest position of the joint at the start, metres or radians."""
+
+    def _check_scene(self) -> None:
+        ArmEnv._check_scene(self)
+        title = type(self).__name__
+        if self.is_free(self.object_name):
+            raise ValueError(
+                f"{title}.object_name is {self.object_name!r}, a free joint, which is for an ObjectEnv;"
+                " a JointEnv's is a slide or a hinge"
+            )
+        joint = self.model.jnt(self.object_name)
+        least, most = joint.range if self.model.jnt_limited[joint.id] else (-np.inf, np.inf)
+        for name in ("joint_starts", "joint_targets"):
+            bounds = getattr(self, name, (least, most))  # a task may draw its goals otherwise
+            if np.shape(bounds) != (2,) or not least <= bounds[0] <= bounds[1] <= most:
+                raise ValueError(
+                    f"{title}.{name} is {bounds}; it must be two positions, the smaller one first, from"
+                    f" {least:g} to {most:g}, the range of {self.object_name!r}"
+                )
 
     @functools.cached_property
     def _chain(self) -> Chain:

@@ -97,6 +97,14 @@ class ObjectEnv(ArmEnv):
             self.controllers = {}  # type: ignore[misc]  # they read the compact numbers
         super().__init__(*args, **kwargs)
 
+    def _check_scene(self) -> None:
+        super()._check_scene()
+        if not self.is_free(self.object_name):
+            raise ValueError(
+                f"{type(self).__name__}.object_name is {self.object_name!r}, a slide or a hinge, which is for a"
+                " JointEnv; an ObjectEnv's object has a free joint"
+            )
+
     @functools.cached_property
     def object_height(self) -> float:
         """Height of the object's centre at the start, metres."""

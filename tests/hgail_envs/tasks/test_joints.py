@@ -12,6 +12,7 @@ import hgail_envs
 from hgail_envs.quantities import describe
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
+from hgail_envs.tasks.push import Push
 from hgail_envs.tasks.reach import Reach
 from tests.support import own_tasks
 
@@ -163,6 +164,32 @@ def test_names_that_the_scene_lacks_are_refused(drawer):
         odd = type("Odd", (type(drawer),), {name: "knob"})
         with pytest.raises(ValueError, match=rf"drawer\.xml has no {kind} 'knob'; it has "):
             odd().reset_physics(jax.random.key(0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"joint_targets": (0.1, 0.3)},
+            r"joint_targets is \(0.1, 0.3\); it must be .* from 0 to 0.22, the range of 'drawer'",
+        ),
+        ({"joint_targets": (0.2, 0.1)}, "two positions, the smaller one first"),
+        ({"joint_targets": 0.2}, "joint_targets is 0.2; it must be two positions"),
+        ({"joint_starts": (-0.1, 0.0)}, r"joint_starts is \(-0.1, 0.0\); it must be"),
+        ({"scene": "peg.xml", "object_name": "peg"}, "'peg', a free joint, which is for an ObjectEnv"),
+    ],
+)
+def test_a_joint_or_positions_that_cannot_be_are_refused(folder, drawer, changes, line):
+    if "scene" in changes:
+        changes = changes | {"scene": str(folder / changes["scene"])}
+    with pytest.raises(ValueError, match=line):
+        type("Odd", (type(drawer),), changes)()
+
+
+def test_a_drawer_is_no_object_on_a_free_joint(folder):
+    own = {"scene": str(folder / "drawer.xml"), "object_name": "drawer"}
+    with pytest.raises(ValueError, match="'drawer', a slide or a hinge, which is for a JointEnv"):
+        type("Odd", (Push,), own)()
 
 
 def test_numbers_have_names_and_units_wherever_a_policy_is_described(folder):
