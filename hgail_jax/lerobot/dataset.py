@@ -57,6 +57,7 @@ def _write(
         robot_type=None if env.robot is None else env.robot.name,
         rgb_encoder=_FILM,
         streaming_encoding=camera is not None,
+        encoder_queue_maxsize=len(observation) + 1,  # an episode and its end: from a full queue LeRobot drops frames
     )
     try:
         noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import threading
+import time
 
 import jax
 import numpy as np
@@ -15,7 +17,8 @@ from tests.support import ROOT
 
 pytest.importorskip("lerobot", reason="LeRobot is missing")
 
-from lerobot.datasets import LeRobotDataset
+import av
+from lerobot.datasets import LeRobotDataset, compute_stats
 
 import hgail_envs
 from hgail_envs.vision.camera_env import CameraEnv
@@ -127,6 +130,27 @@ def test_pictures_are_those_of_the_episodes_that_are_chosen(tmp_path, monkeypatc
         errors = [np.abs(picture - seen).mean() for picture in pictures]
         assert errors[place] < 0.02
         assert errors[place] < errors[1 - place]
+
+
+def test_a_slow_encoder_loses_no_picture(tmp_path, monkeypatch, expected):
+    """LeRobot drops a picture that waits for a tenth of a second."""
+    env, trajectory = expected
+    monkeypatch.setattr(RENDER, lambda pictures, noted: map(np.asarray, map(env.see, noted)))
+    begun = set()
+
+    def slow(picture):
+        if threading.get_ident() not in begun:
+            begun.add(threading.get_ident())
+            time.sleep(0.5)
+        return downsample(picture)
+
+    downsample = compute_stats.auto_downsample_height_width
+    monkeypatch.setattr(compute_stats, "auto_downsample_height_width", slow)
+    write_dataset(tmp_path / "slow", "reach", env, trajectory, np.array([0]), {})
+    assert begun
+    for film in (tmp_path / "slow").rglob("*.mp4"):
+        with av.open(film) as container:
+            assert sum(1 for _ in container.decode(video=0)) == 50
 
 
 def test_what_fails_half_way_leaves_nothing(tmp_path, monkeypatch, expected):
