@@ -1,11 +1,12 @@
 // The page's tasks and policies without a page, in Node; tests compare them with Python's. `node headless.js evaluate` runs
 // the policies from given starts and prints which episodes succeed; `node headless.js replay` takes given actions and
-// prints what is observed, and the policies' actions for given observations. Both read a list from standard input, as JSON.
+// prints what is observed, and the policies' actions for given observations; `node headless.js look` prints what a policy of
+// pictures makes of given ones. All read a list from standard input, as JSON.
 import { readFileSync, readdirSync } from "node:fs";
 import { gunzipSync } from "node:zlib";
 
 import loadMujoco from "./vendor/mujoco.js";
-import { Pilot, Policy } from "./policy.js";
+import { pilotOf, readPolicy } from "./policy.js";
 import { Task } from "./task.js";
 
 const here = (path) => new URL(path, import.meta.url);
@@ -20,45 +21,36 @@ async function open() {
 
 function policyOf(path) {
   const bytes = readFileSync(path);
-  return new Policy(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
-}
-
-function begin(task, { qpos, qvel, goal }) {
-  task.place(Float32Array.from(qpos), Float32Array.from(qvel));
-  task.goal = goal.slice(0, 3);
-}
-
-function succeeds(task, pilot, start) {
-  begin(task, start);
-  pilot.reset();
-  let action = null;
-  for (let step = 0; step < task.kind.episode; step++) task.step((action = pilot.act()));
-  if (!task.kind.liftSteps || !task.achieved()) return task.achieved();
-  const [, , before] = task.objectPosition();
-  for (let step = 0; step < task.kind.liftSteps; step++) task.step((action = task.liftAction(action)));
-  return task.lifted(before);
+  return readPolicy(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength));
 }
 
 function evaluate(mujoco, { task: name, policy, starts }) {
-  const task = new Task(mujoco, name), pilot = new Pilot(policyOf(policy), task);
-  return starts.map((start) => succeeds(task, pilot, start));
+  const task = new Task(mujoco, name), pilot = pilotOf(policyOf(policy), task);
+  return starts.map((start) => task.succeeds(pilot, start));
 }
 
 function replay(mujoco, { task: name, policy, start, actions, asked }) {
   const task = new Task(mujoco, name);
-  begin(task, start);
-  const pilot = new Pilot(policyOf(policy), task), observations = [pilot.observation()], achieved = [];
+  task.startFrom(start);
+  const pilot = pilotOf(policyOf(policy), task), observations = [pilot.observation()], told = [task.told()], achieved = [];
   for (const action of actions) {
     pilot.remember(action);
     task.step(action);
     observations.push(pilot.observation());
+    told.push(task.told());
     achieved.push(task.achieved());
   }
   const { start: gripper, startQpos } = task, answers = asked.map((observation) => pilot.policy.act(observation));
   const distance = task.distance(), { bounds } = task;
-  return { gripper, qpos: Array.from(startQpos), bounds, observations, answers, achieved, distance };
+  return { gripper, qpos: Array.from(startQpos), bounds, observations, told, answers, achieved, distance };
 }
 
-const mujoco = await open(), command = { evaluate, replay }[process.argv[2]];
+// What a policy of pictures does, and where it sees the objects, for given pictures and numbers.
+function look(_, { policy: path, pictures, numbers }) {
+  const policy = policyOf(path);
+  return pictures.map((each, index) => policy.look(Uint8Array.from(each), numbers[index]));
+}
+
+const mujoco = await open(), command = { evaluate, replay, look }[process.argv[2]];
 const results = JSON.parse(readFileSync(0, "utf8")).map((each) => command(mujoco, each));
 console.log(JSON.stringify(results));

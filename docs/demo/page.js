@@ -1,6 +1,7 @@
 // The page: an episode's phases, the controls, and the loop that steps and draws.
 import loadMujoco from "./vendor/mujoco.js";
-import { Pilot, Policy } from "./policy.js";
+import { Eyes } from "./eyes.js";
+import { pilotOf, readPolicy } from "./policy.js";
 import { PERIOD, SUBSTEPS, THRESHOLD, Task, randomNumbers } from "./task.js";
 import { Viewer } from "./viewer.js";
 
@@ -12,6 +13,7 @@ const STEP = 0.02; // metres that a key moves the target
 const NUDGE = { cube: 1.1, cube_a: 1.1, puck: 0.35 }; // metres per second, after which the object slides 6 cm
 const PULL = { stiffness: 500, damping: 60, most: 70 }; // of a pointer on an object: N/m, N s/m, N
 const LIMIT = 10; // metres, beyond which the simulation broke down
+const KINDS = ["robust", "camera"]; // of policies that some tasks have beside the plain one
 const HINTS = {
   reach: "Drag the ball, or its ring on the table: the hand follows.",
   grasp: "Drag the cube over the table: the hand fetches it.",
@@ -25,15 +27,11 @@ const find = (id) => document.getElementById(id);
 
 // A policy at work, action by action, on a target that can be moved at any time.
 class Session {
-  constructor(task, policy, seed) {
+  constructor(task, pilot, seed) {
     this.task = task;
+    this.pilot = pilot;
     this.random = randomNumbers(seed);
     this.episodes = this.successes = 0;
-    this.setPolicy(policy);
-  }
-
-  setPolicy(policy) {
-    this.pilot = new Pilot(policy, this.task);
     this.restart();
   }
 
@@ -153,23 +151,25 @@ class Page {
     new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.canvas);
   }
 
-  async setTask(name, robust = false) {
-    this.asked = `${name} ${robust}`;
+  // `kind` is one of KINDS, or nothing for the plain policy.
+  async setTask(name, kind = "") {
+    const asked = (this.asked = kind ? `${name}-${kind}` : name);
     let policy;
     try {
-      policy = await this.#policy(robust ? `${name}-robust` : name);
+      policy = await this.#policy(asked);
     } catch (error) {
       if (!this.session) throw error;
       this.#showControls(); // of the task that goes on
       find("hint").textContent = `That policy did not load; choose it again. ${error.message}`;
       return;
     }
-    if (this.asked !== `${name} ${robust}`) return; // meanwhile another was chosen
+    if (this.asked !== asked) return; // meanwhile another was chosen
     this.session?.task.delete();
     const task = new Task(this.mujoco, name);
-    this.session = new Session(task, policy, this.seed++);
+    if (kind === "camera") this.eyes ??= new Eyes();
+    this.session = new Session(task, pilotOf(policy, task, this.eyes), this.seed++);
     this.viewer.show(task);
-    this.robust = robust;
+    this.kind = kind;
     this.due = 0;
     this.#showControls();
     this.viewer.draw(false, false);
@@ -177,15 +177,18 @@ class Page {
   }
 
   async #policy(name) {
-    this.policies[name] ??= new Policy(await download(`policies/${name}.npz`));
+    this.policies[name] ??= readPolicy(await download(`policies/${name}.npz`));
     return this.policies[name];
   }
 
   #showControls() {
-    const { name, kind } = this.session.task, canBeRobust = this.content.policies.includes(`${name}-robust`);
+    const { name, kind } = this.session.task;
     find(name).checked = true;
-    find("robust").parentElement.hidden = !canBeRobust;
-    find("robust").checked = this.robust;
+    for (const each of KINDS) {
+      find(each).parentElement.hidden = !this.content.policies.includes(`${name}-${each}`);
+      find(each).checked = each === this.kind;
+    }
+    find("seen").hidden = this.kind !== "camera";
     find("nudge").hidden = !kind.object;
     find("nudge").textContent = kind.object === "puck" ? "Nudge the puck" : "Nudge the cube";
     find("hint").textContent = HINTS[name];
@@ -211,6 +214,16 @@ class Page {
     find("count").textContent = session.episodes ? `${session.successes} of ${session.episodes} episodes succeeded` : "First episode";
     const ended = session.success === null ? "" : session.success ? "Success." : "Missed.";
     if (find("news").textContent !== ended) find("news").textContent = ended; // read aloud once per episode
+  }
+
+  // Shows the pictures that a policy saw last, side by side.
+  #showSeen() {
+    const { seen, policy } = this.session.pilot;
+    if (!seen || seen === this.shown) return;
+    const { cameras, size } = policy.header.pictures, context = find("pictures").getContext("2d");
+    Object.assign(context.canvas, { width: cameras.length * size, height: size });
+    cameras.forEach((_, index) => context.putImageData(imageOf(seen.subarray(3 * size * size * index), size), size * index, 0));
+    this.shown = seen;
   }
 
   restart() {
@@ -240,6 +253,7 @@ class Page {
     }
     this.viewer.draw(this.session.reached, this.drags);
     this.viewer.adapt(seconds);
+    this.#showSeen();
     const { phase, episodes } = this.session, stage = `${phase} ${episodes}`;
     if (this.frames++ % 6 === 0 || stage !== this.stage) this.#showStatus();
     this.stage = stage;
@@ -249,8 +263,8 @@ class Page {
     for (const input of document.querySelectorAll("input[name=task]"))
       input.addEventListener("change", () => this.setTask(input.id));
     document.querySelector("form").addEventListener("submit", (event) => event.preventDefault());
-    const robust = find("robust");
-    robust.addEventListener("change", () => this.setTask(this.session.task.name, robust.checked));
+    for (const kind of KINDS)
+      find(kind).addEventListener("change", ({ target }) => this.setTask(this.session.task.name, target.checked ? kind : ""));
     find("restart").addEventListener("click", () => this.restart());
     find("pause").addEventListener("click", () => this.setPaused(!this.paused));
     find("nudge").addEventListener("click", () => this.session.nudge());
@@ -355,6 +369,13 @@ class Page {
   }
 }
 
+// Returns a picture, [size, size, 3] at the head of `seen`, as a canvas has it.
+function imageOf(seen, size) {
+  const image = new ImageData(size, size);
+  for (let pixel = 0; pixel < size * size; pixel++) image.data.set([...seen.subarray(3 * pixel, 3 * pixel + 3), 255], 4 * pixel);
+  return image;
+}
+
 async function download(path) {
   const answer = await fetch(new URL(path, import.meta.url));
   if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
@@ -385,7 +406,7 @@ async function open() {
   page.connect();
   // The page's own handle, for tests and the curious.
   window.demo = {
-    setTask: (name, robust) => page.setTask(name, robust),
+    setTask: (name, kind) => page.setTask(name, kind),
     setTarget: (position) => page.moveTarget(position),
     status: () => {
       const { session } = page, { phase, success, episodes, successes } = session;
@@ -394,6 +415,7 @@ async function open() {
       return { task: task.name, phase, success, episodes, successes, distance, goal, bounds, object, frames, simulated };
     },
     pixel: (position) => page.viewer.project(position),
+    session: () => page.session,
   };
   document.body.dataset.ready = "true";
 }

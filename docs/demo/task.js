@@ -270,6 +270,11 @@ export class Task {
     return [...this.gripper, ...this.gripperVelocity, ...ofObject, ...hand, ...ofCarrier];
   }
 
+  // The numbers that a policy of pictures is told: what the robot measures in itself, and the goal.
+  told() {
+    return [...this.gripper, ...this.gripperVelocity, ...(this.kind.hand ? [this.gap] : []), ...this.desired()];
+  }
+
   #featuresOf(object) {
     const position = this.position(object), relative = position.map((value, axis) => value - this.gripper[axis]);
     return [...relative, ...position, ...this.#velocity(object)];
@@ -317,5 +322,23 @@ export class Task {
   // Whether a lift test since `before`, the object's height then, has lifted the object; in stack whether it stands.
   lifted(before) {
     return this.stacks ? this.#stands : this.objectPosition()[2] - before > LEAST_RISE;
+  }
+
+  // Starts an episode from joint positions and velocities and a goal, as the tests give them.
+  startFrom({ qpos, qvel, goal }) {
+    this.place(Float32Array.from(qpos), Float32Array.from(qvel));
+    this.goal = goal.slice(0, 3);
+  }
+
+  // Whether a pilot succeeds from there, at once and without a viewer.
+  succeeds(pilot, start) {
+    this.startFrom(start);
+    pilot.reset();
+    let action = null;
+    for (let step = 0; step < this.kind.episode; step++) this.step((action = pilot.act()));
+    if (!this.kind.liftSteps || !this.achieved()) return this.achieved();
+    const [, , before] = this.objectPosition();
+    for (let step = 0; step < this.kind.liftSteps; step++) this.step((action = this.liftAction(action)));
+    return this.lifted(before);
   }
 }

@@ -20,6 +20,19 @@ function drawsInSoftware() {
   return /swiftshader|llvmpipe|software/i.test(found);
 }
 
+// Returns the shape of a geom in its own frame; a box's edges are rounded.
+export function geometryOf(model, geom, rounding) {
+  const [a, b, c] = model.geom_size.subarray(3 * geom, 3 * geom + 3);
+  const shapes = {
+    [SHAPE.plane]: () => new THREE.CircleGeometry(12, 48),
+    [SHAPE.sphere]: () => new THREE.SphereGeometry(a, 24, 16),
+    [SHAPE.capsule]: () => new THREE.CapsuleGeometry(a, 2 * b, 6, 20).rotateX(Math.PI / 2),
+    [SHAPE.cylinder]: () => new THREE.CylinderGeometry(a, a, 2 * b, 36).rotateX(Math.PI / 2),
+    [SHAPE.box]: () => new RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 2, Math.min(rounding, a / 2, b / 2, c / 2)),
+  };
+  return shapes[model.geom_type[geom]]();
+}
+
 export class Viewer {
   constructor(canvas) {
     this.canvas = canvas;
@@ -105,19 +118,11 @@ export class Viewer {
 
   #mesh(model, geom) {
     if (model.geom_group[geom] === HIDDEN_GROUP) return null;
-    const [a, b, c] = model.geom_size.subarray(3 * geom, 3 * geom + 3);
-    const shapes = {
-      [SHAPE.plane]: () => new THREE.CircleGeometry(12, 48),
-      [SHAPE.sphere]: () => new THREE.SphereGeometry(a, 24, 16),
-      [SHAPE.capsule]: () => new THREE.CapsuleGeometry(a, 2 * b, 6, 20).rotateX(Math.PI / 2),
-      [SHAPE.cylinder]: () => new THREE.CylinderGeometry(a, a, 2 * b, 36).rotateX(Math.PI / 2),
-      [SHAPE.box]: () => new RoundedBoxGeometry(2 * a, 2 * b, 2 * c, 2, Math.min(ROUNDING, a / 2, b / 2, c / 2)),
-    };
-    const type = model.geom_type[geom], material = model.geom_matid[geom], isFloor = type === SHAPE.plane;
+    const material = model.geom_matid[geom], isFloor = model.geom_type[geom] === SHAPE.plane;
     const [red, green, blue] = material < 0 ? model.geom_rgba.subarray(4 * geom) : model.mat_rgba.subarray(4 * material);
     const colour = new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace);
     if (isFloor) colour.set(COLOURS.floor);
-    const mesh = new THREE.Mesh(shapes[type](), this.#material(colour, isFloor));
+    const mesh = new THREE.Mesh(geometryOf(model, geom, ROUNDING), this.#material(colour, isFloor));
     mesh.castShadow = !isFloor;
     mesh.receiveShadow = !(isFloor && this.isSoftware); // most of the picture's pixels are the floor's
     return mesh;

@@ -17,11 +17,18 @@ import pytest
 import hgail_envs
 from docs._generate import demo
 from hgail_envs.randomized import randomize
-from hgail_jax.io.policy import load_policy
+from hgail_envs.vision.camera_env import known_numbers
+from hgail_envs.vision.pictures import Pictures
+from hgail_jax.io.policy import load_policy, save_policy
+from hgail_jax.learners.student import OBJECT_SCALE
+from hgail_jax.vision.network import init_eyes, look
+from hgail_jax.vision.policy import CameraPolicy
 from tests.support import ROOT
 
-SHIPPED = (path.stem for path in (ROOT / "assets" / "policies").glob("*.npz"))
-POLICIES = sorted(name for name in SHIPPED if not any(fnmatch.fnmatch(name, absent) for absent in demo.ABSENT))
+SHIPPED = sorted(path.stem for path in (ROOT / "assets" / "policies").glob("*.npz"))
+ON_THE_PAGE = [name for name in SHIPPED if not any(fnmatch.fnmatch(name, absent) for absent in demo.ABSENT)]
+CAMERA = [name for name in ON_THE_PAGE if name.endswith("-camera")]
+POLICIES = [name for name in ON_THE_PAGE if name not in CAMERA]
 QUICK = ("grasp", "push", "reach-robust", "stack")  # the others are of the same tasks, or of a part of one
 # The seed of the starts. From most of slide's a ten-millionth of a radian more grows to a millimetre at the hit, in
 # Python's engine too; from this one it stays below a hundredth of that.
@@ -47,7 +54,7 @@ _PATIENCE = 120_000  # milliseconds: a browser without a GPU draws slowly
 
 
 def task_of(policy):
-    return policy.removesuffix("-robust")
+    return policy.removesuffix("-robust").removesuffix("-camera")
 
 
 def path_of(policy):
@@ -152,6 +159,43 @@ def test_targets_are_in_the_bounds_of_the_page(episodes, policy):
     assert (goals <= high + 1e-6).all()
     np.testing.assert_allclose(goals.min(0), low, atol=0.02)
     np.testing.assert_allclose(goals.max(0), high, atol=0.02)
+
+
+@pytest.mark.parametrize("policy", slow_but(QUICK, [name for name in POLICIES if not name.endswith("-robust")]))
+def test_a_policy_of_pictures_is_told_as_much_as_in_python(episodes, policy):
+    observations, *_, found = episodes(policy)
+    known = known_numbers(hgail_envs.make(task_of(policy), impl="c"), "told")
+    until = 2 if policy == "slide" else None  # before the hit
+    np.testing.assert_allclose(found["told"][:until], observations[:until, known], atol=1e-4)
+
+
+def untrained(size, cameras, channels=(32, 64, 64, 64)):
+    """Returns a policy of pictures of push that saw nothing yet; its outputs are as large as a trained one's."""
+    rng = np.random.default_rng(SEED)
+    eyes = init_eyes(jax.random.key(SEED), len(cameras), 10, channels, (256, 256), (4, 3))
+    larger = {head: tuple(20.0 * np.asarray(array) for array in getattr(eyes, head)) for head in ("action", "objects")}
+    mean, std, centre = (rng.uniform(0.5, 1.5, count).astype(np.float32) for count in (10, 10, 3))
+    eyes = jax.tree.map(np.asarray, eyes._replace(**larger))
+    return CameraPolicy("push", 4, cameras, size, mean, std, centre, eyes)
+
+
+@pytest.mark.parametrize(
+    "policy", [untrained(64, ("front", "side")), untrained(36, ("front", "side", "wrist"), (6, 10, 2, 4))]
+)
+def test_a_policy_of_pictures_acts_as_in_python(site, tmp_path, policy):
+    rng, path = np.random.default_rng(0), tmp_path / "policy.npz"
+    pictures = rng.integers(0, 256, (3, len(policy.cameras), 4, 4, 3), np.uint8)
+    pictures = pictures.repeat(policy.size // 4, axis=2).repeat(policy.size // 4, axis=3)
+    numbers = np.tile(rng.normal(size=10).astype(np.float32), (3, 1))
+    save_policy(path, policy)
+    given = {"policy": str(path), "pictures": pictures.reshape(3, -1).tolist(), "numbers": numbers.tolist()}
+    (found,) = in_node(site, "look", [given])
+    _, objects = look(policy.eyes, pictures / np.float32(255), (numbers - policy.mean) / policy.std)
+    assert np.ptp(policy(pictures, numbers), axis=0).min() > 1e-3  # by the pictures alone
+    assert np.ptp(objects, axis=0).min() > 1e-3
+    np.testing.assert_allclose([each["action"] for each in found], policy(pictures, numbers), atol=1e-5)
+    places = policy.centre + OBJECT_SCALE * objects
+    np.testing.assert_allclose([each["objects"] for each in found], places, atol=1e-5)
 
 
 @pytest.mark.slow
@@ -305,7 +349,7 @@ def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
     page.mouse.move(*page.evaluate(f"demo.pixel({wanted})"), steps=8)
     page.mouse.up()
     np.testing.assert_allclose(goal_of(page), wanted, atol=0.003)
-    page.locator("canvas").focus()
+    page.locator("#scene").focus()
     before = goal_of(page)
     page.keyboard.press("ArrowUp")
     assert np.linalg.norm(goal_of(page) - before) == pytest.approx(0.02, abs=1e-3)
@@ -322,6 +366,64 @@ def test_the_mouse_drags_the_target_and_the_keys_move_it(visit):
     assert page.locator("#distance").text_content().endswith(" cm away; success within 5 cm")
     page.get_by_text("Robust policy").click()
     wait_until(page, "demo.status().simulated > 0.2")
+
+
+@pytest.fixture
+def student(site):
+    """The page, with a policy of pictures for push, untrained."""
+    policy, content = site / "policies" / "push-camera.npz", site / "content.json"
+    shipped, listed = policy.read_bytes() if policy.exists() else None, content.read_bytes()
+    save_policy(policy, untrained(64, ("front", "side")))
+    names = {*json.loads(listed)["policies"], "push-camera"}
+    content.write_text(json.dumps(json.loads(listed) | {"policies": sorted(names)}))
+    yield
+    content.write_bytes(listed)
+    policy.unlink() if shipped is None else policy.write_bytes(shipped)
+
+
+def test_a_policy_of_pictures_sees_what_mujoco_renders(visit, student):
+    env = hgail_envs.make("push", impl="c")
+    state, step, states = jax.jit(env.reset)(jax.random.key(SEED)), jax.jit(env.step), []
+    for action in ([1.0, -1.0, 0.0, 0.0], [-1.0, 0.3, 0.5, 0.0], [0.0, 1.0, -1.0, 0.0]):
+        for _ in range(4):
+            state = step(state, np.array(action, np.float32))
+        states.append(np.asarray(state.pipeline_state.qpos))
+    pictures = Pictures(env, renderer="opengl")
+    rendered = np.asarray(pictures(np.array(states), np.zeros((3, pictures.draws))), float)
+    page = visit("?task=push", viewport={"width": 640, "height": 480}, reduced_motion="reduce")
+    assert page.locator("#seen").is_hidden()
+    page.get_by_text("Policy of pictures").click()
+    page.locator("#pictures").wait_for(state="visible")
+    look = """(qpos) => {
+        const { task, pilot } = demo.session();
+        task.place(Float32Array.from(qpos), new Float32Array(task.model.nv));
+        return Array.from(pilot.eyes.look());
+    }"""
+    seen = np.array([page.evaluate(look, qpos.tolist()) for qpos in states], float).reshape(rendered.shape)
+    apart = np.abs(seen - rendered)
+    assert apart.mean(axis=(0, 2, 3, 4)).max() < 2.5
+    assert np.median(apart) <= 1
+    page.get_by_text("Policy of pictures").click()
+    page.locator("#pictures").wait_for(state="hidden")
+
+
+ATTEMPT = """(start) => {
+    const { task, pilot } = demo.session();
+    return task.succeeds(pilot, start);
+}"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", CAMERA)
+def test_a_policy_of_pictures_succeeds_in_the_browser(visit, policy):
+    task = task_of(policy)
+    resets = jax.vmap(hgail_envs.make(task, impl="c").reset)(jax.random.split(jax.random.key(0), 50))
+    page = visit(f"?task={task}", viewport={"width": 64, "height": 64}, reduced_motion="reduce")
+    page.evaluate(f"demo.setTask('{task}', 'camera')")
+    starts = [start_of(jax.tree.map(lambda leaf, i=i: leaf[i], resets)) for i in range(50)]
+    rate = np.mean([page.evaluate(ATTEMPT, start) for start in starts])
+    print(f"{policy}: {rate:.2f} in the browser")
+    assert rate >= 0.9
 
 
 @pytest.mark.slow
