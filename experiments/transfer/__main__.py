@@ -88,7 +88,7 @@ class Options:
     """Source of the target's position: the simulator, or one or two cameras over the workspace, exact or noisy."""
     sweep: bool = False
     """Measure success over quantities of the randomisation and speed instead, into transfer-sweep.json and
-    transfer-sweep-<robot>-<task>.png."""
+    transfer-sweep-<robot>.png."""
     policies: tuple[str, ...] = ()
     """More policies for --sweep beside those that come with the repository: label=PATH of a policy's file or a run's
     folder."""

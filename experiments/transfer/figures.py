@@ -25,22 +25,36 @@ _DISTANCE, _AZIMUTH, _ELEVATION = 1.25, 140.0, -20.0  # of the camera: metres, d
 
 
 def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str], policies: Sequence[str]) -> None:
-    """Writes a PNG of a robot's success rate on a task against each quantity, with 95 % intervals.
+    """Writes a PNG of a robot's success rates against each quantity, one task below the other, with 95 % intervals.
 
     Args:
       path: of the PNG.
-      rows: the points of the robot and task, as measured; each quantity has a panel, each policy a colour.
+      rows: the points of the robot, as measured; each quantity has a panel, each policy a colour.
       axes: the label of the x axis for each quantity.
       policies: the labels of policies in the order of their colours.
     """
-    panels: dict[str, list[Mapping[str, Any]]] = {}
+    tasks: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in rows:
-        panels.setdefault(row["quantity"], []).append(row)
-    height = math.ceil(len(panels) / _COLUMNS)
-    figure, grid = plt.subplots(
-        height, _COLUMNS, figsize=(15, 3 * height), sharey=True, squeeze=False, constrained_layout=True
-    )
+        tasks.setdefault(row["task"], {}).setdefault(row["quantity"], []).append(row)
+    heights = [math.ceil(len(panels) / _COLUMNS) for panels in tasks.values()]
+    figure = plt.figure(figsize=(15, 3 * sum(heights)), layout="constrained")
+    parts = figure.subfigures(len(tasks), squeeze=False, height_ratios=heights).flat
     drawn: dict[str, Any] = {}
+    for part, height, (task, panels) in zip(parts, heights, tasks.items(), strict=True):
+        part.suptitle(f"{rows[0]['robot']}: {task}")
+        drawn |= _draw_panels(part.subplots(height, _COLUMNS, sharey=True, squeeze=False), panels, axes, policies)
+    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=len(policies))
+    write_figure(figure, path, dpi=90)
+
+
+def _draw_panels(
+    grid: np.ndarray,
+    panels: Mapping[str, Sequence[Mapping[str, Any]]],
+    axes: Mapping[str, str],
+    policies: Sequence[str],
+) -> dict[str, Any]:
+    """Draws the panels of a task into axes, `[rows, columns]`; returns a line of each policy for the legend."""
+    drawn = {}
     for panel, (name, points) in zip(grid.flat, panels.items(), strict=False):
         quantity, _, line = name.partition(", ")
         for index, policy in enumerate(policies):
@@ -53,9 +67,7 @@ def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str,
         panel.set_ylabel("success rate")
     for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
-    figure.suptitle(f"{rows[0]['robot']}: {rows[0]['task']}")
-    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=len(policies))
-    write_figure(figure, path, dpi=90)
+    return drawn
 
 
 def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[int]]], seed: int) -> None:

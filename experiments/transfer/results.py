@@ -96,15 +96,15 @@ def write_sweep(
 
 
 def draw_sweeps(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
-    """Writes transfer-sweep-<robot>-<task>.png for each robot and task of a sweep's points, and returns their paths."""
+    """Writes transfer-sweep-<robot>.png for each robot of a sweep's points, and returns their paths."""
     names = {robot_name(to): to for to in (FETCH, *ROBOTS)}
     policies = list(dict.fromkeys(row["policy"] for row in rows))
-    curves: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    curves: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        curves.setdefault((names[row["robot"]], row["task"]), []).append(row)
-    paths = {part: folder / "transfer-sweep-{}-{}.png".format(*part) for part in curves}
-    for part, points in curves.items():
-        draw_sweep(paths[part], points, axes(), policies)
+        curves.setdefault(names[row["robot"]], []).append(row)
+    paths = {to: folder / f"transfer-sweep-{to}.png" for to in curves}
+    for to, points in curves.items():
+        draw_sweep(paths[to], points, axes(), policies)
     return list(paths.values())
 
 
