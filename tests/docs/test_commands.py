@@ -9,7 +9,7 @@ import pytest
 
 from experiments.bench.__main__ import Options as Bench
 from experiments.paper.__main__ import Options as Paper
-from experiments.parity.__main__ import Command as Parity
+from experiments.parity import Command as Parity
 from experiments.transfer.__main__ import Options as Transfer
 from hgail_jax.cli import command_line, demos, evaluate, export, play, robot, train
 from tests import support

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium_robotics.utils import mujoco_utils
 
-from experiments.parity import __main__ as parity
+from experiments import parity
 from hgail_envs.tasks.reference import make_reference
 
 

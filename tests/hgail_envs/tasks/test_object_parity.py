@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import ks_2samp
 
 import hgail_envs
-from experiments.parity.reference import joint_indices, make_counterpart
+from experiments.parity import joint_indices, make_counterpart
 from hgail_envs.tasks.layouts import official
 
 TASKS = ("push", "pick-and-place", "slide")

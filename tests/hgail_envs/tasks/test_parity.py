@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from experiments.parity.reference import (
+from experiments.parity import (
     gripper,
     joint_indices,
     make_counterpart,

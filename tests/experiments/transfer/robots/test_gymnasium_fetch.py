@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
-from experiments.parity.reference import joint_indices
+from experiments.parity import joint_indices
 from experiments.transfer.conditions import TASKS, Conditions
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots import ROBOTS, GymnasiumFetch, make_robot

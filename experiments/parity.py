@@ -1,17 +1,44 @@
-"""Reference environments of Gymnasium-Robotics: their joints, and how far our gripper is from theirs.
+"""Compares the Fetch tasks with Gymnasium-Robotics' on the same machine, and writes a table.
 
-Measured after one action and after an episode. `N` is the number of moves or episodes and `T` of actions.
+    python -m experiments.parity
+
+Measured is how far the gripper is from the reference's, after one action and after an episode. `N` is the number of
+moves or episodes and `T` of actions.
 """
 
+import dataclasses
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import mujoco
 import numpy as np
 
-from hgail_envs.tasks.arm import ArmEnv, ArmPhysics
+import hgail_envs
+from hgail_envs.tasks.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS, ArmEnv, ArmPhysics
 from hgail_envs.tasks.reference import make_reference
+from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
+from hgail_jax.io.files import check_writable, write_json
+from hgail_jax.io.provenance import provenance
 
+PROGRAM = "parity"
+EPISODES, STEPS = 8, 48
+"""Episodes of the moves, and steps of each: 384 moves."""
+DRIFTS, ACTIONS = 32, 50
+"""Episodes without feedback, and actions of each."""
+_NEW_TARGET, _HELD = 6, 5  # actions
+
+_ROWS = (
+    ("reach", "c", REFERENCE_SUBSTEPS),
+    ("reach", "c", FAST_SUBSTEPS),
+    ("reach", "jax", REFERENCE_SUBSTEPS),
+    ("reach", "jax", FAST_SUBSTEPS),
+    ("grasp", "c", REFERENCE_SUBSTEPS),
+    ("grasp", "c", 8),
+    ("push", "c", REFERENCE_SUBSTEPS),
+    ("pick-and-place", "c", REFERENCE_SUBSTEPS),
+    ("slide", "c", REFERENCE_SUBSTEPS),
+)
 _LONGER_THAN_ANY = 10_000  # steps
 _NAMES = {
     "base_x": "robot0:slide0",
@@ -23,6 +50,53 @@ _NAMES = {
     "cube": "object0:joint",
     "puck": "object0:joint",
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Measures the distance of the gripper from the reference's, for each engine that runs on a CPU."""
+
+    out: Path = Path("runs/parity/parity.json")
+    """File to write."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line."""
+    command = parse(Command, PROGRAM, __doc__, arguments)
+    try:
+        check_writable(command.out)
+    except OSError as error:
+        fail(PROGRAM, error, 2)
+    rows = []
+    for task, impl, substeps in _ROWS:
+        rows.append(measure(task, impl, substeps))
+        print(
+            "  ".join(
+                f"{name} {value:.3g}" if isinstance(value, float) else f"{value}" for name, value in rows[-1].items()
+            )
+        )
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    write_json(command.out, {"rows": rows, "made_by": provenance()})
+
+
+def measure(task: str, impl: str, substeps: int) -> dict[str, str | int | float]:
+    """Returns a row of the table: errors of the gripper in one action and drifts without feedback, millimetres."""
+    env = hgail_envs.make(task, impl=impl, substeps=substeps)
+    reference = make_counterpart(env)
+    errors = 1000 * one_step_errors(env, reference, random_moves(reference))
+    drift = 1000 * open_loop_drift(env, *open_loop_ends(reference))
+    return {
+        "task": task,
+        "reference": str(env.reference),
+        "impl": impl,
+        "substeps": substeps,
+        "moves": len(errors),
+        "one_step_median_mm": float(np.median(errors)),
+        "one_step_p99_mm": float(np.percentile(errors, 99)),
+        "episodes": len(drift),
+        "drift_median_mm": float(np.median(drift)),
+        "drift_worst_mm": float(drift.max()),
+    }
 
 
 def make_counterpart(env: ArmEnv) -> Any:
@@ -54,13 +128,6 @@ def gripper(reference: Any) -> np.ndarray:
     # A step leaves the positions of one physics step before.
     mujoco.mj_kinematics(reference.model, reference.data)
     return reference.data.site("robot0:grip").xpos.copy()
-
-
-EPISODES, STEPS = 8, 48
-"""Episodes of the moves, and steps of each: 384 moves."""
-DRIFTS, ACTIONS = 32, 50
-"""Episodes without feedback, and actions of each."""
-_NEW_TARGET, _HELD = 6, 5  # actions
 
 
 class Moves(NamedTuple):
@@ -132,3 +199,9 @@ def _step(env: ArmEnv) -> Any:
         return env.step_physics(physics, action)
 
     return jax.jit(jax.vmap(step))
+
+
+if __name__ == "__main__":
+    with one_line_errors(PROGRAM):
+        prepare_process()
+        main()
