@@ -14,21 +14,11 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hgail_envs
 from hgail_envs.registry import GYMNASIUM_IDS
-from hgail_envs.robots.fetch import Fetch
 from hgail_envs.single import GoalSingleEnv
 from hgail_envs.vector import GoalVectorEnv
-from hgail_envs.vision.rendering import RenderingError, open_renderer
 
 POINT, REACH = GYMNASIUM_IDS["point"], GYMNASIUM_IDS["reach"]
 LENGTH = 50  # steps of the point's episodes
-
-
-@pytest.fixture(scope="module")
-def renders():
-    try:
-        open_renderer(Fetch("reach").model, 8, 8).close()
-    except RenderingError as error:
-        pytest.skip(str(error))
 
 
 def test_importing_registers_each_task():
@@ -70,7 +60,7 @@ def test_processes_that_are_forked_have_an_environment_each(name, impl, forks):
 @pytest.mark.filterwarnings("ignore:.*A Box observation space (m|min|max).*")
 @pytest.mark.filterwarnings("error:.*:UserWarning")
 @pytest.mark.parametrize("name", [POINT, REACH, pytest.param(GYMNASIUM_IDS["push"], marks=pytest.mark.slow)])
-def test_gymnasium_s_checker_is_content(name, renders):
+def test_gymnasium_s_checker_is_content(name, rendering):
     options = {} if name == POINT else {"impl": "c", "substeps": 4, "render_mode": "rgb_array"}
     env = gymnasium.make(name, **options)
     check_env(env.unwrapped)
@@ -131,7 +121,7 @@ def same(left, right):
         np.testing.assert_allclose(left, right, atol=1e-6)
 
 
-def test_pictures_follow_the_arm_and_the_target(renders):
+def test_pictures_follow_the_arm_and_the_target(rendering):
     env = gymnasium.make(REACH, impl="c", substeps=4, render_mode="rgb_array")
     env.reset(seed=0)
     first = env.render()
@@ -155,7 +145,7 @@ def test_pictures_follow_the_arm_and_the_target(renders):
     vector.close()
 
 
-def test_record_video_writes_an_episode(renders, tmp_path):
+def test_record_video_writes_an_episode(rendering, tmp_path):
     pytest.importorskip("moviepy", reason="RecordVideo needs moviepy")
     env = gymnasium.make(REACH, impl="c", substeps=4, render_mode="rgb_array", max_episode_steps=5)
     env = gymnasium.wrappers.RecordVideo(env, str(tmp_path), disable_logger=True)
@@ -185,3 +175,41 @@ def test_bad_choices_are_refused():
     shown = GoalVectorEnv(hgail_envs.make("reach", impl="c"), 1, render_mode="rgb_array")
     with pytest.raises(gymnasium.error.ResetNeeded):
         shown.render()
+
+
+# Pictures in observations
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_single_environment_shows_its_first_state_and_the_one_after_an_action():
+    env = gymnasium.make("hgail_envs/FetchPush-v0", cameras=["front", "wrist"], picture_size=16)
+    check_env(env.unwrapped, skip_render_check=True)
+    first, _ = env.reset(seed=0)
+    assert first["pixels"].shape == (2, 16, 16, 3) and first["pixels"].dtype == np.uint8
+    assert env.observation_space.contains(first)
+    after, *_ = env.step(np.array([1.0, 0.0, 0.0, 0.0]))
+    assert (after["pixels"] != first["pixels"]).any()
+    again, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(again["pixels"], first["pixels"])
+
+
+@pytest.mark.usefixtures("rendering")
+def test_rows_of_a_vector_are_its_environments_and_it_can_be_pickled():
+    vector = gymnasium.make_vec("hgail_envs/FetchPush-v0", num_envs=2, cameras=["front"], picture_size=32)
+    pixels = vector.reset(seed=3)[0]["pixels"]
+    other = pickle.loads(pickle.dumps(vector))
+    single = gymnasium.make("hgail_envs/FetchPush-v0", cameras=["front"], picture_size=32)
+    for row in range(2):
+        np.testing.assert_array_equal(single.reset(seed=3 + row)[0]["pixels"], pixels[row])
+    assert (pixels[0] != pixels[1]).any()
+    np.testing.assert_array_equal(other.reset(seed=3)[0]["pixels"], pixels)
+
+
+@pytest.mark.usefixtures("rendering")
+def test_other_observations_have_no_pictures_and_an_unknown_camera_is_refused():
+    assert "pixels" not in gymnasium.make("hgail_envs/FetchPush-v0").observation_space.spaces
+    with pytest.raises(ValueError, match="scene push has no camera 'nose'"):
+        gymnasium.make("hgail_envs/FetchPush-v0", cameras=["nose"])
+    for make in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(ValueError, match="picture_size is 32, and there are no cameras"):
+            make("hgail_envs/FetchPush-v0", picture_size=32)

@@ -1,6 +1,7 @@
 """MuJoCo Warp's ray tracer, which renders all scenes of a batch at once, on a GPU best."""
 
 import threading
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -9,14 +10,36 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
-from hgail_envs.vision.batching import as_one_batch
 from hgail_envs.vision.look import FIELDS, Look, draws_of, varied
 from hgail_envs.workarounds import promotion
+
+OfBatch = Callable[..., jax.Array]
+"""Arrays `[N, ...]` to an array `[N, ...]`."""
 
 _GEOM_GROUPS = (0, 1, 2)  # MuJoCo's own renderer draws these by default
 
 
-@jax.jit  # MJX-JAX tells the model's arrays from constants, and takes those of some sizes for the latter
+def as_one_batch(function: OfBatch) -> OfBatch:
+    """Returns a function that, under any number of vmaps, calls `function` once for the batches of all of them.
+
+    So a library whose buffers are for a fixed number of rows, and that cannot be batched itself, sees a single batch.
+    The function is traced once for each size on the way, and runs for the last alone.
+    """
+    batched = jax.custom_batching.custom_vmap(function)
+
+    @batched.def_vmap
+    def _(axis_size: int, is_batched: Sequence[bool], *arguments: jax.Array) -> tuple[jax.Array, bool]:
+        whole = [
+            values if there else jnp.broadcast_to(values, (axis_size, *values.shape))
+            for values, there in zip(arguments, is_batched, strict=True)
+        ]
+        results = batched(*(values.reshape(-1, *values.shape[2:]) for values in whole))
+        return results.reshape(axis_size, -1, *results.shape[1:]), True
+
+    return batched
+
+
+@jax.jit  # untraced, MJX-JAX takes some of the model's arrays, by their sizes, for constants
 def _kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Returns the data with the poses of all geoms and cameras, in full single precision."""
     with jax.default_matmul_precision("highest"), promotion():

@@ -1,4 +1,4 @@
-"""What a policy with pictures is told, and what its observation shows."""
+"""Which numbers a policy with pictures observes, and what its observation shows."""
 
 import functools
 

@@ -14,6 +14,7 @@ import hgail_envs
 from hgail_envs.vision.cameras import camera_ids, describe_cameras
 from hgail_envs.vision.pictures import Pictures, resolve_renderer
 from hgail_envs.vision.things import JOINTS
+from hgail_envs.vision.warp_renderer import as_one_batch
 
 pytestmark = pytest.mark.usefixtures("rendering")
 
@@ -184,3 +185,22 @@ def test_a_gpu_without_warp_is_refused_before_anything_is_compiled(renderer, mes
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match=message):
         resolve_renderer(renderer)
+
+
+def test_each_row_comes_back_in_its_place_from_one_batch_of_all():
+    """Vmaps around a function of a batch become a larger batch."""
+    sizes = []
+
+    def add(one, other):
+        sizes.append(len(one))
+        return one[:, :2] * 10.0 + other
+
+    function, one, other = as_one_batch(add), jnp.arange(24.0).reshape(2, 4, 3), jnp.arange(4.0).reshape(4, 1)
+
+    def scanned(one):
+        return jax.lax.scan(lambda total, _: (total + 1.0, function(one + total, other)), 0.0, None, 3)[1]
+
+    results = jax.jit(jax.vmap(scanned))(one)
+    expected = np.stack([10.0 * (one[..., :2] + step) + other for step in range(3)], axis=1)
+    np.testing.assert_array_equal(results, expected)
+    assert sizes[-1] == 8
