@@ -28,7 +28,7 @@ demo: $(VENV)/.installed
 slow: $(VENV)/.installed
 	$(BIN)/pytest -m slow
 
-# Breaks the learning core in small ways and tells which breaks no test notices; an hour on two cores.
+# Breaks the learning core in small ways and lists the breaks that no test notices; an hour on two cores.
 mutants: $(VENV)/.installed
 	$(BIN)/python -m tools.mutants --sample 220
 

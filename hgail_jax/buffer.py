@@ -159,7 +159,7 @@ def draw_achieved(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: in
 def draw_detour(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: int, share: float) -> Detour:
     """Draws goals that earlier episodes achieved, for a random number of steps of a `share` of `count` episodes.
 
-    It is a curriculum for tasks without training goals of their own. An empty buffer gives none.
+    It is a curriculum for tasks without training goals. An empty buffer gives none.
     """
     goal_rng, chosen_rng, until_rng = jax.random.split(rng, 3)
     chosen = jax.random.bernoulli(chosen_rng, jnp.where(buffer.added > 0, share, 0.0), (count,))
@@ -174,7 +174,7 @@ def draw_positives(
 
     With a `goal_jitter` a goal is anywhere in a box around that, within what counts as reached.
     """
-    # without hindsight at all (p_ht 0) nothing tells them from the policy's
+    # without hindsight at all (p_ht 0) nothing distinguishes them from the policy's
     drawn = draw(env, hyper, buffer, rng, count, jnp.where(hyper.p_ht > 0, 1.0, 0.0), hyper.discriminator_horizon)
     goal = jitter_goals(env, drawn.goal, hyper.goal_jitter, jitter_rng)
     return Samples(env.goal_observation(drawn.features, goal), drawn.action, drawn.weight)

@@ -122,7 +122,7 @@ class Hyperparameters(struct.PyTreeNode):
     """Weight of the environment's reward (-1, 0 on success); the discriminator's has the rest up to 1."""
     standardize_reward: jax.Array | bool = True
     """Whether PPO's reward is shifted and scaled to mean 0 and standard deviation 1 over a roll-out. That removes the
-    scale that tells r1 to r4 apart, and makes a rare success large: one among 51,200 steps is worth +226."""
+    scale that distinguishes r1 to r4, and makes a rare success large: one among 51,200 steps is worth +226."""
     reward_scale: jax.Array | float = 1.0
     """Factor on PPO's reward, which is first divided by the steps of an episode."""
     standardize_advantage: jax.Array | bool = True

@@ -17,7 +17,7 @@ def gradient_step(
     gradient: Any,
     learning_rate: jax.Array | float,
 ) -> tuple[Any, optax.OptState]:
-    """Returns parameters and the state of an optimiser, which has no learning rate of its own, after one step."""
+    """Returns parameters and the state of an optimiser without a learning rate after one step."""
     with promotion():  # of optax, whose bias correction has a whole number as exponent
         update, optimizer_state = optimizer.update(gradient, optimizer_state)
     scaled = jax.tree.map(lambda leaf: -learning_rate * leaf, update)

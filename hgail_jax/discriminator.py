@@ -1,4 +1,4 @@
-"""The discriminator tells relabelled samples from the policy's own: its network, input, loss, training and rewards.
+"""The discriminator separates relabelled samples from the policy's own: its network, input, loss, training and rewards.
 
 Sign. A high logit, called `dis` in the paper, means "as an expert's". The paper's D is the opposite, 1 on samples of
 the policy: D = 1 - σ(dis). Cross-entropy therefore labels expert (here relabelled) samples 1 and the policy's

@@ -28,7 +28,7 @@ class Phase(enum.IntEnum):
     POLICY = 2
     """The policy learns from it, under the discriminator's reward (a g_step)."""
     DISCRIMINATOR = 3
-    """The discriminator learns to tell it from expert samples (a d_step)."""
+    """The discriminator learns to separate it from expert samples (a d_step)."""
     EVALUATE = 4
     """The mean action is measured, and nothing is learnt."""
 
@@ -43,10 +43,10 @@ Update = Callable[[GoalEnv, "Config", "TrainState", "Trajectory", jax.Array], tu
 
 @dataclasses.dataclass(frozen=True)
 class Learner(abc.ABC):
-    """Changes networks by roll-outs. A learner is a frozen dataclass of its own sizes, and is what `Config.learner` is.
+    """Changes networks by roll-outs. A learner is a frozen dataclass of its sizes, and is what `Config.learner` is.
 
     It keeps nothing itself: its part of the training state is `TrainState.learner`. Another learner is a subclass in a
-    file of its own, its line in `hgail_jax.learners.LEARNERS`, and settings in `hgail_jax.settings`.
+    file, its line in `hgail_jax.learners.LEARNERS`, and settings in `hgail_jax.settings`.
     """
 
     name: ClassVar[str]

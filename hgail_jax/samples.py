@@ -64,9 +64,9 @@ def policy_samples(env: GoalEnv, trajectory: Trajectory) -> Samples:
 
 
 def negative_samples(env: GoalEnv, hyper: Hyperparameters, trajectory: Trajectory, rng: jax.Array) -> Samples:
-    """Returns the samples of a trajectory under the goals it pursued, a fraction under another episode's of that step.
+    """Returns the samples of a trajectory under the goals it pursued, or at the same step in another episode.
 
-    The fraction is `hyper.shuffled_goals`; there must be two episodes.
+    The fraction of others is `hyper.shuffled_goals`; there must be two episodes.
     """
     desired = trajectory.desired[:-1]
     others = jnp.roll(desired, desired.shape[1] // 2, axis=1)

@@ -117,7 +117,7 @@ def evaluate_seeds(
 def trace_evaluation(
     env: GoalEnv, config: Config, states: TrainState, num_episodes: int, mesh: Mesh | None = None
 ) -> Callable[[], SeedsEvaluation]:
-    """Traces the evaluation of every seed's mean action in the task's most accurate physics.
+    """Traces the evaluation of every seed's mean action in the task's reference physics.
 
     Each seed has `num_episodes` at least, in whole roll-outs. See `compile_train_step` for the other arguments.
 

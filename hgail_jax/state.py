@@ -57,7 +57,7 @@ class StateKeys(NamedTuple):
     following: jax.Array
     """Of the state after a phase that learns."""
     phase: jax.Array
-    """Of that phase: its roll-out and its update."""
+    """Of the phase: its roll-out and its update."""
     evaluation: jax.Array
     """Of an evaluation between two phases."""
     final_evaluation: jax.Array

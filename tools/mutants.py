@@ -1,8 +1,8 @@
-"""Breaks the learning core, one small change at a time, and tells which changes no test notices.
+"""Breaks the learning core, one small change at a time, and lists the changes that no test notices.
 
     python -m tools.mutants [module ...] [--sample N] [--seed S]
 
-A module is named by its path less the suffix, e.g. `hgail_jax/train`. Each mutant runs in a process of its own, forked
+A module is named by its path less the suffix, e.g. `hgail_jax/train`. Each mutant runs in a separate process, forked
 from this one, which has imported the libraries but started nothing of JAX.
 """
 
@@ -185,7 +185,7 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def run(files: list[str], mutant: Mutant | None = None) -> str:
-    """Runs tests in a process of its own; returns "killed", "survived" or "timed out"."""
+    """Runs tests in a separate process; returns "killed", "survived" or "timed out"."""
     import pytest
 
     child = os.fork()

@@ -159,7 +159,7 @@ class GoalEnv(HasLayouts, Env):
         """Returns the kind of goals, `[..., goal_size]`: integers `[...]` below `goal_kinds`.
 
         Hindsight draws its goals so that each kind is as frequent among them as among the desired ones, if a roll-out
-        achieved it at all. Else a rare kind is hardly taught, and the discriminator tells relabelled samples by kind.
+        achieved it at all. Else a rare kind is hardly taught, and the discriminator separates samples by their kind.
         """
         return jnp.zeros(goal.shape[:-1], jnp.int32)
 

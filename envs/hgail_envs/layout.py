@@ -77,7 +77,7 @@ class Layout:
         first = 0
         for quantity in quantities:
             if quantity.title in self._places:
-                raise ValueError(f"a layout has {quantity.title!r} twice; give each quantity a name of its own")
+                raise ValueError(f"a layout has {quantity.title!r} twice; names of quantities must differ")
             self._places[quantity.title] = first if quantity.size == 1 else slice(first, first + quantity.size)
             first += quantity.size
         self.size = first

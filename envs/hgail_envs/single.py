@@ -15,7 +15,7 @@ from hgail_envs.vision.pictures import SIZE
 class GoalSingleEnv(gymnasium.Env):
     """One episode of a task at a time, with the spaces, rewards and `info` of a `GoalVectorEnv`.
 
-    It has no time limit of its own: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)`
+    It has no time limit: `gymnasium.make` adds one of the task's `episode_length`. After `reset(seed=s)`
     its episodes are those of the first environment of a `GoalVectorEnv` with that seed. The task is one, or its
     name, made with the options, see `hgail_envs.make`. With `cameras` an observation has `pixels`, see
     `GoalVectorEnv`. With the `render_mode` `"rgb_array"`, `render` returns a picture; a task without a scene, or an

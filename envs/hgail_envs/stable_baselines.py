@@ -1,4 +1,4 @@
-"""A vector environment of this package as one of stable-baselines3, which has an interface of its own."""
+"""A vector environment of this package as one of stable-baselines3, whose interface differs from Gymnasium's."""
 
 from typing import Any
 

@@ -181,7 +181,7 @@ class GoalVectorEnv(VectorEnv):
         if actions.dtype.kind not in "biuf" or not np.isfinite(actions).all():
             raise ValueError("not all actions are finite numbers")
         no = np.zeros(self.num_envs, bool)
-        if self._steps == self._length:  # Gymnasium's NEXT_STEP: the reset takes a step of its own
+        if self._steps == self._length:  # Gymnasium's NEXT_STEP: the reset takes a separate step
             observation, info = self._start(self._keys)
             return observation, np.zeros(self.num_envs), no, no.copy(), info
         self._state = self._step(self._state, np.asarray(actions, np.float32))

@@ -102,7 +102,7 @@ def _check(options: Options) -> None:
 
 def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Yields rows and their provenance."""
-    # Runs in processes of their own come first: until JAX's backend starts here, they have the GPU to themselves.
+    # Runs in separate processes come first: until JAX's backend starts here, they have the GPU to themselves.
     for section, call in (("compile", measure_compilation), ("time-to-success", measure_time_to_success)):
         for task in options.task if section in options.section else ():
             row, made_by = call(task, options.run, options.quick)

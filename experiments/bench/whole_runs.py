@@ -1,4 +1,4 @@
-"""Measures whole runs of `hgail train`, each in a process of its own: compilation, and the time to a success rate."""
+"""Measures whole runs of `hgail train`, each in a separate process: compilation, and the time to a success rate."""
 
 import csv
 import ctypes
@@ -92,7 +92,7 @@ def first_success(rows: list[dict[str, str]], wanted: float) -> tuple[float | No
 def train(
     folder: Path, arguments: Sequence[str], programs: Path, kernels: Path | None = None
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """Trains in a process of its own, its output shown.
+    """Trains in a separate process, its output shown.
 
     Args:
       folder: of the run.

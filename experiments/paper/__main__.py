@@ -34,7 +34,7 @@ class Options:
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), off-policy, off-policy-samples,
     off-policy-sizes, off-policy-rewards and off-policy-methods (of the learner TD3), and those behind the tables and
-    figures; paper-sizes, gail-demo-weight and grasp-sizes, which choose settings, on seeds of their own."""
+    figures; paper-sizes, gail-demo-weight and grasp-sizes, which choose settings, on separate seeds."""
     all: bool = False
     """All studies that are reported: all of the paper's on reach, table 1 on grasp, the parts on push,
     pick-and-place and slide."""

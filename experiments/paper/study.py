@@ -64,7 +64,7 @@ class Study:
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
     tuning: bool = False
-    """True for a study that chooses settings, on seeds of its own, see `choose_seeds`."""
+    """True for a study that chooses settings, on separate seeds, see `choose_seeds`."""
 
     def compared_with(self, setting: Setting) -> Setting | None:
         """Returns the setting to compare with: the reference of the same panel, else the first of that name.

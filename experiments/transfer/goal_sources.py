@@ -134,7 +134,7 @@ def check_source(source: str, task: str) -> None:
     """Raises a ValueError if cameras cannot see the task's target."""
     seen = [name for name, each in TASKS.items() if each.seen_by_cameras]
     if source != EXACT and task not in seen:
-        raise ValueError(f"cameras cannot tell the target of {task!r}; they can of {', '.join(seen)}")
+        raise ValueError(f"cameras cannot see the target of {task!r}; they can of {', '.join(seen)}")
 
 
 def stage(source: str) -> str:

@@ -33,7 +33,7 @@ Policies = Mapping[str, Mapping[str, Sequence[Path]]]
 
 
 class Script:
-    """The first scripted controller of a task as a policy, which tells what a robot's hand allows.
+    """The first scripted controller of a task as a policy, which shows what a robot's hand allows.
 
     In grasp it observes the cube's place at the start: at each step, it would chase a cube that its fingers push, and
     pick fewer.

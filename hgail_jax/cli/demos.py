@@ -47,7 +47,7 @@ class Options:
     picture_size: int = 96
     """Edge of the square pictures, pixels."""
     target: str = "told"
-    """Whether the target is told by numbers, or `seen` as a ball in the pictures."""
+    """Whether the target is `told` in the observation's numbers, or `seen` as a ball in the pictures."""
     out: Annotated[Path | None, unless_given("demonstrations/<task>.npz, or <task>", "FILE|FOLDER")] = None
     """File or folder to write, which must not exist."""
 

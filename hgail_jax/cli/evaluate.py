@@ -49,7 +49,7 @@ class Options(PolicyOptions):
     """Physics engine of the Fetch tasks, always with the reference's 20 steps per action."""
     reference: bool = False
     """Run with the maker's full model of an arm instead, or for the Fetch in Gymnasium-Robotics (extra `compare`), one
-    episode after another; there a policy of pictures sees that scene, through cameras like those of its own."""
+    episode after another; there a policy of pictures sees that scene, through cameras like its own."""
     json: bool = False
     """Print a JSON object instead of text."""
 

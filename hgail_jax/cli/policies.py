@@ -164,9 +164,9 @@ def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
     except RenderingError as error:
         raise ValueError(str(error)) from error
     for what, given, needed in (
-        ("is told", policy.mean.size, len(seen.known)),
+        ("takes", policy.mean.size, len(seen.known)),
         ("commands", policy.action_size, seen.action_size),
-        ("tells the objects' places in", policy.centre.size, len(seen.objects)),
+        ("predicts the objects' positions in", policy.centre.size, len(seen.objects)),
         ("has goals of", policy.goal_size, seen.goal_size if policy.target == "told" else 0),
     ):
         if given != needed:

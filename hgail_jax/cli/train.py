@@ -153,7 +153,7 @@ def _stopped(run: Run, folder: RunFolder) -> str:
 
 
 def _resume_hint(words: list[str], folder: Path) -> str:
-    """Returns a line with the command that resumes a run: the words of its own, less another folder."""
+    """Returns a line with the command that resumes a run: its own words, less another folder."""
     pairs = itertools.pairwise(["", *with_new_names(words)])
     kept = [word for before, word in pairs if not {before, word.partition("=")[0]} & {"--out", "--resume"}]
     return f"resume with: {_command([*kept, '--resume', str(folder)])}"

@@ -1,6 +1,6 @@
 """Spreads seeds, and the environments of a roll-out, over devices.
 
-A mesh has two axes. Along `SEEDS` each device trains seeds of its own and talks to no other. Along `ENVS` the devices
+A mesh has two axes. Along `SEEDS` each device trains its own seeds and talks to no other. Along `ENVS` the devices
 work on the same seeds: each steps a part of the environments, then all gather the whole trajectories and make the same
 update of them. Gathering is cheap, as a trajectory is small beside the physics that made it, and so is the update.
 Results depend on the devices only through the order in which matrix products sum.

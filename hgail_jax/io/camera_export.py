@@ -46,7 +46,7 @@ def export_camera_onnx(path: Path | str, policy: CameraPolicy, success: float | 
 
     Raises:
       ImportError: the extra `onnx` is not installed.
-      ValueError: the task is none of this package, or the policy is told other numbers than it has.
+      ValueError: the task is none of this package, or the policy takes other numbers than it has.
     """
     about = _metadata(policy, success)
     inputs: dict[str, tuple[int, list[Any]]] = {
@@ -102,8 +102,8 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
     of_goal = described_rows(described.observation)[described.features.size :]
     rows = [*features, *(of_goal if policy.target == "told" else [])]
     if len(rows) != policy.mean.size:
-        raise ValueError(f"the policy is told {policy.mean.size} numbers, which are not those of {policy.task}")
-    told = [
+        raise ValueError(f"the policy takes {policy.mean.size} numbers, which are not those of {policy.task}")
+    numbers = [
         {**row, "index": index, "mean": float(mean), "std": float(std)}
         for index, (row, mean, std) in enumerate(zip(rows, policy.mean, policy.std, strict=True))
     ]
@@ -118,8 +118,8 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
             "rows": "the upper first",
             "range": [0, 255],
         },
-        "numbers": told,
-        "goal": told[len(told) - policy.goal_size :],
+        "numbers": numbers,
+        "goal": numbers[len(numbers) - policy.goal_size :],
         "target": policy.target,
         "action": [{**row, "low": -1.0, "high": 1.0} for row in described_rows(described.action)],
         "frames": FRAMES,
@@ -133,5 +133,5 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
 
 
 def _names(features: Any) -> set[str]:
-    """Returns the names of the numbers that a policy with pictures is told."""
+    """Returns the names of the numbers that a policy with pictures takes."""
     return {number.title for quantity in features if quantity.title in KNOWN for number in quantity.numbers}

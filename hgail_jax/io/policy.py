@@ -11,11 +11,11 @@ code. Layer `i` is `weights_i` and `biases_i`, `mean` and `std` normalise the ob
      "task_options": {},                                       # of the task's class, in training
      "versions": {"hgail-jax": "0.1.0", "jax": "0.10.2"}}
 
-A policy that sees pictures has a format of its own:
+A policy that sees pictures has another format:
 
     {"format": "hgail_jax camera policy 1", "task": "push",
      "pictures": {"cameras": ["front", "side"], "size": 64, "colours": "RGB", "range": [0, 255]},
-     "numbers": {"size": 10, "goal": 4},                       # what it is told: `KNOWN` features, then the goal;
+     "numbers": {"size": 10, "goal": 4},                       # its numbers: `KNOWN` features, then the goal;
                                                                # no goal where it sees the target in the pictures
      "action": {"size": 4, "low": -1.0, "high": 1.0}, "convolutions": 4, "layers": 2, "look": "varied",
      "look_sizes": {"scene": {}, "image": {}},                 # fields of `Look` and `Augmentation`

@@ -57,7 +57,7 @@ class PPO(Learner):
         "kl": "estimate of KL(old policy ‖ new policy), nats",
         "bc_loss": "mean negative log-likelihood of expert samples, nats",
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
-        "discriminator_accuracy": "fraction of samples that the discriminator tells right",
+        "discriminator_accuracy": "fraction of samples that the discriminator classifies correctly",
     }
 
     pretrain: bool = True

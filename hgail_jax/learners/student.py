@@ -2,8 +2,8 @@
 
 The teacher labels every state of every roll-out with its own action, as in DAgger (Ross et al. 2011), but each
 roll-out is used once. At first the teacher acts in all of the episodes, then in fewer, and after `mixed` roll-outs the
-student acts alone. A second head of its network learns to tell where the objects are. Below, `U` is the gradient steps
-after a roll-out, `B` the samples in one of them, and `S` those of a roll-out, `T * N`.
+student acts alone. A second head of its network learns to predict the objects' positions. Below, `U` is the gradient
+steps after a roll-out, `B` the samples in one of them, and `S` those of a roll-out, `T * N`.
 """
 
 import dataclasses
@@ -265,9 +265,9 @@ def _loss(eyes: Eyes, pictures: jax.Array, sample: _Lesson) -> tuple[jax.Array, 
     """Returns the squared errors of actions and positions, `[]`, and each of them for the metrics."""
     action, objects = look(eyes, pictures, sample.numbers, _precision())
 
-    def error(told: jax.Array, true: jax.Array) -> jax.Array:
-        each = jnp.square(told - true) * sample.weight[:, None]
-        return each.sum() / jnp.maximum(sample.weight.sum() * max(told.shape[1], 1), 1.0)
+    def error(predicted: jax.Array, true: jax.Array) -> jax.Array:
+        each = jnp.square(predicted - true) * sample.weight[:, None]
+        return each.sum() / jnp.maximum(sample.weight.sum() * max(predicted.shape[1], 1), 1.0)
 
     of_action, of_objects = error(action, sample.action), error(objects, sample.objects)
     return of_action + of_objects, {"action_error": of_action, "object_error": of_objects * OBJECT_SCALE**2}

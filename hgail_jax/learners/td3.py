@@ -76,7 +76,7 @@ class TD3(Learner):
         "value_loss": "mean squared error of the critics",
         "policy_loss": "loss of the actor",
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
-        "discriminator_accuracy": "fraction of samples that the discriminator tells right",
+        "discriminator_accuracy": "fraction of samples that the discriminator classifies correctly",
     }
     hyperparameters: ClassVar[tuple[str, ...]] = OF_TD3
     without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")

@@ -19,7 +19,7 @@ _MOST_AT_ONCE = 512  # episodes side by side
 
 
 class Evaluation:
-    """Evaluates mean actions in a task's most accurate physics, as a run evaluates its seeds at its end.
+    """Evaluates mean actions in a task's reference physics, as a run evaluates its seeds at its end.
 
     Policies of one shape, as the seeds of a run are, share a compiled program. Each has `num_episodes` at least, a
     count from 1: whole roll-outs of equal size.

@@ -30,7 +30,7 @@ _EDGE = 8  # pixels around the last pose
 _INSET = 128  # pixels, edge of what a policy sees, twice as large as it is by default
 _TEXT_SIZE, _TEXT_COLOUR = 20, (35, 55, 85)
 _ZONE_COLOUR = (0.9, 0.1, 0.1, 0.25)  # of the ball within which a position is at the target
-_EDGE_COLOURS = {True: (0, 158, 115), False: (213, 94, 0)}  # green and red that the colour-blind tell apart
+_EDGE_COLOURS = {True: (0, 158, 115), False: (213, 94, 0)}  # green and red that the colour-blind distinguish
 
 
 def play(session: Session, episodes: int) -> Iterator[bool]:

@@ -20,8 +20,8 @@ EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 _REACH_SUBSTEPS = {"substeps": 4}
 _LARGE_BUFFER: dict[str, Any] = {"buffer_episodes": 16384, "final_learning_rate": 0.1}
 
-# Neither noise on target actions nor many random ones: where a hit or a grasp must be exact, the critics have to tell
-# such actions from those beside them (docs/lab/off-policy.md).
+# Neither noise on target actions nor many random ones: where a hit or a grasp must be exact, the critics must
+# distinguish such actions from those beside them (docs/lab/off-policy.md).
 _EXACT: dict[str, Any] = {"target_noise": 0.0, "epsilon": 0.1}
 
 # Sixteen rounds are enough on a CPU (grasp-hgail-cpu-8: .995, worst .975), with a BC weight of 1. On a GPU runs of
@@ -162,7 +162,7 @@ DEFAULTS: dict[str, dict[str, dict[str, Preset]]] = {
         # Places that the puck only passes count as achieved: at rest alone fewer targets are hit. Batches of 2,048 and
         # solved samples at .3, most of which are of a puck that lies still, are ahead by .01 to .03 each. The puck
         # only has to come to rest within 5 cm: positives from all of that are ahead of those from half of it (.90 and
-        # .86 after 3.5 M steps), and negatives under goals pursued of those of their own episode (.905 and .880).
+        # .86 after 3.5 M steps), and negatives under goals pursued in the same episode (.905 and .880).
         "td3": td3(
             {
                 # one seed: three layers and as many environments as on a GPU end at .80, two layers and 64 environments
@@ -226,7 +226,7 @@ def default_learner(task_class: type[GoalEnv]) -> str:
 
 
 def platform_name() -> str:
-    """Returns the kind of device that JAX runs on, as defaults tell platforms apart: `"cpu"` or `"gpu"`."""
+    """Returns the kind of device that JAX runs on, as defaults distinguish platforms: `"cpu"` or `"gpu"`."""
     return "cpu" if jax.default_backend() == "cpu" else "gpu"
 
 
@@ -243,7 +243,7 @@ def task_preset(
 
     Args:
       task_class: the task; one that is not in `DEFAULTS` has those of the class it extends, or `SHARED`
-        (with a scene `SHARED_WITH_SCENE`) with the changes of its own `training`.
+        (with a scene `SHARED_WITH_SCENE`) with the changes of its `training`.
       platform: `"cpu"` or `"gpu"`.
       preset: a name in `PRESETS`.
       learner: a name in `hgail_jax.LEARNERS`.
@@ -293,7 +293,7 @@ def _training(task_class: type[GoalEnv]) -> Mapping[str, Mapping[str, TrainingDe
 
 
 def _name(task_class: type[GoalEnv]) -> str | None:
-    """Returns the task of the package that a class is, or extends without a `training` of its own; else None."""
+    """Returns the task of the package that a class is, or extends without its own `training`; else None."""
     names = {place: name for name, place in TASKS.items()}
     for base in task_class.__mro__:
         if (name := names.get(f"{base.__module__}:{base.__qualname__}")) in DEFAULTS:

@@ -1,4 +1,4 @@
-"""The teacher of a student: the options of its own training, and the best of its seeds."""
+"""The teacher of a student: the options of the teacher's training, and the best of its seeds."""
 
 import json
 from pathlib import Path

@@ -34,11 +34,11 @@ class CameraPolicy:
     size: int
     """Edge of the square pictures, pixels."""
     mean: np.ndarray = dataclasses.field(repr=False)
-    """Mean of the numbers that it is told, `[numbers]`, for normalisation."""
+    """Mean of the numbers that it takes, `[numbers]`, for normalisation."""
     std: np.ndarray = dataclasses.field(repr=False)
     """Their standard deviation, `[numbers]`."""
     centre: np.ndarray = dataclasses.field(repr=False)
-    """Mean positions of the objects and of a marker that it sees, `[3 objects]`, metres, from which it tells theirs."""
+    """Mean positions of the objects and of a marker that it sees, `[3 objects]`, metres; it predicts offsets."""
     eyes: Eyes = dataclasses.field(repr=False)
     """Its network."""
     versions: dict[str, str | None] = dataclasses.field(default_factory=dict)
@@ -98,7 +98,7 @@ class CameraPolicy:
         if pictures.dtype != np.uint8:
             raise ValueError(f"pictures are {pictures.dtype}; they must be uint8, from 0 to 255")
         if np.shape(numbers)[-1:] != self.mean.shape:
-            raise ValueError(f"the policy is told {self.mean.size} numbers beside the pictures")
+            raise ValueError(f"the policy takes {self.mean.size} numbers beside the pictures")
         flat = np.reshape(pictures, (-1, *self.pictures_shape)), np.reshape(numbers, (-1, self.mean.size))
         action = act(self.parameters(), *flat)
         return np.asarray(action).reshape(*np.shape(numbers)[:-1], self.action_size)

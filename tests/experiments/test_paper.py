@@ -109,7 +109,7 @@ def table3(made_once, tmp_path):
     return shutil.copytree(made_once, tmp_path / "paper")
 
 
-def test_a_study_by_real_training_and_that_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+def test_a_study_by_real_training_resumes_where_it_was_stopped(tmp_path, monkeypatch):
     study, prepared, compiled = BY_NAME["rewards"], [], []
     settings = tuple(dataclasses.replace(setting, steps=1) for setting in study.settings[:4])  # one program
     compile_program = Program.compile
@@ -131,7 +131,7 @@ def test_a_study_by_real_training_and_that_it_goes_on_where_it_was_stopped(tmp_p
         assert (row["diverged_seeds"], row["program"]["settings"], row["identity"]["seeds"]) == (0, 4, [0, 1])
         assert row["curves"]["env_steps"][-1] == row["env_steps_per_seed"]
         assert len(row["curves"]["rounds"]) == len(row["curves"]["success"]) == 2
-    # r4 is r3 by algebra, so nothing but rounding may tell them apart before many updates have been made
+    # r4 is r3 by algebra, so nothing but rounding may separate them before many updates have been made
     assert rows[2]["curves"]["distance_l1"][1][0] == pytest.approx(rows[3]["curves"]["distance_l1"][1][0], rel=0.05)
 
     (planned,) = paper.plan(paper.Options(quick=True, figure=(7,)), "cpu")

@@ -84,7 +84,7 @@ def test_sizes_follow_from_layouts_and_layouts_from_sizes():
             goal_size, goal_layout = 3, GOAL
 
 
-def test_a_task_of_one_s_own_names_its_numbers():
+def test_a_user_s_task_names_its_numbers():
     hgail_envs.check_task(Flagged())
     described = describe(f"{__name__}:Flagged")
     assert [number.name for number in described.goal.numbers] == ["hold", "target x", "target y", "target z", "leave"]

@@ -41,7 +41,7 @@ def test_bad_tasks_are_refused(task, options, message):
         hgail_envs.make(task, **options)
 
 
-def test_a_task_of_one_s_own_is_found_by_its_path():
+def test_a_user_s_task_is_found_by_its_path():
     assert hgail_envs.make("hgail_envs.point:Point").episode_length == 50
 
 

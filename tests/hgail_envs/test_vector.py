@@ -94,7 +94,7 @@ def test_an_episode_is_the_task_s():
         np.testing.assert_array_equal(reward, [state.reward for state in states])
 
 
-def test_episodes_differ_and_a_reset_goes_on():
+def test_episodes_differ_and_a_reset_continues_them():
     vector = GoalVectorEnv(TASK, NUM_ENVS)
     goals = [vector.reset(seed=1)[0], vector.reset()[0], vector.reset(seed=1)[0], vector.reset()[0]]
     first, second, again, later = (goal["desired_goal"] for goal in goals)
@@ -214,7 +214,7 @@ def test_actions_are_finite_numbers(action):
 
 
 @pytest.mark.parametrize("duplicate", [lambda value: pickle.loads(pickle.dumps(value)), copy.deepcopy])
-def test_a_pickled_or_copied_one_goes_on_within_the_episode_by_itself(duplicate):
+def test_a_pickled_or_copied_one_continues_within_the_episode_by_itself(duplicate):
     ours, action = GoalVectorEnv(Point(), NUM_ENVS), np.ones((NUM_ENVS, 3))
     assert duplicate(ours).num_envs == NUM_ENVS  # before it is reset
     ours.reset(seed=7)

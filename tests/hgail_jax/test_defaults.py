@@ -118,7 +118,7 @@ class InScene(Moved):
 
 
 @pytest.mark.parametrize("platform", ["cpu", "gpu"])
-def test_a_task_of_one_s_own_is_trained_by_td3_and_with_a_scene_as_push_is(platform):
+def test_a_user_s_task_is_trained_by_td3_and_with_a_scene_as_push_is(platform):
     for task in (Moved, InScene):
         assert default_learner(task) == "td3"
     found = task_preset(InScene, platform, learner="td3")

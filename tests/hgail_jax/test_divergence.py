@@ -1,4 +1,4 @@
-"""An update that is not finite is undone and counted; the other seeds, and the run, go on."""
+"""An update that is not finite is undone and counted; the other seeds, and the run, continue."""
 
 import dataclasses
 import json
@@ -66,7 +66,7 @@ def test_what_can_be_learnt_in_a_round_that_diverges_is_learnt(step_of_two):
 
 
 def test_each_try_has_data_of_its_own(step_of_two):
-    """So that who diverged by bad luck can go on: the key is not undone."""
+    """The key is not undone, so that a seed that diverged by bad luck can continue."""
     states = start(SOUND, DIVERGES)
     keys = np.asarray(jax.random.key_data(states.rng))
     after, _ = step_of_two(states, row(POLICY))
@@ -106,7 +106,7 @@ def program(*settings):
     return Program(ENV, TINY, settings, seeds=1, first_seed=3)
 
 
-def test_a_training_goes_on_with_those_that_do_not_diverge_and_names_those_that_do(step_of_two):
+def test_a_training_continues_with_those_that_do_not_diverge_and_names_those_that_do(step_of_two):
     mixed = program(SOUND, DIVERGES)
     progress = begin(mixed, mixed.init())
     train(mixed, step_of_two, progress)

@@ -98,7 +98,7 @@ def test_a_method_learns_to_go_straight_to_any_goal(method, rounds, bc_batch):
 
 
 def test_hindsight_is_what_teaches():
-    """HGAIL without hindsight, and with all else that it has, goes on as it began."""
+    """HGAIL without hindsight, and with all else that it has, does not improve."""
     episodes, metrics = learn("hgail-no", Short(), 8, 64)
     assert METHODS["hgail-no"].apply(PRESETS["parallel"]).config == METHODS["hgail"].apply(PRESETS["parallel"]).config
     assert episodes.outcome.success.mean() < 0.2

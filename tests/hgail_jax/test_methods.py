@@ -200,11 +200,11 @@ def test_on_policy_methods_change_what_they_differ_in_and_nothing_else():
 
 
 class HeavyPush(Push):
-    """A task of one's own that extends one of the package's, and so has its settings."""
+    """A user's task that extends one of the package's, and so has its settings."""
 
 
 class OwnSizes(Push):
-    """One with settings of its own, for PPO alone."""
+    """One with its own settings, for PPO alone."""
 
     training: ClassVar = {"ppo": {"cpu": TrainingDefaults({"num_envs": 8})}}
 

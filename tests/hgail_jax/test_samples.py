@@ -373,7 +373,7 @@ def test_demonstrations_are_given_where_they_are_asked_for_and_nowhere_else():
 
 
 class Breaking(Line):
-    """The line; it breaks down beyond 40 and overflows beyond 30, and its lift test goes on with half the action."""
+    """The line; it breaks down beyond 40 and overflows beyond 30, and its lift test continues with half the action."""
 
     lift_test_steps = 2
 

@@ -54,7 +54,7 @@ def wait_for(terminal, frame):
     raise AssertionError(f"{frame!r} never came: {terminal.frames()[-3:]}")
 
 
-def test_a_run_goes_on_where_nobody_reads_its_log_any_more():
+def test_a_run_continues_where_nobody_reads_its_log_any_more():
     reading, writing = os.pipe()
     with open(writing, "w") as log, StatusLine("round 0/2", log) as line:
         assert os.read(reading, 100) == b"round 0/2 ...\n"
@@ -134,7 +134,7 @@ def test_the_time_left_is_estimated_from_the_rounds_that_are_alike(timed, capsys
     assert [line.partition("elapsed")[2] for line in lines] == ["", ", 00:20 left", ", 00:10 left", ", 00:00 left"]
 
 
-def test_the_time_left_of_a_training_that_goes_on_is_estimated_from_its_first_round(timed, capsys):
+def test_the_time_left_of_a_resumed_training_is_estimated_from_its_first_round(timed, capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=4), (Hyperparameters(),), 2)
     progress, step = start(program), timed(steps_of(*[measured([0.25, 0.75], [0.1, 0.2])] * 5), first=1.0)
     stop = threading.Event()
@@ -153,7 +153,7 @@ def test_a_round_without_steps_shows_no_rate_and_no_time(capsys):
     assert re.fullmatch(r"round 1/1, success 0\.500, \S+ env steps/s, \d\d:\d\d elapsed, \d\d:\d\d left", one)
 
 
-def test_a_training_that_goes_on_counts_on_and_one_that_is_through_says_nothing(capsys):
+def test_a_resumed_training_counts_on_and_a_finished_one_says_nothing(capsys):
     program = Program(hgail_envs.make("point"), TINY.replace(rounds=3), (Hyperparameters(),), 2)
     progress, stop, rounds = start(program), threading.Event(), [measured([0.25, 0.75], [0.1, 0.2])] * 2
 

@@ -305,7 +305,7 @@ def test_a_phase_tells_the_fraction_of_environments_without_room_for_contacts_or
 
 
 class Fragile(Telling):
-    """It breaks down in the episodes whose goal is beyond the middle; in its accurate physics, others begin 10 on."""
+    """It breaks down in the episodes whose goal is beyond the middle; in its reference physics, others begin 10 on."""
 
     shift = 0.0
 

@@ -40,7 +40,7 @@ class Control(struct.PyTreeNode):
     """`[nu]`: controls of the actuators."""
     model: Mapping[str, jax.Array] | None = None
     """Fields of the model that this environment replaces, whole arrays by their names in `mujoco.MjModel`. Quantities
-    that MuJoCo derives from a field at compilation, such as inverse weights, are fields of their own."""
+    that MuJoCo derives from a field at compilation, such as inverse weights, are separate fields."""
 
 
 class Engine(abc.ABC):

@@ -72,7 +72,7 @@ class HostRollout:
 
     def __init__(self, model: mujoco.MjModel, substeps: int, threads: int) -> None:
         self._model, self._substeps, self._threads = model, substeps, threads
-        self._lock = threading.Lock()  # several devices of a process call from threads of their own
+        self._lock = threading.Lock()  # several devices of a process call from separate threads
         self._pool: rollout.Rollout | None = None
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
         self._room = _Room(model, substeps, 0)

@@ -197,7 +197,7 @@ def _answer_calls(function: HostFunction) -> Generator[int | None, Any, None]:
 
 
 def _call(function: HostFunction, pointer: Any) -> None:
-    """Calls the function with a frame's arguments and writes its results there, or tells XLA the version."""
+    """Calls the function with a frame's arguments and writes its results there, or gives XLA the version."""
     frame = pointer.contents
     extension = frame.extension_start
     if extension and extension.contents.kind == _METADATA:
@@ -209,7 +209,7 @@ def _call(function: HostFunction, pointer: Any) -> None:
 
 
 def _describe(metadata: _Metadata, api: _Api) -> None:
-    """Tells XLA the version that the function was written for, and keeps XLA's functions to make errors."""
+    """Gives XLA the version that the function was written for, and keeps XLA's functions to make errors."""
     global _api
     _api = api
     metadata.version.major = _MAJOR_VERSION

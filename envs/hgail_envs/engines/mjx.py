@@ -76,7 +76,7 @@ class MjxEngine(Engine):
         if fields is None:
             return self.mjx_model
         self._check_fields(self.mjx_model, fields)
-        own = {name: getattr(self.mjx_model, name) for name in fields}  # each implementation has shapes of its own
+        own = {name: getattr(self.mjx_model, name) for name in fields}  # shapes differ between implementations
         return self.mjx_model.tree_replace(
             {name: values.reshape(own[name].shape).astype(own[name].dtype) for name, values in fields.items()}
         )

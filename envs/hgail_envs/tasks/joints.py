@@ -32,7 +32,7 @@ class JointEnv(ObjectEnv):
     site. Between the world and the site there are slides and hinges alone, of which the others keep their start.
 
     A task sets `object_name`, which is the joint's, `object_site`, `object_title`, `joint_targets`, the scene, and
-    `features_layout`, which begins with those of the gripper and of that title.
+    `features_layout`, which begins with the gripper's quantities and the object's.
     """
 
     object_site: str

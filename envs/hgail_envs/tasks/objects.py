@@ -65,12 +65,12 @@ class ObjectEnv(ArmEnv):
     success is that of its last step. Distances are between object and goal.
 
     In half the training episodes the goals are waypoints of the gripper near the object, another one every 12 steps,
-    unless a task has a `plan_goals` and a `current_goal` of its own.
+    unless a task overrides `plan_goals` and `current_goal`.
 
     Kinds of goals, see `goal_kind`: the gripper's, the object's on the table, the object's elsewhere.
 
     A task sets `object_name`, `object_title`, `object_range`, `target_range` and `target_offset`, the scene, and
-    `features_layout`, which begins with those of the gripper and of that title. The `observation` is `"compact"`, or
+    `features_layout`, which begins with the gripper's quantities and the object's. The `observation` is `"compact"`, or
     `"official"` for the reference's 25 numbers, see `hgail_envs.tasks.layouts.official`; with these the task has no
     controllers. See `ArmEnv` for the other arguments.
     """

@@ -17,7 +17,7 @@ HIGHEST = 0.45
 """Largest height of a goal in the air above the goals on the table, metres."""
 
 _RELAYS, _ELSEWHERE = 0.5, 0.125  # fractions of the training episodes
-_PADS = 2  # whose touch of the cube the scene's first sensors tell
+_PADS = 2  # whose touch of the cube the scene's first sensors measure
 
 
 class PickAndPlacePlan(struct.PyTreeNode):

@@ -95,7 +95,7 @@ class CameraEnv(Wrapper):
 
 
 def known_numbers(task: GoalEnv, target: str) -> np.ndarray:
-    """Returns the places in a task's observation of what a policy with pictures is told: the robot's own numbers.
+    """Returns indices of the numbers in a task's observation that a policy with pictures observes: the robot's own.
 
     The goal's follow them, unless the `target` is `"seen"` instead.
     """

@@ -44,7 +44,7 @@ LOOKS = {
     # of what is between them. The light of a room differs by a third from hour to hour. A light that turns by .4 of
     # its length along each axis does so by up to 43 degrees. A camera on a stand is put back to a centimetre and to a
     # degree, and its field of view known to 2 %. A lamp casts shadows and an overcast sky does not: a student that
-    # had seen none told the place of push's cube to 1.2 cm without them, and to 2.7 cm with them.
+    # had seen none predicted the position of push's cube to 1.2 cm without them, and to 2.7 cm with them.
     "varied": _VARIED,
     "shadowless": dataclasses.replace(_VARIED, shadows=0.0),
     # A room is not empty.
@@ -84,7 +84,7 @@ def _shapes(model: mujoco.MjModel) -> dict[str, tuple[int, ...]]:
 
 
 def split_draws(model: mujoco.MjModel, draws: Any) -> dict[str, Any]:
-    """Returns the draws, `[..., draws_of(model)]`, by what they vary, each `[...]` and the shape of its own."""
+    """Returns the draws, `[..., draws_of(model)]`, by what they vary, each `[...]` and its own shape."""
     ends = np.cumsum([int(np.prod(shape)) for shape in _shapes(model).values()])
     return {
         name: draws[..., end - int(np.prod(shape)) : end].reshape(*draws.shape[:-1], *shape)

@@ -26,7 +26,7 @@ def open_renderer(model: mujoco.MjModel, height: int, width: int) -> "mujoco.Ren
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # GLFW warns of a display that does not answer, then the renderer fails
             return renderer.Renderer(model, height, width)
-    except Exception as error:  # whatever the GL backend raises; each has exceptions of its own
+    except Exception as error:  # each GL backend raises other exceptions
         display, chosen = os.environ.get("DISPLAY"), os.environ.get("MUJOCO_GL")
         if chosen and chosen.strip().lower() not in _BACKENDS:
             reason = f": MUJOCO_GL is {chosen!r}; choose from {', '.join(_BACKENDS)}"

@@ -59,7 +59,7 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
         (["--goal-source", "camera", "--noise", "0.01"], "--noise and --offset are of the exact goal"),
         (
             ["--goal-source", "camera", "--task", "push"],
-            "cameras cannot tell the target of 'push'; they can of reach, g",
+            "cameras cannot see the target of 'push'; they can of reach, g",
         ),
         (["--table", "4", "--goal-source", "none"], "none"),
         (["--sweep", "--out", "/dev/null"], "cannot make the folder /dev/null"),
@@ -198,7 +198,7 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
         ),
         (
             ["--sweep", "--task", "reach", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
-            {"transfer-sweep.json", "transfer-sweep-gymnasium-reach.png"},
+            {"transfer-sweep.json", "transfer-sweep-gymnasium.png"},
         ),
         (["--pictures"], {"transfer-gymnasium.png"}),
     ],

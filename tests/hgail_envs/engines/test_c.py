@@ -156,7 +156,7 @@ def test_a_breakdown_is_seen_however_many_steps_an_action_has(substeps):
 
 
 def test_a_full_arena_is_not_a_number():
-    """MuJoCo warns that it left contacts out and goes on; what comes of it is no simulation of the scene."""
+    """MuJoCo warns that it left contacts out and continues; what comes of it is no simulation of the scene."""
     boxes = "".join(
         f'<body pos="{0.3 * index} 0 .09"><freejoint/><geom type="box" size=".1 .1 .1"/></body>' for index in range(6)
     )

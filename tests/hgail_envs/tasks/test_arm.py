@@ -61,7 +61,7 @@ def test_what_is_seen_of_the_gripper_is_where_mujoco_has_it():
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])
 def test_a_simulation_that_broke_down_does_not_come_back(task):
-    """C MuJoCo would start it anew, and the episode would go on as if nothing had happened."""
+    """C MuJoCo would start it anew, and the episode would continue as if nothing had happened."""
     env = hgail_envs.make(task)
     state = env.reset(jax.random.key(0))
     physics = state.pipeline_state

@@ -246,7 +246,7 @@ def test_half_the_episodes_of_pick_and_place_to_learn_from_are_relays(tasks, sta
 
 
 @pytest.mark.parametrize(("apart", "at_cube"), [(0.039, True), (0.041, False)])
-def test_a_relay_goes_on_where_the_gripper_is_at_the_cube(apart, at_cube, tasks, starts):
+def test_a_relay_advances_where_the_gripper_is_at_the_cube(apart, at_cube, tasks, starts):
     env, state = tasks["pick-and-place"], starts["pick-and-place"][1]
     index = int(np.flatnonzero(state.info["plan"].relay)[0])
     physics, plan = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), (state.pipeline_state, state.info["plan"]))

@@ -254,7 +254,7 @@ def test_an_eighth_of_the_training_goals_is_elsewhere_and_half_are_relays(starts
         ({"a": (0.03, 0.0, 0.06), "b": (0.04, 0.0, 0.0), "rise": 0.06}, [1.34, 0.7, 0.475, 1, 0, 0]),  # B where it is
     ],
 )
-def test_a_relay_goes_on_by_the_state(changes, goal):
+def test_a_relay_follows_the_state(changes, goal):
     state = made(**changes)
     plan = state.info["plan"].replace(relay=jnp.asarray(True))
     for step in (0, 99):

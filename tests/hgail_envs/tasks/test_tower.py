@@ -482,7 +482,7 @@ AWAY = shifted(TOP, (0.1, 0.1, -0.1))  # the top cube still lies on the table
         ({"cubes": shifted(MIDDLE, (0.02, 0, 0)), "placed": True}, [1.32, 0.7, 0.525, 1, 0, 0, 1]),
     ],
 )
-def test_a_relay_goes_on_by_the_state(changes, goal):
+def test_a_relay_follows_the_state(changes, goal):
     state = made(**({"placed": False} | changes))
     plan = state.info["plan"].replace(relay=jnp.asarray(True))
     for step in (0, 199):

@@ -183,8 +183,8 @@ def test_where_mujoco_cannot_render_commands_say_so_in_one_line(command, words, 
 @pytest.mark.parametrize(
     ("goal_size", "task", "message"),
     [
-        (4, "stack", "the policy is told 10 numbers; in stack there are 13"),
-        (0, "reach", "the policy tells the objects' places in 6 numbers; in reach there are 3"),
+        (4, "stack", "the policy takes 10 numbers; in stack there are 13"),
+        (0, "reach", "the policy predicts the objects' positions in 6 numbers; in reach there are 3"),
         (4, "point", "the task has no scene that a camera could see"),
     ],
 )

@@ -247,7 +247,7 @@ class Near(Reach):
 """
 
 
-def test_a_task_of_one_s_own_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
+def test_a_user_s_task_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
     monkeypatch.syspath_prepend(in_folder)
     monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))
     (in_folder / "my_reach.py").write_text(REACH_OF_ONE_S_OWN)

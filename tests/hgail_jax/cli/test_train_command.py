@@ -396,7 +396,7 @@ class Greedy(Point):
         ("Greedy", "Greedy.training['ppo']['cpu'] is not TrainingDefaults of fields that there are"),
     ],
 )
-def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_folder, capsys, monkeypatch, name, message):
+def test_a_mistake_in_a_user_s_task_is_one_line_and_writes_nothing(in_folder, capsys, monkeypatch, name, message):
     Path("mistaken.py").write_text(TASK_WITH_A_MISTAKE)
     monkeypatch.syspath_prepend(str(in_folder))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -410,7 +410,7 @@ def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_fold
 
 
 @pytest.mark.parametrize(
-    ("words", "goes_on"),
+    ("words", "resumed"),
     [
         ([], ["--resume", "my run"]),
         (["--seeds", "2", "--out", "my run", "--no-pretrain"], ["--seeds", "2", "--no-pretrain", "--resume", "my run"]),
@@ -422,18 +422,18 @@ def test_a_mistake_in_a_task_of_one_s_own_is_one_line_and_writes_nothing(in_fold
         (["--resume=auto"], ["--resume", "my run"]),
     ],
 )
-def test_a_run_goes_on_by_its_own_command_line(words, goes_on, monkeypatch):
+def test_a_run_resumes_by_its_own_command_line(words, resumed, monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: str(Path(sys.executable).with_name(name)))
     said, command = run._resume_hint(words, Path("my run")).split(": ")
     assert said == "resume with"
-    assert shlex.split(command) == ["hgail", "train", *goes_on]
+    assert shlex.split(command) == ["hgail", "train", *resumed]
 
 
 @pytest.mark.parametrize("found", [None, "/usr/bin/hgail"])
 @pytest.mark.parametrize(
     ("executable", "program"), [("venv/bin/python", "venv/bin/hgail"), ("usr/bin/python", "hgail")]
 )
-def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
+def test_a_run_of_an_environment_that_is_not_activated_resumes_by_its_command(
     in_folder, monkeypatch, executable, program, found
 ):
     (in_folder / "venv" / "bin").mkdir(parents=True)
@@ -447,7 +447,7 @@ def test_a_run_of_an_environment_that_is_not_activated_goes_on_by_its_command(
     ("saved", "said"),
     [
         (None, "stopped before round 0"),
-        (1, "stopped after round 0 of 4"),  # as of a run that went on, while its program is compiled
+        (1, "stopped after round 0 of 4"),  # as of a resumed run, while its program is compiled
         (5, "stopped after round 4 of 4"),  # as in the final evaluation
     ],
 )

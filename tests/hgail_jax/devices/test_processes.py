@@ -107,7 +107,7 @@ def test_two_processes_train_reach_in_c_mujoco_as_one_does(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [0, 1])
-def test_where_a_process_of_slurm_s_is_killed_the_other_ends_and_the_run_goes_on_alone(tmp_path, killed):
+def test_where_a_process_of_slurm_s_is_killed_the_other_ends_and_the_run_continues_alone(tmp_path, killed):
     folder, rounds, heartbeat = tmp_path / "run", 30, 10
     options = ["--distributed", "auto", "--heartbeat-timeout", str(heartbeat)]
     pair = [start(folder, *options, rounds=rounds, variables=slurm(process)) for process in range(2)]

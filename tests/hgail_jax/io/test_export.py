@@ -118,7 +118,7 @@ def test_a_policy_of_another_task_is_written_without_its_code(shipped_policy, tm
     assert "control_period" not in metadata
 
 
-def test_a_task_of_one_s_own_names_its_numbers_if_its_code_may_be_run(shipped_policy, tmp_path):
+def test_a_user_s_task_names_its_numbers_if_its_code_may_be_run(shipped_policy, tmp_path):
     policy = dataclasses.replace(load_policy(shipped_policy), task="hgail_envs.tasks.reach:Reach")
     for trusted, name in ((False, "goal 0"), (True, "target position x")):
         _, metadata = exported(policy, tmp_path / f"{trusted}.onnx", trusted=trusted)

@@ -30,7 +30,7 @@ def idle(env):
 
 
 def finish(session):
-    """Goes on to the end of the episode; returns how many actions it took."""
+    """Continues to the end of the episode; returns how many actions it took."""
     episodes, steps = session.status.episodes, 0
     while session.status.episodes == episodes:
         session.step()

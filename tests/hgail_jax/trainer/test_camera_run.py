@@ -152,7 +152,7 @@ def test_other_pictures_and_numbers_are_refused(trained):
     for wrong, message in (
         ((pictures[:, :8], numbers), r"shape \(1, 8, 16, 3\); the policy sees \(1, 16, 16, 3\): above, 16 x 16"),
         ((pictures / 255.0, numbers), "pictures are float64; they must be uint8, from 0 to 255"),
-        ((pictures, numbers[1:]), "the policy is told 10 numbers beside the pictures"),
+        ((pictures, numbers[1:]), "the policy takes 10 numbers beside the pictures"),
     ):
         with pytest.raises(ValueError, match=message):
             policy(*wrong)

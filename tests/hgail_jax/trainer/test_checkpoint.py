@@ -72,7 +72,7 @@ def test_the_last_ones_and_the_best_are_kept(tmp_path):
     scores = [(0.5, 0.0), (0.9, -2.0), (0.9, -1.0), (0.1, 0.0), (0.2, 0.0), (0.3, 0.0), (0.4, 0.0)]
     save_small(tmp_path, 7, scores)
     assert kept(tmp_path) == [3, 5, 6, 7]
-    checkpoints = Checkpoints(tmp_path, RUN)  # the best is still known to a run that goes on
+    checkpoints = Checkpoints(tmp_path, RUN)  # the best is still known to a resumed run
     checkpoints.restore(small_state())
     with checkpoints:
         checkpoints.save(8, small_state(8), {}, (0.0, 0.0))
@@ -264,7 +264,7 @@ def test_a_full_disk_is_an_error_in_one_line_and_leaves_nothing(forks):
     assert not list((ended.folder / "checkpoints").iterdir())
 
 
-def test_a_run_goes_on_once_a_full_disk_has_room(tmp_path):
+def test_a_run_resumes_once_a_full_disk_has_room(tmp_path):
     save_small(tmp_path, 1)
     checkpoints = Checkpoints(tmp_path, RUN)
     checkpoints.restore(small_state())

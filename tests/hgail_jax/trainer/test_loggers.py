@@ -88,7 +88,7 @@ def wandb_history(folder):
     from wandb.proto.wandb_internal_pb2 import Record
 
     runs = {}
-    # A run that goes on within a second has the first folder's name, and "-1".
+    # A run that is resumed within a second has the first folder's name, and "-1".
     for path in sorted(glob.glob(f"{folder}/wandb/offline-run-*/run-*.wandb"), key=os.path.dirname):
         rows = runs.setdefault(Path(path).stem.removeprefix("run-"), [])
         for data in blocks(path):
@@ -154,7 +154,7 @@ def test_dashboards_have_all_of_the_table_and_more():
 
 
 @pytest.mark.parametrize("stopped", ["by an event", "killed"])
-def test_a_run_that_goes_on_goes_on_in_the_same_log(monkeypatch, stopped):
+def test_a_resumed_run_continues_in_the_same_log(monkeypatch, stopped):
     one_second = types.SimpleNamespace(**vars(time) | {"time": lambda: 1.7e9})
     monkeypatch.setattr(tensorboardX.event_file_writer, "time", one_second)  # which names the files
     options = {"logger": "csv,tensorboard,wandb", "checkpoint_every": 2}

@@ -37,7 +37,7 @@ def resume(level, capsys):
     return capsys.readouterr().err
 
 
-def test_a_randomised_run_says_so_and_goes_on_as_such_alone(capsys):
+def test_a_randomised_run_says_so_and_resumes_as_such_alone(capsys):
     run.main([*SIZES, "--randomize", "small"])
     assert "nominal: success" in capsys.readouterr().out
     config, summary = (json.loads((Path("run") / f"{name}.json").read_text()) for name in ("config", "summary"))

@@ -1,4 +1,4 @@
-"""Runs that are stopped, killed or broken, and go on as if nothing had happened."""
+"""Runs that are stopped, killed or broken, and resume as if nothing had happened."""
 
 import csv
 import hashlib
@@ -143,7 +143,7 @@ def test_a_round_that_was_measured_but_not_saved_is_in_the_table_once(tmp_path, 
     assert saved_in(Path("run")) == [3, 4, 5]
 
 
-def test_a_run_stopped_by_a_signal_saves_and_goes_on(tmp_path, monkeypatch, capsys, whole):
+def test_a_run_stopped_by_a_signal_saves_and_resumes(tmp_path, monkeypatch, capsys, whole):
     def terminate(result):
         os.kill(os.getpid(), signal.SIGTERM)
         while "SIGTERM" not in sys.stderr.getvalue():  # for the main thread

@@ -153,7 +153,7 @@ def test_results_name_seeds_and_task_options(tmp_path):
     assert load_policy(tmp_path / "policies" / "seed-6.npz").task_options == {"radius": 0.1}
 
 
-def test_a_training_that_an_event_stops_goes_on_in_another_trainer_to_the_same_bits(trained):
+def test_a_training_that_an_event_stops_resumes_in_another_trainer_to_the_same_bits(trained):
     whole, *_ = trained
     stopped = Trainer(SMALL, out="stopped")
     assert stopped.train(After(3)) is None
