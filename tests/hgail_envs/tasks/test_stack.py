@@ -1,98 +1,48 @@
 """Stacking: its goals against plain NumPy, its strict success against states of C MuJoCo made by hand."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
-from scipy.stats import ks_2samp, kstest, uniform
+from scipy.stats import ks_2samp
 
 import hgail_envs
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.play.recording import run_controller
-from hgail_jax.rollout import rollout
+from tests.hgail_envs.tasks.cubes import (
+    MANY,
+    CubeScene,
+    check_goals_elsewhere,
+    check_that_features_suffice_to_test_goals,
+    explored,
+    is_in_place,
+)
 
-ENV = hgail_envs.make("stack", impl="c", substeps=8)
-MODEL = ENV.model
-A, B = (int(MODEL.joint(name).qposadr[0]) for name in ("cube_a", "cube_b"))
-A_VELOCITY, B_VELOCITY = (int(MODEL.joint(name).dofadr[0]) for name in ("cube_a", "cube_b"))
-FINGERS = [int(MODEL.joint(f"{side}_finger").qposadr[0]) for side in ("right", "left")]
-MANY = 3000
+SCENE = CubeScene("stack")
+ENV, MODEL, FINGERS = SCENE.env, SCENE.model, SCENE.fingers
+A, B = SCENE.cubes
 PLACE = np.array([1.3, 0.7, 0.425])  # where cube B started, centre
 GOAL = np.array([*PLACE[:2], 0.475, 1, 0, 1], np.float32)
-UPRIGHT = [1.0, 0.0, 0.0, 0.0]
-STEP, OUTCOME, PUT = jax.jit(ENV.step), jax.jit(ENV.outcome), jax.jit(ENV.place)
-ADVANCE = jax.jit(lambda start, physics, plan: ENV._advance(start, physics, plan, start.info["step"]))
-
-
-@functools.cache
-def begun():
-    """Returns the start of an episode."""
-    return jax.jit(ENV.reset)(jax.random.key(0))
-
-
-@functools.cache
-def arm(rise):
-    """Returns the joints of an arm at rest whose gripper is `rise` above the place of cube A on cube B."""
-    start = ENV.robot.settle().site("grip").xpos
-    return ENV.robot.settle(offset=np.add(GOAL[:3], [0.0, 0.0, rise]) - start).qpos.copy()
 
 
 def made(a=(0.0, 0.0, 0.0), b=(0.0, 0.0, 0.0), rise=0.12, gap=0.1, velocity=(0.0,) * 6, b_velocity=0.0):
     """Returns a state made by hand: cube A and cube B so far from their places in the tower, metres."""
-    data = mujoco.MjData(MODEL)
-    data.qpos[:] = arm(rise)
-    data.qpos[FINGERS] = gap / 2
-    data.qpos[A : A + 7] = [*np.add(GOAL[:3], a) - [0, 0, 2e-4], *UPRIGHT]
-    data.qpos[B : B + 7] = [*np.add(PLACE, b), *UPRIGHT]
-    data.qvel[A_VELOCITY : A_VELOCITY + 6], data.qvel[B_VELOCITY] = velocity, b_velocity
-    mujoco.mj_forward(MODEL, data)
-    physics = PUT(data.qpos, data.qvel).replace(
-        sensordata=jnp.asarray(data.sensordata, jnp.float32),
-        object_start=jnp.array([1.2, 0.9, 0.425]),
-        b_start=jnp.asarray(PLACE, jnp.float32),
-    )
-    start = begun()
-    return ADVANCE(start, physics, start.info["plan"].replace(goal=jnp.asarray(GOAL), relay=jnp.asarray(False)))
-
-
-def outcome_of(state):
-    """Returns the outcome of an episode that ends in a state, with the test that the tower stands."""
-    action, later = jnp.full(4, -1.0), state
-    for _ in range(ENV.lift_test_steps):
-        action = ENV.lift_test_action(action)
-        later = STEP(later, action)
-    return OUTCOME(state, later)
-
-
-@pytest.fixture(scope="module")
-def starts():
-    reset = jax.jit(jax.vmap(ENV.reset, in_axes=(0, None)))
-    keys = jax.random.split(jax.random.key(0), MANY)
-    return [jax.tree.map(np.asarray, reset(keys, training_goals)) for training_goals in (False, True)]
+    places = [np.add(GOAL[:3], a) - [0, 0, 2e-4], np.add(PLACE, b)]
+    velocities = [velocity, [b_velocity, 0.0, 0.0, 0.0, 0.0, 0.0]]
+    data = SCENE.data(np.add(GOAL[:3], [0.0, 0.0, rise]), places, velocities, gap)
+    plan = SCENE.begun.info["plan"].replace(goal=jnp.asarray(GOAL), relay=jnp.asarray(False))
+    starts = {"object_start": jnp.array([1.2, 0.9, 0.425]), "b_start": jnp.asarray(PLACE, jnp.float32)}
+    return SCENE.state(data, plan, **starts)
 
 
 @pytest.mark.parametrize("aside", [(0.0, 0.0), (0.015, 0.0), (0.0, -0.015), (0.01, 0.01)])
 @pytest.mark.parametrize("substeps", [20, 8])
 def test_a_tower_stays_for_ten_seconds(aside, substeps):
-    model, data = ENV.model, mujoco.MjData(ENV.model)
-    data.qpos[:] = arm(0.12)
-    data.qpos[A : A + 7] = [*np.add(GOAL[:3], [*aside, 0.0]), *UPRIGHT]
-    data.qpos[B : B + 7] = [*PLACE, *UPRIGHT]
-    start, period = data.qpos.copy(), model.opt.timestep
-    mujoco.mj_forward(model, data)
-    data.mocap_pos[0], data.mocap_quat[0] = data.body("gripper").xpos, data.body("gripper").xquat
-    try:
-        model.opt.timestep = 0.04 / substeps
-        mujoco.mj_step(model, data, nstep=250 * substeps)
-    finally:
-        model.opt.timestep = period
-    for first in (A, B):
-        assert np.abs(data.qpos - start)[first : first + 3].max() < 2e-3
-        assert np.abs(data.qpos[first + 4 : first + 7]).max() < 0.01
+    data = SCENE.data(np.add(GOAL[:3], [0.0, 0.0, 0.12]), [np.add(GOAL[:3], [*aside, 0.0]), PLACE])
+    ends = np.abs(SCENE.after_ten_seconds(data, substeps))
+    assert ends[:, :3].max() < 2e-3
+    assert ends[:, 3:].max() < 0.01
 
 
 @pytest.mark.parametrize(
@@ -108,7 +58,7 @@ def test_a_tower_stays_for_ten_seconds(aside, substeps):
     ],
 )
 def test_a_tower_that_stands_alone_is_a_success(changes):
-    outcome = outcome_of(made(**changes))
+    outcome = SCENE.outcome_of(made(**changes))
     assert (outcome.success, outcome.achieved) == (1.0, 1.0)
     np.testing.assert_allclose(outcome.distance_l2, np.linalg.norm(changes.get("a", 0.0)), atol=3e-4)
 
@@ -134,7 +84,7 @@ VIOLATIONS = {
 @pytest.mark.parametrize("changes", VIOLATIONS.values(), ids=VIOLATIONS.keys())
 def test_a_single_violation_is_no_success(changes):
     """It is none at the end, whatever the test of the tower would set right: it opens the hand."""
-    outcome = outcome_of(made(**changes))
+    outcome = SCENE.outcome_of(made(**changes))
     assert (outcome.success, outcome.achieved) == (0.0, 0.0)
 
 
@@ -148,9 +98,9 @@ def test_a_single_violation_is_no_success(changes):
 )
 def test_a_tower_that_falls_in_the_test_is_achieved_and_no_success(changes):
     state = made(**changes)
-    outcome = outcome_of(state)
+    outcome = SCENE.outcome_of(state)
     assert (outcome.success, outcome.achieved) == (0.0, 1.0)
-    assert OUTCOME(state, state).success == 1.0  # without the test, as in training
+    assert SCENE.outcome(state, state).success == 1.0  # without the test, as in training
 
 
 def test_success_is_what_c_mujoco_s_contacts_and_positions_say():
@@ -159,28 +109,22 @@ def test_success_is_what_c_mujoco_s_contacts_and_positions_say():
     for _ in range(100):
         a, b = (rng.uniform(-1, 1, 3) * scale for scale in ([0.03, 0.01, 0.012], [0.03, 0.01, 0.0]))
         state = made(a=a, b=b, rise=rng.choice([0.045, 0.06, 0.12]), gap=rng.choice([0.075, 0.085, 0.1]))
-        data = mujoco.MjData(MODEL)
-        data.qpos[:] = state.pipeline_state.qpos
-        mujoco.mj_forward(MODEL, data)
+        data = SCENE.forward(state.pipeline_state)
         cubes = {MODEL.geom(name).id for name in ("cube_a", "cube_b")}
         touch = any(set(pair) == cubes for pair in data.contact.geom)
         place = np.add(data.body("cube_b").xpos, [0, 0, 0.05])
-        at = [
-            np.hypot(*(data.body("cube_a").xpos - target)[:2]) <= 0.025
-            and abs(data.body("cube_a").xpos[2] - target[2]) <= 0.01
-            for target in (place, GOAL[:3])
-        ]
+        at = is_in_place(data.body("cube_a").xpos - [place, GOAL[:3]])
         away = np.linalg.norm(data.site("grip").xpos - data.body("cube_a").xpos) >= 0.05
         is_open = data.qpos[FINGERS].sum() >= 0.08
-        found.append((all(at) and touch and away and is_open, bool(OUTCOME(state, state).achieved)))
+        found.append((all(at) and touch and away and is_open, bool(SCENE.outcome(state, state).achieved)))
     expected, ours = np.transpose(found)
     np.testing.assert_array_equal(ours, expected)
     assert 10 < expected.sum() < 90
 
 
-def test_starts_are_those_of_a_loop(starts):
+def test_starts_are_those_of_a_loop():
     """Of pick and place for cube A; cube B by rejection, one after another."""
-    physics, rng, loop = starts[0].pipeline_state, np.random.default_rng(0), []
+    physics, rng, loop = SCENE.starts[0].pipeline_state, np.random.default_rng(0), []
     while len(loop) < MANY:
         a = rng.uniform(-0.15, 0.15, 2)
         if np.hypot(*a) < 0.1:
@@ -211,8 +155,8 @@ def test_cubes_of_other_sizes_start_on_the_table():
         np.testing.assert_allclose(start[:, 2], height, atol=3e-4)
 
 
-def test_the_evaluation_s_goal_is_cube_a_left_on_cube_b_s_start(starts):
-    state = starts[0]
+def test_the_evaluation_s_goal_is_cube_a_left_on_cube_b_s_start():
+    state = SCENE.starts[0]
     start = state.pipeline_state.qpos[:, B : B + 3]
     expected = np.column_stack([np.add(start, [0, 0, 0.05]), np.tile([1, 0, 1], (MANY, 1))])
     np.testing.assert_allclose(state.info["desired_goal"], expected, atol=1e-6)
@@ -224,22 +168,13 @@ def test_the_evaluation_s_goal_is_cube_a_left_on_cube_b_s_start(starts):
         np.testing.assert_array_equal(ENV.current_goal(one.info["plan"], far, step), one.info["desired_goal"])
 
 
-def test_an_eighth_of_the_training_goals_is_elsewhere_and_half_are_relays(starts):
-    state = starts[1]
-    plan, physics = state.info["plan"], state.pipeline_state
+def test_an_eighth_of_the_training_goals_is_elsewhere_and_half_are_relays():
+    state = SCENE.starts[1]
+    plan, physics, goal = state.info["plan"], state.pipeline_state, state.info["desired_goal"]
     assert abs(plan.relay.mean() - 0.5) < 0.04
-    goal, cube = state.info["desired_goal"], physics.qpos[:, A : A + 3]
-    np.testing.assert_allclose(goal[plan.relay], np.pad(cube[plan.relay], ((0, 0), (0, 3))))
+    np.testing.assert_allclose(goal[plan.relay], np.pad(physics.qpos[plan.relay, A : A + 3], ((0, 0), (0, 3))))
     np.testing.assert_array_equal(goal[~plan.relay], plan.goal[~plan.relay])
-    stacks = goal[:, 5] == 1.0
-    assert abs((~plan.relay & ~stacks).mean() - 0.125) < 0.025
-    for whose in ((0, 0), (1, 0), (0, 1)):
-        chosen = goal[~plan.relay & ~stacks & (goal[:, 3:5] == whose).all(axis=1)]
-        assert abs(len(chosen) / MANY - 0.125 / 3) < 0.015
-        offset = chosen[:, :3] - ENV.initial_gripper_position
-        for axis in range(2):
-            assert kstest(offset[:, axis], uniform(-0.15, 0.3).cdf).pvalue > 1e-4
-        assert (np.ptp(chosen[:, 2]) > 0.1) if whose == (0, 0) else np.allclose(chosen[:, 2], 0.425, atol=2e-4)
+    check_goals_elsewhere(SCENE, ~plan.relay & (goal[:, 5] == 0.0))
 
 
 @pytest.mark.parametrize(
@@ -305,41 +240,14 @@ def test_kinds_of_goals():
     assert ENV.goal_kinds == 6
 
 
-def test_features_suffice_to_test_goals(starts):
-    """A buffer's goals: by brute force, whether a cube has moved or not."""
-    count, rng = 400, np.random.default_rng(0)
-    physics = jax.tree.map(lambda leaf: leaf[:count], starts[0].pipeline_state)
-    qpos = physics.qpos.copy()
-    qpos[:, FINGERS] = rng.choice([0.035, 0.05], (count, 1))
-    near = rng.random(count) < 0.3
-    qpos[near, A : A + 3] = physics.gripper_position[near] + [0.0, 0.0, -0.02]
-    qvel, velocity = physics.qvel.copy(), rng.normal(scale=0.02, size=(count, 3)).astype(np.float32)
-    qvel[:, A_VELOCITY : A_VELOCITY + 3] = velocity
-    physics = physics.replace(qpos=qpos, qvel=qvel)
-    flags = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 1, 0)])[rng.integers(4, size=count)]
-    index = flags[:, 0] + 2 * flags[:, 1]  # 0 the gripper, 1 A, 2 B
-    position = np.stack([physics.gripper_position, qpos[:, A : A + 3], qpos[:, B : B + 3]])[index, np.arange(count)]
-    shift = rng.normal(scale=[0.02, 0.02, 0.01], size=(count, 3))
-    goals = np.column_stack([position + shift, flags]).astype(np.float32)
-    left = ~near & (qpos[:, FINGERS].sum(axis=1) > 0.08) & (np.linalg.norm(velocity, axis=1) <= 0.05)
-    in_place = (np.hypot(*shift[:, :2].T) <= 0.025) & (np.abs(shift[:, 2]) <= 0.01)
-    of_a, to_leave = flags[:, 0] == 1, flags[:, 2] == 1
-    near_enough = np.where(to_leave, in_place, np.linalg.norm(shift, axis=1) <= 0.05)
-    expected = near_enough & (~of_a | (left == to_leave))
-    features, achieved = jax.jit(jax.vmap(lambda one: (ENV.features(one), ENV.achieved_goal(one))))(physics)
-    np.testing.assert_array_equal(jax.jit(ENV.goal_test)(features, achieved, goals), expected)
-    np.testing.assert_array_equal(jax.jit(jax.vmap(ENV.reached))(physics, goals), expected)
-    assert all(0.1 < expected[(flags == kind).all(axis=1)].mean() < 0.99 for kind in np.unique(flags, axis=0))
-    solved = (index > 0) & (np.linalg.norm(shift, axis=1) <= 0.03) & (~of_a | (left == to_leave))
-    np.testing.assert_array_equal(jax.jit(ENV.already_solved)(features, goals), solved)
+def test_features_suffice_to_test_goals():
+    check_that_features_suffice_to_test_goals(SCENE, to_leave=1, count=400)
 
 
 def test_moving_the_target_moves_cube_b():
     state = made(a=(-0.1, 0.1, -0.05))
     moved = ENV.move_target(state, np.array([1.35, 0.8, 0.475]))
-    data = mujoco.MjData(MODEL)
-    data.qpos[:], data.qvel[:] = moved.pipeline_state.qpos, moved.pipeline_state.qvel
-    mujoco.mj_forward(MODEL, data)
+    data = SCENE.forward(moved.pipeline_state)
     np.testing.assert_allclose(data.body("cube_b").xpos, [1.35, 0.8, 0.425], atol=2e-4)
     np.testing.assert_allclose(data.body("cube_b").xmat, np.eye(3).flatten(), atol=1e-6)
     np.testing.assert_array_equal(moved.pipeline_state.qpos[:B], state.pipeline_state.qpos[:B])
@@ -361,12 +269,7 @@ def test_the_scripted_hand_stacks():
 @pytest.mark.slow
 def test_fifty_steps_are_too_few_for_a_hand_that_explores():
     """As the docstring has it: with a noise of .1 on the actions two thirds are done by then, nearly all by the end."""
-
-    def noisy(observation, rng):
-        action = ENV.controllers["from-above"](observation)
-        return action + 0.1 * jax.random.normal(rng, action.shape), jnp.zeros(len(action))
-
-    reward = np.asarray(jax.jit(lambda rng: rollout(ENV, noisy, rng, 256))(jax.random.key(1)).reward)
+    reward = np.asarray(explored(SCENE).reward)
     assert len(reward) == 100
     for steps, least, most in ((50, 0.6, 0.75), (100, 0.95, 1.0)):
         assert least <= (reward[:steps] == 0.0).any(axis=0).mean() <= most

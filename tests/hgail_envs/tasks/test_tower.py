@@ -1,49 +1,36 @@
 """A tower of three: goals and stages against plain NumPy, strict success against states of C MuJoCo made by hand."""
 
-import functools
 import itertools
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
-from scipy.stats import chisquare, ks_2samp, kstest, uniform
+from scipy.stats import chisquare, ks_2samp
 
 import hgail_envs
 from hgail_envs.randomization import Randomization
 from hgail_envs.randomized import RandomizedEnv
 from hgail_jax.play.recording import run_controller
-from hgail_jax.rollout import rollout
+from tests.hgail_envs.tasks.cubes import (
+    MANY,
+    SIDES,
+    UPRIGHT,
+    CubeScene,
+    check_goals_elsewhere,
+    check_that_features_suffice_to_test_goals,
+    explored,
+    is_in_place,
+    is_left,
+)
 
-ENV = hgail_envs.make("tower", impl="c", substeps=8)
-MODEL = ENV.model
-NAMES, SIDES = ("cube_a", "cube_b", "cube_c"), ("right", "left")
-CUBES = [int(MODEL.joint(name).qposadr[0]) for name in NAMES]
-VELOCITIES = [int(MODEL.joint(name).dofadr[0]) for name in NAMES]
-FINGERS = [int(MODEL.joint(f"{side}_finger").qposadr[0]) for side in ("right", "left")]
+SCENE = CubeScene("tower")
+ENV, MODEL, NAMES, CUBES, FINGERS = SCENE.env, SCENE.model, SCENE.names, SCENE.cubes, SCENE.fingers
 TOP, MIDDLE, BASE = range(3)
 ORDERS = list(itertools.permutations(range(3)))
-MANY = 3000
 TOWER = np.array([[1.3, 0.7, 0.525], [1.3, 0.7, 0.475], [1.3, 0.7, 0.425]])  # centres of top, middle and base
 STARTS = np.array([[1.2, 0.9, 0.425], [1.45, 0.85, 0.425], TOWER[BASE]])
 NOWHERE, STILL = np.zeros((3, 3)), np.zeros((3, 6))
-UPRIGHT = [1.0, 0.0, 0.0, 0.0]
-STEP, OUTCOME, PUT, ACHIEVED = (jax.jit(each) for each in (ENV.step, ENV.outcome, ENV.place, ENV.achieved_goal))
-ADVANCE = jax.jit(lambda start, physics: ENV._advance(start, physics, start.info["plan"], start.info["step"]))
-
-
-@functools.cache
-def begun():
-    """Returns the start of an episode."""
-    return jax.jit(ENV.reset)(jax.random.key(0))
-
-
-@functools.cache
-def arm(hand):
-    """Returns the joints of an arm at rest whose gripper is at a place."""
-    start = ENV.robot.settle().site("grip").xpos
-    return ENV.robot.settle(offset=np.subtract(hand, start)).qpos.copy()
 
 
 def made(cubes=NOWHERE, rise=0.12, gap=0.1, velocities=STILL, order=(2, 0, 1), placed=True):
@@ -51,21 +38,12 @@ def made(cubes=NOWHERE, rise=0.12, gap=0.1, velocities=STILL, order=(2, 0, 1), p
 
     The gripper is `rise` above the top cube's place, metres, or at `rise`, `[3]`.
     """
-    data = mujoco.MjData(MODEL)
-    data.qpos[:] = arm(tuple(np.add(TOWER[TOP], [0.0, 0.0, rise]) if np.ndim(rise) == 0 else rise))
-    data.qpos[FINGERS] = gap / 2
+    hand = np.add(TOWER[TOP], [0.0, 0.0, rise]) if np.ndim(rise) == 0 else rise
     sunk = np.array([[0, 0, 3e-4], [0, 0, 2e-4], [0, 0, 1e-4]])  # so that they touch
-    for role, cube in enumerate(order):
-        data.qpos[CUBES[cube] :][:7] = [*(TOWER + cubes - sunk)[role], *UPRIGHT]
-        data.qvel[VELOCITIES[cube] :][:6] = velocities[role]
-    mujoco.mj_forward(MODEL, data)
-    physics = PUT(data.qpos, data.qvel).replace(
-        sensordata=jnp.asarray(data.sensordata, jnp.float32),
-        order=jnp.array(order),
-        starts=jnp.asarray(STARTS, jnp.float32),
-        placed=jnp.asarray(placed),
-    )
-    return ADVANCE(begun(), physics)
+    roles = np.argsort(order)
+    data = SCENE.data(hand, (TOWER + cubes - sunk)[roles], np.asarray(velocities)[roles], gap)
+    starts = jnp.asarray(STARTS, jnp.float32)
+    return SCENE.state(data, order=jnp.array(order), starts=starts, placed=jnp.asarray(placed))
 
 
 def shifted(role, by):
@@ -76,15 +54,6 @@ def shifted(role, by):
 def moving(role, index, speed):
     """Returns velocities of the cubes of which one number is not 0."""
     return speed * np.eye(3)[role][:, None] * np.eye(6)[index]
-
-
-def outcome_of(state):
-    """Returns the outcome of an episode that ends in a state, with the test that the tower stands."""
-    action, later = jnp.full(4, -1.0), state
-    for _ in range(ENV.lift_test_steps):
-        action = ENV.lift_test_action(action)
-        later = STEP(later, action)
-    return OUTCOME(state, later)
 
 
 def scripted(count, training_goals, noise):
@@ -107,28 +76,8 @@ def scripted(count, training_goals, noise):
 
 
 @pytest.fixture(scope="module")
-def starts():
-    reset = jax.jit(jax.vmap(ENV.reset, in_axes=(0, None)))
-    keys = jax.random.split(jax.random.key(0), MANY)
-    return [jax.tree.map(np.asarray, reset(keys, training_goals)) for training_goals in (False, True)]
-
-
-@pytest.fixture(scope="module")
 def episodes():
     return scripted(24, training_goals=True, noise=0.15)
-
-
-def by_role(physics, first, size=3):
-    """Returns numbers of the cubes by role, `[..., 3, size]`, of `qpos` or `qvel` from these indices on."""
-    values, first = (physics.qpos, CUBES) if first == "qpos" else (physics.qvel, VELOCITIES)
-    each = np.stack([values[..., index : index + size] for index in first], axis=-2)
-    return np.take_along_axis(each, np.asarray(physics.order)[..., None], axis=-2)
-
-
-def are_left(cubes, velocities, gripper, gap):
-    """Returns of each cube whether it is left, `[..., 3]`; velocities are in metres per second."""
-    away = np.linalg.norm(cubes - gripper[..., None, :], axis=-1) >= 0.05
-    return away & (gap >= 0.08)[..., None] & (np.linalg.norm(velocities, axis=-1) <= 0.05)
 
 
 @pytest.mark.parametrize(
@@ -137,24 +86,12 @@ def are_left(cubes, velocities, gripper, gap):
 @pytest.mark.parametrize("substeps", [20, 8])
 def test_a_tower_stays_for_ten_seconds(aside, most, substeps):
     """Each cube lies so far aside of the one below. A tower that leans creeps by half a millimetre a second."""
-    model, data = ENV.model, mujoco.MjData(ENV.model)
-    data.qpos[:] = arm(tuple(np.add(TOWER[TOP], [0.0, 0.0, 0.12])))
     places = TOWER.copy()
     places[MIDDLE, :2] += aside
     places[TOP, :2] += np.multiply(2, aside)
-    for first, place in zip(CUBES, places, strict=True):
-        data.qpos[first : first + 7] = [*place, *UPRIGHT]
-    start, period = data.qpos.copy(), model.opt.timestep
-    mujoco.mj_forward(model, data)
-    data.mocap_pos[0], data.mocap_quat[0] = data.body("gripper").xpos, data.body("gripper").xquat
-    try:
-        model.opt.timestep = 0.04 / substeps
-        mujoco.mj_step(model, data, nstep=250 * substeps)
-    finally:
-        model.opt.timestep = period
-    for first in CUBES:
-        assert np.abs(data.qpos - start)[first : first + 3].max() < most
-        assert np.abs(data.qpos[first + 4 : first + 7]).max() < 0.015
+    ends = np.abs(SCENE.after_ten_seconds(SCENE.data(np.add(TOWER[TOP], [0.0, 0.0, 0.12]), places), substeps))
+    assert ends[:, :3].max() < most
+    assert ends[:, 3:].max() < 0.015
 
 
 @pytest.mark.parametrize(
@@ -172,7 +109,7 @@ def test_a_tower_stays_for_ten_seconds(aside, most, substeps):
     ],
 )
 def test_a_tower_that_stands_alone_is_a_success(changes):
-    outcome = outcome_of(made(**changes))
+    outcome = SCENE.outcome_of(made(**changes))
     assert (outcome.success, outcome.achieved) == (1.0, 1.0)
     cubes = changes.get("cubes", NOWHERE)
     np.testing.assert_allclose(outcome.distance_l2, np.linalg.norm(cubes[TOP] - cubes[BASE]), atol=5e-4)
@@ -205,7 +142,7 @@ VIOLATIONS = {
 @pytest.mark.parametrize("order", [(2, 0, 1), (0, 1, 2)])
 def test_a_single_violation_is_no_success(changes, order):
     """It is none at the end, whatever the test of the tower would set right: it opens the hand."""
-    outcome = outcome_of(made(order=order, **changes))
+    outcome = SCENE.outcome_of(made(order=order, **changes))
     assert (outcome.success, outcome.achieved) == (0.0, 0.0)
 
 
@@ -219,9 +156,9 @@ def test_a_single_violation_is_no_success(changes, order):
 )
 def test_a_tower_that_falls_in_the_test_is_achieved_and_no_success(changes):
     state = made(**changes)
-    outcome = outcome_of(state)
+    outcome = SCENE.outcome_of(state)
     assert (outcome.success, outcome.achieved) == (0.0, 1.0)
-    assert OUTCOME(state, state).success == 1.0  # without the test, as in training
+    assert SCENE.outcome(state, state).success == 1.0  # without the test, as in training
 
 
 def test_success_is_what_c_mujoco_s_contacts_and_positions_say():
@@ -233,29 +170,26 @@ def test_success_is_what_c_mujoco_s_contacts_and_positions_say():
         cubes[MIDDLE] += cubes[BASE]
         order = ORDERS[rng.integers(6)]
         state = made(cubes, rise=rng.choice([0.06, 0.12]), gap=rng.choice([0.075, 0.085, 0.1]), order=order)
-        data = mujoco.MjData(MODEL)
-        data.qpos[:] = state.pipeline_state.qpos
-        mujoco.mj_forward(MODEL, data)
+        data = SCENE.forward(state.pipeline_state)
         top, middle, base = (NAMES[cube] for cube in order)
         pairs = [{MODEL.geom(name).id for name in pair} for pair in ((top, middle), (middle, base))]
         holds = [any(set(pair) == cubes for pair in data.contact.geom) for cubes in pairs]
         for upper, lower in ((top, middle), (middle, base)):
-            apart = data.body(upper).xpos - data.body(lower).xpos - [0, 0, 0.05]
-            holds += [np.hypot(*apart[:2]) <= 0.025, abs(apart[2]) <= 0.01]
+            holds.append(is_in_place(data.body(upper).xpos - data.body(lower).xpos - [0, 0, 0.05]))
         holds += [
             np.linalg.norm(data.site("grip").xpos - data.body(top).xpos) >= 0.05,
             data.qpos[FINGERS].sum() >= 0.08,
             np.linalg.norm(data.body(base).xpos - STARTS[BASE]) <= 0.05,
         ]
-        found.append((all(holds), bool(OUTCOME(state, state).achieved)))
+        found.append((all(holds), bool(SCENE.outcome(state, state).achieved)))
     expected, ours = np.transpose(found)
     np.testing.assert_array_equal(ours, expected)
     assert 20 < expected.sum() < 100
 
 
-def test_starts_are_those_of_a_loop_in_any_order(starts):
+def test_starts_are_those_of_a_loop_in_any_order():
     """By rejection, one cube after another, in whichever order the observation has them."""
-    physics, rng, loop = starts[0].pipeline_state, np.random.default_rng(0), []
+    physics, rng, loop = SCENE.starts[0].pipeline_state, np.random.default_rng(0), []
     while len(loop) < MANY:
         places = []
         while len(places) < 3:
@@ -264,7 +198,7 @@ def test_starts_are_those_of_a_loop_in_any_order(starts):
                 places.append(place)
         loop.append(places)
     loop = np.array(loop)
-    ours = by_role(physics, "qpos")[..., :2] - ENV.initial_gripper_position[:2]
+    ours = SCENE.by_role(physics)[..., :2] - ENV.initial_gripper_position[:2]
 
     def apart(places):
         return np.linalg.norm(places - np.roll(places, 1, axis=1), axis=-1)
@@ -277,7 +211,7 @@ def test_starts_are_those_of_a_loop_in_any_order(starts):
     counts = [(physics.order == order).all(axis=1).sum() for order in ORDERS]
     assert sum(counts) == MANY
     assert chisquare(counts).pvalue > 1e-4
-    np.testing.assert_array_equal(physics.starts, by_role(physics, "qpos"))
+    np.testing.assert_array_equal(physics.starts, SCENE.by_role(physics))
     np.testing.assert_allclose(physics.starts[..., 2], 0.425)
     assert np.abs(physics.qpos[:, FINGERS]).max() < 1e-3
     assert not physics.placed.any()
@@ -285,23 +219,25 @@ def test_starts_are_those_of_a_loop_in_any_order(starts):
         np.testing.assert_array_equal(physics.qpos[:, first + 3 : first + 7], np.tile(UPRIGHT, (MANY, 1)))
 
 
-def test_half_the_training_episodes_start_with_the_middle_on_the_base(starts):
-    (plain, begun), plan = (state.pipeline_state for state in starts), starts[1].info["plan"]
+def test_half_the_training_episodes_start_with_the_middle_on_the_base():
+    (plain, begun), plan = (state.pipeline_state for state in SCENE.starts), SCENE.starts[1].info["plan"]
     assert abs(begun.placed.mean() - 0.5) < 0.04
-    cubes, before = by_role(begun, "qpos"), by_role(plain, "qpos")
+    cubes, before = SCENE.by_role(begun), SCENE.by_role(plain)
     on_base = before[:, BASE] + np.float32([0, 0, 0.05])
     np.testing.assert_allclose(cubes[:, MIDDLE], np.where(begun.placed[:, None], on_base, before[:, MIDDLE]), atol=1e-6)
     np.testing.assert_array_equal(cubes[:, [TOP, BASE]], before[:, [TOP, BASE]])
     np.testing.assert_array_equal(begun.starts, cubes)
     assert abs(plan.relay[begun.placed].mean() - plan.relay[~begun.placed].mean()) < 0.1  # whatever the goals
-    np.testing.assert_array_equal(starts[1].info["achieved_goal"], starts[0].info["achieved_goal"])  # it is no hand's
+    np.testing.assert_array_equal(
+        SCENE.starts[1].info["achieved_goal"], SCENE.starts[0].info["achieved_goal"]
+    )  # it is no hand's
 
 
 def test_a_start_of_other_sizes_has_the_middle_on_the_base_too():
     env = RandomizedEnv(ENV, Randomization(object_size=(0.8, 0.9), history=1, robot_offset=0.01))
     state = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(jax.random.split(jax.random.key(0), 20), True)
     physics = state.pipeline_state.true
-    cubes, width = by_role(physics, "qpos"), 0.05 * np.asarray(physics.factors.object_size)
+    cubes, width = SCENE.by_role(physics), 0.05 * np.asarray(physics.factors.object_size)
     rise = (cubes[:, MIDDLE] - cubes[:, BASE])[np.asarray(physics.placed)]
     assert 4 < len(rise) < 16
     np.testing.assert_allclose(rise[:, :2], 0.0, atol=1e-6)
@@ -322,7 +258,7 @@ def test_the_observation_has_the_cubes_by_role(episodes):
         expected = [gripper, physics.gripper_velocity[:, episode]]
         for cube in order:
             position = physics.qpos[:, episode, CUBES[cube] : CUBES[cube] + 3]
-            velocity = physics.qvel[:, episode, VELOCITIES[cube] : VELOCITIES[cube] + 3]
+            velocity = physics.qvel[:, episode, SCENE.velocities[cube] : SCENE.velocities[cube] + 3]
             expected += [position - gripper, position, 0.04 * velocity]
         gap = physics.qpos[:, episode][:, FINGERS].sum(axis=1)
         touched = [
@@ -370,10 +306,9 @@ def test_a_cube_is_held_where_both_pads_touch_it(touched, gap, held):
 
 def stages(physics):
     """Returns by a loop over the steps whether the middle was left on the base and still is there, `[T + 1, count]`."""
-    cubes, gap = by_role(physics, "qpos"), physics.qpos[..., FINGERS].sum(axis=-1)
-    left = are_left(cubes, by_role(physics, "qvel"), physics.gripper_position, gap)
-    apart = cubes[..., MIDDLE, :] - cubes[..., BASE, :] - [0, 0, 0.05]
-    in_place = (np.hypot(apart[..., 0], apart[..., 1]) <= 0.025) & (np.abs(apart[..., 2]) <= 0.01)
+    cubes, gap = SCENE.by_role(physics), physics.qpos[..., FINGERS].sum(axis=-1)
+    left = is_left(cubes, SCENE.by_role(physics, "qvel"), physics.gripper_position[..., None, :], gap[..., None])
+    in_place = is_in_place(cubes[..., MIDDLE, :] - cubes[..., BASE, :] - [0, 0, 0.05])
     placed = [physics.placed[0]]
     for step in range(1, len(cubes)):
         placed.append(in_place[step] & (placed[-1] | left[step, :, MIDDLE]))
@@ -383,7 +318,7 @@ def stages(physics):
 def test_the_goal_names_one_placement_after_the_other(episodes):
     """Along episodes: the middle on the base until it was left there, then the top on the middle."""
     physics, plan = episodes.pipeline_state, episodes.info["plan"]
-    placed, cubes = stages(physics), by_role(physics, "qpos")
+    placed, cubes = stages(physics), SCENE.by_role(physics)
     np.testing.assert_array_equal(physics.placed, placed)
     begun = placed[0]
     assert 0 < begun.sum() < len(begun)
@@ -422,35 +357,27 @@ def test_the_second_placement_begins_where_the_middle_is_left_and_ends_where_it_
 def test_a_state_that_is_made_from_joints_knows_whether_the_middle_is_left():
     for hand, placed in ({"gap": 0.1}, True), ({"gap": 0.07}, False), ({"rise": -0.01}, False):
         physics = made(order=(0, 1, 2), **hand).pipeline_state
-        assert PUT(physics.qpos, physics.qvel).placed == placed
+        assert SCENE.put(physics.qpos, physics.qvel).placed == placed
 
 
-def test_evaluations_have_neither_training_goals_nor_starts(starts):
-    plan = starts[0].info["plan"]
+def test_evaluations_have_neither_training_goals_nor_starts():
+    plan = SCENE.starts[0].info["plan"]
     assert not plan.relay.any()
     assert not plan.elsewhere.any()
-    goal, cubes = starts[0].info["desired_goal"], by_role(starts[0].pipeline_state, "qpos")
+    goal, cubes = SCENE.starts[0].info["desired_goal"], SCENE.by_role(SCENE.starts[0].pipeline_state)
     np.testing.assert_allclose(goal[:, :3], cubes[:, BASE] + [0, 0, 0.05], atol=1e-6)
     np.testing.assert_array_equal(goal[:, 3:], np.tile([0, 1, 0, 1], (MANY, 1)))
 
 
-def test_an_eighth_of_the_training_goals_is_elsewhere_and_half_are_relays(starts):
-    state = starts[1]
+def test_an_eighth_of_the_training_goals_is_elsewhere_and_half_are_relays():
+    state = SCENE.starts[1]
     plan, physics, goal = state.info["plan"], state.pipeline_state, state.info["desired_goal"]
     assert abs(plan.relay.mean() - 0.5) < 0.04
-    assert abs(plan.elsewhere.mean() - 0.125) < 0.025
     assert not (plan.relay & plan.elsewhere).any()
-    cubes = by_role(physics, "qpos")
+    cubes = SCENE.by_role(physics)
     present = np.where(physics.placed[:, None], cubes[:, TOP], cubes[:, MIDDLE])
     np.testing.assert_allclose(goal[plan.relay], np.pad(present[plan.relay], ((0, 0), (0, 4))))
-    for whose in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
-        chosen = goal[plan.elsewhere & (goal[:, 3:6] == whose).all(axis=1)]
-        assert abs(len(chosen) / MANY - 0.125 / 4) < 0.015
-        assert not chosen[:, 6].any()
-        offset = chosen[:, :3] - ENV.initial_gripper_position
-        for axis in range(2):
-            assert kstest(offset[:, axis], uniform(-0.15, 0.3).cdf).pvalue > 1e-4
-        assert np.allclose(chosen[:, 2], 0.425) if any(whose) else (np.ptp(chosen[:, 2]) > 0.1)
+    check_goals_elsewhere(SCENE, plan.elsewhere)
 
 
 def test_goals_elsewhere_stay(episodes):
@@ -501,8 +428,8 @@ def read_achieved(cubes, starts, left, gripper, placed):
 
 def test_achieved_goals_are_those_of_a_loop(episodes):
     physics = episodes.pipeline_state
-    cubes, gap = by_role(physics, "qpos"), physics.qpos[..., FINGERS].sum(axis=-1)
-    left = are_left(cubes, by_role(physics, "qvel"), physics.gripper_position, gap)
+    cubes, gap = SCENE.by_role(physics), physics.qpos[..., FINGERS].sum(axis=-1)
+    left = is_left(cubes, SCENE.by_role(physics, "qvel"), physics.gripper_position[..., None, :], gap[..., None])
     seen = set()
     for index in np.ndindex(physics.placed.shape):
         expected = read_achieved(
@@ -525,12 +452,12 @@ def test_achieved_goals_are_those_of_a_loop(episodes):
 @pytest.mark.parametrize("hand", [(1.3, 0.7, 0.62), (1.3, 0.79, 0.48), (1.37, 0.76, 0.56)])
 def test_what_is_achieved_is_of_the_placement_s_cube_then_of_those_at_the_hand(placed, moved, hand):
     physics = made(rise=hand, placed=placed).pipeline_state
-    cubes = by_role(physics, "qpos")
+    cubes = SCENE.by_role(physics)
     starts = cubes + np.array(moved)[:, None] * np.float32([0, 1, 0])
     physics = physics.replace(starts=jnp.asarray(starts))
     gripper = np.asarray(physics.gripper_position)
-    left = are_left(cubes, np.zeros((3, 3)), gripper, np.float32(0.1))
-    np.testing.assert_allclose(ACHIEVED(physics), read_achieved(cubes, starts, left, gripper, placed), atol=1e-6)
+    left = is_left(cubes, np.zeros((3, 3)), gripper, np.float32(0.1))
+    np.testing.assert_allclose(SCENE.achieved(physics), read_achieved(cubes, starts, left, gripper, placed), atol=1e-6)
 
 
 def test_kinds_of_goals():
@@ -555,35 +482,8 @@ def test_kinds_of_goals():
     assert ENV.goal_kinds == 7
 
 
-def test_features_suffice_to_test_goals(starts):
-    """A buffer's goals: by brute force, whether a cube has moved or not."""
-    count, rng = 600, np.random.default_rng(0)
-    physics = jax.tree.map(lambda leaf: leaf[:count].copy(), starts[0].pipeline_state)
-    physics.qpos[:, FINGERS] = rng.choice([0.035, 0.05], (count, 1))
-    whose = rng.integers(4, size=count)  # 3 is the gripper
-    cube = physics.order[np.arange(count), whose % 3]
-    near = rng.random(count) < 0.3
-    velocity = rng.normal(scale=0.02, size=(count, 3)).astype(np.float32)
-    for index in range(count):
-        if near[index]:
-            physics.qpos[index, CUBES[cube[index]] :][:3] = physics.gripper_position[index] + [0.0, 0.0, -0.02]
-        physics.qvel[index, VELOCITIES[cube[index]] :][:3] = velocity[index]
-    positions = np.concatenate([by_role(physics, "qpos"), physics.gripper_position[:, None]], axis=1)
-    to_leave = (whose < 3) & (rng.random(count) < 0.5)
-    shift = rng.normal(scale=[0.02, 0.02, 0.01], size=(count, 3))
-    flags = np.column_stack([np.eye(4)[whose][:, :3], to_leave])
-    goals = np.column_stack([positions[np.arange(count), whose] + shift, flags]).astype(np.float32)
-    left = ~near & (physics.qpos[:, FINGERS].sum(axis=1) > 0.08) & (np.linalg.norm(velocity, axis=1) <= 0.05)
-    in_place = (np.hypot(*shift[:, :2].T) <= 0.025) & (np.abs(shift[:, 2]) <= 0.01)
-    near_enough = np.where(to_leave, in_place, np.linalg.norm(shift, axis=1) <= 0.05)
-    as_wanted = (whose == 3) | (left == to_leave)
-    features, achieved = jax.jit(jax.vmap(lambda one: (ENV.features(one), ENV.achieved_goal(one))))(physics)
-    expected = near_enough & as_wanted
-    np.testing.assert_array_equal(jax.jit(ENV.goal_test)(features, achieved, goals), expected)
-    np.testing.assert_array_equal(jax.jit(jax.vmap(ENV.reached))(physics, goals), expected)
-    assert all(0.05 < expected[(flags == kind).all(axis=1)].mean() < 0.99 for kind in np.unique(flags, axis=0))
-    solved = (whose < 3) & (np.linalg.norm(shift, axis=1) <= 0.03) & as_wanted
-    np.testing.assert_array_equal(jax.jit(ENV.already_solved)(features, goals), solved)
+def test_features_suffice_to_test_goals():
+    check_that_features_suffice_to_test_goals(SCENE, to_leave=3, count=600)
 
 
 @pytest.mark.parametrize("placed", [False, True])
@@ -592,9 +492,7 @@ def test_moving_the_target_moves_the_base_and_what_was_left_on_it(placed, order)
     cubes = np.array([(-0.1, 0.1, -0.1), (0, 0, 0) if placed else (0.1, 0.1, -0.05), (0, 0, 0)])
     state = made(cubes, order=order, placed=placed)
     moved = ENV.move_target(state, np.array([1.35, 0.8, 0.475]))
-    data = mujoco.MjData(MODEL)
-    data.qpos[:], data.qvel[:] = moved.pipeline_state.qpos, moved.pipeline_state.qvel
-    mujoco.mj_forward(MODEL, data)
+    data = SCENE.forward(moved.pipeline_state)
     base, middle = (NAMES[order[role]] for role in (BASE, MIDDLE))
     np.testing.assert_allclose(data.body(base).xpos, [1.35, 0.8, 0.425], atol=2e-4)
     np.testing.assert_allclose(data.body(base).xmat, np.eye(3).flatten(), atol=1e-6)
@@ -632,12 +530,7 @@ def test_the_scripted_hand_builds_nearly_all_towers_in_90_steps():
 @pytest.mark.slow
 def test_a_hundred_steps_are_too_few_for_a_hand_that_explores():
     """As the docstring has it: with a noise of .1 on the actions half are done by then, nearly all by the end."""
-
-    def noisy(observation, rng):
-        action = ENV.controllers["from-above"](observation)
-        return action + 0.1 * jax.random.normal(rng, action.shape), jnp.zeros(len(action))
-
-    trajectory = jax.jit(lambda rng: rollout(ENV, noisy, rng, 256))(jax.random.key(1))
+    trajectory = explored(SCENE)
     done = (np.asarray(trajectory.reward) == 0.0) & (np.asarray(trajectory.desired)[:-1, :, 3] == 1.0)
     assert len(done) == 200
     for steps, least, most in ((100, 0.4, 0.65), (150, 0.85, 0.98), (200, 0.95, 1.0)):
