@@ -18,12 +18,12 @@ from hgail_jax.discriminator import (
 )
 
 
-def test_loss_and_accuracy_at_chance_and_when_certain():
-    zeros = jnp.zeros(8)
-    assert discriminator_loss(zeros, zeros) == pytest.approx(2 * np.log(2))
-    assert discriminator_loss(zeros + 20, zeros - 20) == pytest.approx(0, abs=1e-6)
-    assert discriminator_accuracy(zeros + 1, zeros - 1) == 1.0
-    assert discriminator_accuracy(zeros - 1, zeros + 1) == 0.0
+def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():
+    expert, policy = np.float32([0.5, 0.0, 2.0, -0.5]), np.float32([-0.5, 0.0, 0.5])
+    assert discriminator_accuracy(expert, policy) == pytest.approx((2 / 4 + 2 / 3) / 2)
+    assert discriminator_loss(expert, policy) == pytest.approx(
+        np.logaddexp(0, -expert).mean() + np.logaddexp(0, policy).mean(), rel=1e-5
+    )
 
 
 def test_sign_expert_samples_are_pushed_up():

@@ -155,3 +155,40 @@ def test_a_number_that_rounding_brings_to_the_end_draws_the_last_state_of_the_la
             FUTURE,
         )
         assert drawn[0] == first + np.flatnonzero(kind[first:] == kind[first:].max())[-1]
+
+
+def test_which_step_is_chosen_says_nothing_of_where_its_goal_comes_from():
+    """Were one key used for both, a step chosen with a small probability would have early sources only."""
+    found = jax.jit(jax.vmap(lambda rng: relabel(rng, jnp.zeros((9, 1)), jnp.zeros(1), 0.2)))(
+        jax.random.split(jax.random.key(5), 4000)
+    )
+    chosen, source = np.asarray(found.chosen), np.asarray(found.source)
+    assert (source > np.arange(8)).all()
+    for step in range(7):
+        assert abs(source[chosen[:, step], step].mean() - (step + 9) / 2) < 0.45
+
+
+def test_kinds_count_only_where_their_shares_are_given_too():
+    achieved, desired, kind = jnp.arange(10.0)[:, None], jnp.zeros(1), jnp.arange(10) % 2
+    given = jax.jit(functools.partial(relabel, jax.random.key(0), achieved, desired, 0.5))
+    for more in ({"kind": kind}, {"kind_share": jnp.ones(2)}):
+        jax.tree.map(np.testing.assert_array_equal, given(**more), given())
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    one = jax.jit(relabel)(jax.random.key(0), jnp.array([[1.0, 2.0], [3.0, 4.0]]), jnp.zeros(2), 1.0)
+    np.testing.assert_array_equal(one.goal, [[3.0, 4.0]])
+    whole = jax.jit(relabel)(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros((3, 2)), 0.0)
+    np.testing.assert_array_equal(whole.goal, np.zeros((3, 2)))
+    for achieved, desired in (
+        ((1, 2), (2,)),
+        ((1, 2), (0, 2)),
+        ((4, 2), (4, 2)),
+        ((4, 2), (3,)),
+        ((4,), ()),
+        ((4, 2, 2), (2, 2)),
+    ):
+        with pytest.raises(ValueError, match="achieved and desired"):
+            relabel(jax.random.key(0), jnp.ones(achieved), jnp.zeros(desired), 1.0)
+    with pytest.raises(ValueError, match="p_ht"):
+        relabel(jax.random.key(0), jnp.ones((4, 2)), jnp.zeros(2), 1.5)

@@ -1,12 +1,17 @@
+"""Roll-outs against loops, what breaks down in them, and how they are measured."""
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hgail_envs.base import EpisodeMetrics
 from hgail_envs.point import Point
 from hgail_envs.tasks.reach import Reach
 from hgail_jax import rollout
+from hgail_jax.evaluate import evaluate, mean_outcome
 from hgail_jax.rollout import Detour
+from tests.hgail_jax.line import LENGTH, Line, trajectory
 
 NUM_ENVS = 16
 
@@ -171,3 +176,197 @@ def test_a_detour_is_pursued_for_its_steps_and_measured_by_the_own_goal():
         position = position + 0.03 * np.clip(10.0 * (goal - position) + 5.0 * goal[:, [1, 2, 0]], -1.0, 1.0)
     np.testing.assert_array_equal(led.desired[:, ~half.astype(bool)], plain.desired[:, ~half.astype(bool)])
     np.testing.assert_allclose(led.outcome.distance_l2, np.linalg.norm(led.achieved[50] - own, axis=-1), atol=1e-5)
+
+
+# Episodes that break down, and outcomes
+
+
+class Breaking(Line):
+    """The line; it breaks down beyond 40 and overflows beyond 30, and its lift test continues with half the action."""
+
+    lift_test_steps = 2
+
+    def step_physics(self, physics, action):
+        following = physics + 10.0 * action
+        return jnp.where(following > 40.0, jnp.nan, following)
+
+    def overflow(self, physics):
+        return physics[0] > 30.0
+
+    def lift_test_action(self, action):
+        return 0.5 * action
+
+    def outcome(self, end, lifted):
+        return self.measure(lifted.info["achieved_goal"][:1], end.info["achieved_goal"][:1])
+
+
+def play(env, policy, episodes, seed=0, **options):
+    return jax.jit(lambda rng: rollout(env, policy, rng, episodes, **options))(jax.random.key(seed))
+
+
+def steady(speeds):
+    speeds = jnp.asarray(speeds)
+
+    def policy(observation, rng):
+        del rng
+        return speeds[:, None], observation[:, 0]
+
+    return policy
+
+
+@jax.jit
+def break_down(rng, training_goals, lift_test):
+    return rollout(Breaking(), steady([0.1, 0.45, 0.6, 0.9, -0.9, 0.0]), rng, 6, training_goals, lift_test=lift_test)
+
+
+def test_episodes_that_break_down_are_blank_and_counted():
+    """The fourth breaks down, the fifth leaves the bounds, the third breaks down in the lift test alone."""
+    for lift_test, valid in ((False, [1, 1, 1, 0, 0, 1]), (True, [1, 1, 0, 0, 0, 1])):
+        given = break_down(jax.random.key(0), False, lift_test)
+        valid = np.array(valid, bool)
+        np.testing.assert_array_equal(given.valid, valid)
+        for name in ("features", "achieved", "desired", "action", "noted", "reward"):
+            leaf = np.asarray(getattr(given, name))
+            assert (leaf[:, ~valid] == 0).all()
+            assert np.isfinite(leaf).all()
+        start = np.asarray(given.features[0, :, 0])
+        assert len(np.unique(start[valid])) == valid.sum()
+        for episode in np.flatnonzero(valid):
+            path = start[episode] + 10.0 * float(given.action[0, episode, 0]) * np.arange(LENGTH + 1)
+            np.testing.assert_allclose(given.features[:, episode, 0], path, rtol=1e-4)
+            np.testing.assert_allclose(given.noted[:, episode], path[:-1], rtol=1e-4)
+        further = np.array([0.75, 3.375, 4.5, 0, 0, 0]) * lift_test * valid
+        np.testing.assert_allclose(given.outcome.distance_l1, further, atol=1e-4)
+        np.testing.assert_array_equal(
+            given.overflow, [0, lift_test, not lift_test, 0, 0, 0]
+        )  # nothing overflows once broken
+
+
+@pytest.mark.parametrize("training_goals", [False, True])
+def test_only_episodes_to_learn_from_have_training_goals(training_goals):
+    given = break_down(jax.random.key(1), training_goals, False)
+    goal = [-1.0, 1.0] if training_goals else [1.0, 0.0]
+    np.testing.assert_array_equal(given.desired[:, :3], np.broadcast_to(goal, (LENGTH + 1, 3, 2)))
+
+
+def test_a_roll_out_is_measured_without_training_goals_or_lift_test_unless_asked():
+    given = play(Breaking(), steady([0.1]), 1)
+    np.testing.assert_array_equal(given.desired[0, 0], [1.0, 0.0])
+    assert given.outcome.distance_l1[0] == 0.0
+
+
+def test_observations_may_reach_the_limit_and_no_further():
+    class Far(Line):
+        def reset_physics(self, rng):
+            return jnp.zeros(1)
+
+        def step_physics(self, physics, action):
+            return physics + 0.25 * jnp.round(4.0 * action) + 25.0 * (physics == 0.25)
+
+    class Wide(Far):
+        observation_limit = 25.25
+
+    policy = steady([0.25])
+    assert play(Far(), policy, 1).valid.all()
+    assert not play(Wide(), policy, 1).valid.any()
+
+    class Still(Line):
+        observation_limit = 1.0
+
+        def reset_physics(self, rng):
+            return jnp.ones(1)
+
+    assert play(Still(), steady([0.0]), 1).valid.all()
+    assert not play(Still(), steady([-1.0]), 1).valid.any()
+
+
+def test_an_action_or_outcome_that_is_not_finite_spoils_its_episode_alone():
+    class Unmeasured(Line):
+        def outcome(self, end, lifted):
+            return self.measure(end.obs, end.obs).replace(distance_l2=1.0 / jnp.where(end.obs[0] > 2.0, 0.0, 1.0))
+
+    given = play(Unmeasured(), steady([0.0, 1.0, 0.0]), 3)
+    np.testing.assert_array_equal(given.valid, [True, False, True])
+    np.testing.assert_array_equal(given.outcome.distance_l2, [1.0, 0.0, 1.0])
+    given = play(Line(), steady([0.0, jnp.inf, 0.0]), 3)
+    np.testing.assert_array_equal(given.valid, [True, False, True])
+
+
+def test_starts_are_drawn_apart_from_actions():
+    def policy(observation, rng):
+        return jax.random.uniform(rng, (len(observation), 1)), jnp.zeros(len(observation))
+
+    given = play(Line(), policy, 50)
+    drawn = np.concatenate([np.asarray(given.features[:1]), given.action], axis=0)[..., 0]
+    assert len(np.unique(drawn)) > 0.99 * drawn.size
+    assert np.abs(np.corrcoef(drawn) - np.eye(len(drawn))).max() < 0.5
+    assert not np.array_equal(play(Line(), policy, 50, 1).action, given.action)
+
+
+def test_the_number_of_episodes_is_at_least_1():
+    with pytest.raises(ValueError, match="num_envs"):
+        play(Line(), steady([0.0]), 0)
+
+
+def test_the_physics_of_a_task_may_hold_a_key():
+    class Shaken(Line):
+        def reset_physics(self, rng):
+            return jnp.zeros(1), rng
+
+        def step_physics(self, physics, action):
+            rng, following = jax.random.split(physics[1])
+            return physics[0] + jax.random.normal(rng, (1,)), following
+
+        def features(self, physics):
+            return physics[0]
+
+        def achieved_goal(self, physics):
+            return jnp.append(physics[0], 0.0)
+
+    given = play(Shaken(), steady([0.0, 0.0]), 2)
+    assert given.valid.all()
+    assert len(np.unique(given.features[1:])) == 2 * LENGTH
+
+
+def test_a_device_steps_no_more_environments_than_the_task_was_made_for():
+    class Narrow(Line):
+        max_worlds = 3
+
+    def of_two_devices(rng, episodes):
+        return rollout(Narrow(), steady(jnp.zeros(episodes // 2)), rng, episodes, axis="devices")
+
+    split = jax.vmap(of_two_devices, in_axes=(None, None), axis_name="devices", axis_size=2)
+    assert play(Narrow(), steady(jnp.zeros(3)), 3).valid.all()
+    assert jax.eval_shape(lambda rng: split(rng, 6), jax.random.key(0)).valid.shape == (2, 6)
+    with pytest.raises(ValueError, match="it must be at most 3"):
+        play(Narrow(), steady(jnp.zeros(4)), 4)
+    with pytest.raises(ValueError, match="it must be at most 3"):
+        jax.eval_shape(lambda rng: split(rng, 8), jax.random.key(0))
+
+
+def test_means_count_broken_episodes_as_failures_and_in_no_distance():
+    outcome = EpisodeMetrics(*np.float32([[1, 0, 1, 0], [1, 0, 0, 0], [1, 1, 1, 0], [1, 2, 3, 0], [4, 5, 6, 0]]))
+    valid = np.array([True, True, True, False])
+    means = mean_outcome(trajectory(4, outcome=outcome, valid=valid))
+    found = [
+        float(getattr(means, name)) for name in ("success", "achieved", "success_l1", "distance_l1", "distance_l2")
+    ]
+    np.testing.assert_allclose(found, [0.5, 0.25, 0.75, 2.0, 5.0], rtol=1e-6)
+    blank = jax.tree.map(np.zeros_like, outcome)
+    means = mean_outcome(trajectory(4, outcome=blank, valid=np.zeros(4, bool)))
+    assert means.success == means.achieved == means.success_l1 == 0.0
+    assert np.isinf([means.distance_l1, means.distance_l2]).all()
+
+
+def test_an_evaluation_tests_the_lift_and_has_no_training_goals():
+    seen = []
+
+    class Watched(Breaking):
+        def reset(self, rng, training_goals=False):
+            seen.append(training_goals)
+            return super().reset(rng, training_goals)
+
+    speeds = [0.1, 0.2, 0.3, 0.0]
+    measured = jax.jit(lambda rng: evaluate(Watched(), steady(speeds), rng, 4))(jax.random.key(0))
+    np.testing.assert_allclose(measured.distance_l1, np.mean([0.75, 1.5, 2.25, 0.0]), rtol=1e-4)
+    assert not any(bool(training_goals) for training_goals in seen)
