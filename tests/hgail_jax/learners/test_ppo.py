@@ -18,10 +18,7 @@ from hgail_jax.config import DEMONSTRATIONS, FROZEN, REWARDS
 from hgail_jax.descent import shuffled_minibatches
 from hgail_jax.discriminator import (
     _network,
-    discriminator_accuracy,
-    discriminator_loss,
     fit_discriminator,
-    imitation_reward,
 )
 from hgail_jax.learners.ppo import (
     _expert_samples,
@@ -233,13 +230,6 @@ def test_what_ppo_learns_from_is_as_by_hand(form, mixed, standard):
     assert float(given_reward) == pytest.approx(reward, rel=1e-3, abs=1e-5)
 
 
-def test_rewards_of_logits_by_hand():
-    logit = np.linspace(-3, 3, 13).astype(np.float32)
-    by_hand = (np.log(1 + np.exp(logit)), np.log(np.clip(logit, 1e-3, 1.0)), logit, logit)
-    for form, expected in zip(REWARDS.values(), by_hand, strict=True):
-        np.testing.assert_allclose(imitation_reward(form, logit), expected, rtol=1e-4, atol=1e-5)
-
-
 REWARD = RNG.normal(size=(LENGTH, EPISODES)).astype(np.float32)
 VALUE = RNG.normal(size=(LENGTH + 1, EPISODES)).astype(np.float32)
 
@@ -297,14 +287,6 @@ def test_the_policy_s_loss_by_hand():
 
 def test_a_ratio_at_the_bound_is_not_outside():
     assert policy_loss(np.zeros(3), np.zeros(3), np.ones(3), np.ones(3), 0.0)[1]["clip_fraction"] == 0.0
-
-
-def test_accuracy_is_the_share_of_logits_on_the_right_side_of_0():
-    expert, policy = np.float32([0.5, 0.0, 2.0, -0.5]), np.float32([-0.5, 0.0, 0.5])
-    assert discriminator_accuracy(expert, policy) == pytest.approx((2 / 4 + 2 / 3) / 2)
-    assert discriminator_loss(expert, policy) == pytest.approx(
-        np.logaddexp(0, -expert).mean() + np.logaddexp(0, policy).mean(), rel=1e-5
-    )
 
 
 def test_minibatches_pass_through_all_samples_in_a_new_order_each_time():

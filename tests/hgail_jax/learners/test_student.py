@@ -86,7 +86,7 @@ def test_the_student_alone_is_evaluated():
     np.testing.assert_allclose(action, jax.jit(look)(state.learner.eyes, pictures, numbers)[0], atol=1e-5)
 
 
-def test_it_learns_to_tell_where_the_cube_is():
+def test_it_learns_to_predict_where_the_cube_is():
     qpos = poses(128)
     env = push()
     cube = qpos[:, env.task.qpos_of("cube")]
@@ -104,8 +104,8 @@ def test_it_learns_to_tell_where_the_cube_is():
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
     unseen = poses(64, seed=1)
     pictures = np.float32(env.pictures(unseen, jnp.zeros((64, 1)))) / 255.0
-    told = jax.jit(look)(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
-    error = np.abs(told - unseen[:, env.task.qpos_of("cube")])[:, :2].mean()
+    predicted = jax.jit(look)(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
+    error = np.abs(predicted - unseen[:, env.task.qpos_of("cube")])[:, :2].mean()
     assert error < 0.01  # metres, of cubes within 12 cm around the middle
 
 
@@ -142,6 +142,7 @@ def test_a_look_varies_the_pictures_that_are_learnt_from():
     assert np.abs(learnt("varied") - plain).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_seed_learns_as_it_does_beside_another():
     many = jax.jit(jax.vmap(functools.partial(train_step, push(), CONFIG), in_axes=(0, None)))
 

@@ -32,7 +32,9 @@ from hgail_jax.samples import Samples, relabelled_samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import training
-from tests.hgail_jax.learners.track import LENGTH, Plane
+from tests.hgail_jax.learners import track
+from tests.hgail_jax.learners.track import DEMONSTRATION, LENGTH, Plane, normalized
+from tests.hgail_jax.line import assert_same as equal
 from tests.hgail_jax.trainer.test_resume import crash, fail_in_round, outcome, start
 from tests.support import compile_once, make_runs_tiny
 
@@ -76,10 +78,8 @@ HYPER = Hyperparameters(
     policy_learning_rate=1e-2,
     discriminator_learning_rate=1e-2,
 )
-DEMONSTRATION = Samples(
-    jnp.array([[0.3, -0.4, 2.0, 0.7]] * 3), jnp.array([[0.5, -1.7]] * 3), jnp.array([0.0, 2.0, 1.0])
-)
 init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
+assert_close = functools.partial(track.assert_close, rtol=2e-4)
 learn = jax.jit(CONFIG.learner.update, static_argnums=(0, 1))
 round_of = jax.jit(train_step, static_argnums=(0, 1))
 filled = jax.jit(functools.partial(_fill, ENV))
@@ -146,18 +146,6 @@ def mlp(params, inputs, xp=np):
             inputs = (inputs - inputs.mean(-1, keepdims=True)) / xp.sqrt(inputs.var(-1, keepdims=True) + 1e-6)
             inputs = xp.maximum(inputs * normal["scale"] + normal["bias"], 0)
     return inputs
-
-
-def normalized(state, observation):
-    return np.clip((np.asarray(observation) - state.statistics.mean) / state.statistics.std, -5, 5)
-
-
-def assert_close(found, expected, rtol=2e-4, atol=2e-5):
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol, atol), found, expected)
-
-
-def equal(one, other):
-    jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
 # Filling the buffer
