@@ -207,7 +207,7 @@ def closed_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@settings(max_examples=300, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=100, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
 @given(good=st.lists(st.sampled_from(GOOD), unique_by=lambda pair: pair[0]), broken=bad_arguments)
 def test_bad_arguments_are_one_line_and_write_nothing(closed_folder, good, broken):
     arguments = [word for pair in good if pair[0] != broken[0] for word in pair] + broken

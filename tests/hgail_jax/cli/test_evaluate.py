@@ -146,17 +146,18 @@ def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
         return np.zeros(4, np.float32)
 
     monkeypatch.setattr(CameraPolicy, "__call__", stand_still)
-    (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "2"], capsys)["policies"]
-    assert len(given) == 100
+    (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "1"], capsys)["policies"]
+    assert len(given) == 50
     pictures, numbers = (np.stack(column) for column in zip(*given, strict=True))
-    assert pictures.shape == (100, 1, 16, 16, 3) and pictures.dtype == np.uint8 and pictures.std() > 10.0
-    ends = run_episodes(GymnasiumFetch("push"), [lambda _: np.zeros(4)], range(2), seed=0)
+    assert pictures.shape == (50, 1, 16, 16, 3) and pictures.dtype == np.uint8 and pictures.std() > 10.0
+    ends = run_episodes(GymnasiumFetch("push"), [lambda _: np.zeros(4)], range(1), seed=0)
     np.testing.assert_allclose(numbers[:, :3].std(axis=0), 0.0, atol=1e-2)  # the hand, which stands still
     assert numbers.shape[1] == 6 + goal_size
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
 
 
-def test_look_and_renderer_of_a_policy_of_pictures_are_said(tmp_path, capsys, rendering):
+def test_look_and_renderer_of_a_policy_of_pictures_are_said(tmp_path, capsys, monkeypatch, rendering):
+    monkeypatch.setattr(hgail_envs.find_class("push"), "episode_length", 2)
     save_policy(tmp_path / "p.npz", dataclasses.replace(blind_policy(4), look="varied"))
     words = ["--policy", str(tmp_path / "p.npz"), "--episodes", "1"]
     shown = report(words, capsys)

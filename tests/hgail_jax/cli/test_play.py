@@ -75,6 +75,7 @@ def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy
 def test_a_film_shows_what_the_policy_sees(monkeypatch, tmp_path, rendering):
     env = hgail_envs.make("push")
     env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen"))
+    env.episode_length = 3  # where there is no GPU, pictures take long
     frames, seen = [], []
     monkeypatch.setattr("hgail_jax.play.playback.open_film", lambda *_: contextlib.nullcontext(frames.append))
     see = Session.seen.fget
