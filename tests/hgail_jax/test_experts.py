@@ -68,14 +68,18 @@ def test_places_that_no_valid_episode_fills_have_no_weight():
     np.testing.assert_array_equal(empty.distance, np.zeros(5))
 
 
+relabelled = jax.jit(relabelled_samples, static_argnums=0)
+samples_of = jax.jit(expert_samples, static_argnums=(0, 1))
+
+
 def learn_from(source, expert, given, seed=0):
     config, key = Config(PPO(), expert_source=source, best_episodes=5, num_envs=EPISODES), jax.random.key(seed)
-    return expert_samples(ENV, config, jax.tree.map(jnp.asarray, Hyperparameters()), expert, given, key)
+    return samples_of(ENV, config, jax.tree.map(jnp.asarray, Hyperparameters()), expert, given, key)
 
 
 def test_each_source_gives_its_expert_samples():
     first, second = trajectory(valid=np.arange(EPISODES) > 1), trajectory(valid=np.arange(EPISODES) > 4)
-    fresh = relabelled_samples(ENV, jax.tree.map(jnp.asarray, Hyperparameters()), first, jax.random.key(0))
+    fresh = relabelled(ENV, jax.tree.map(jnp.asarray, Hyperparameters()), first, jax.random.key(0))
     kept, samples = learn_from(RELABELLED, None, first)
     assert kept is None
     assert_same(samples, fresh)

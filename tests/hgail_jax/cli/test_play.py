@@ -76,6 +76,7 @@ def test_a_film_shows_what_the_policy_sees(monkeypatch, tmp_path, rendering):
     env = hgail_envs.make("push")
     env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen"))
     env.episode_length = 3  # where there is no GPU, pictures take long
+    monkeypatch.setattr("hgail_jax.play.playback._HOLD", 1)
     frames, seen = [], []
     monkeypatch.setattr("hgail_jax.play.playback.open_film", lambda *_: contextlib.nullcontext(frames.append))
     see = Session.seen.fget

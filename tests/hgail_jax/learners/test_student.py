@@ -98,7 +98,7 @@ def test_it_learns_to_predict_where_the_cube_is():
         weight=jnp.ones(len(qpos)),
     )
     eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (8, 8, 8, 8), (32,), (4, 3)))(jax.random.key(0))
-    fit = jax.jit(functools.partial(_fit, 100, 32, "plain"))
+    fit = jax.jit(functools.partial(_fit, 70, 32, "plain"))
     zero = jax.tree.map(np.zeros_like, eyes)
     optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import functools
 import hashlib
+import json
 import shutil
 import types
 from pathlib import Path
@@ -239,16 +240,22 @@ def _of_opengl(pictures):
     return pictures
 
 
-def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(trained, monkeypatch, tmp_path, capsys):
+@pytest.mark.parametrize("trains", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(
+    trains, trained, monkeypatch, tmp_path, capsys
+):
     """The student learns by the program of the runs above, whose sizes it has."""
     make_runs_tiny(monkeypatch)
     compile_once(monkeypatch)
     options = functools.partial(_with_tiny_learner, command.teacher_options)
     monkeypatch.setattr(command, "teacher_options", options)
+    if not trains:
+        monkeypatch.setattr(command, "train_run", functools.partial(_train_the_student_alone, command.train_run))
     sizes = ["--seeds", "2", "--num-envs", "2", "--rounds", "2", "--evaluation-episodes", "2"]
     sizes += ["--settings", "updates=2", "batch=8", "channels=[4,4,4,4]", "policy_hidden=[8]"]
     command.main(["--task", "push", "--observe", "camera", "--out", "student", *sizes])
     best = best_policy(tmp_path / "student-teacher")
+    assert trains or best.name == "seed-1.npz"
     assert (tmp_path / "student" / "teacher.npz").read_bytes() == best.read_bytes()
     assert f"the teacher is {best.relative_to(tmp_path)}" in capsys.readouterr().out
 
@@ -257,6 +264,31 @@ def test_the_best_policy_is_of_the_first_seed_with_the_most_success(tmp_path):
     (tmp_path / "summary.json").write_text('{"success_rate": {"per_seed": [0.2, 0.9, 0.5, 0.9]}}')
     (tmp_path / "config.json").write_text('{"first_seed": 5}')
     assert best_policy(tmp_path) == tmp_path / "policies" / "seed-6.npz"
+
+
+def _train_the_student_alone(train_run, run, folder, stop):
+    """Writes what the training of a teacher leaves, whose second seed is the best; trains the student."""
+    if run.teacher is not None:
+        return train_run(run, folder, stop)
+    policy = load_policy(TEACHER)
+    (folder.path / "policies").mkdir()
+    for seed in range(2):
+        save_policy(folder.path / "policies" / f"seed-{seed}.npz", dataclasses.replace(policy, mean=policy.mean + seed))
+    summary = SUMMARY | {"success_rate": {"mean": 0.5, "std": 0.25, "per_seed": [0.25, 0.75]}}
+    for name, content in (("config", {"first_seed": 0}), ("summary", summary)):
+        (folder.path / f"{name}.json").write_text(json.dumps(content))
+    return summary
+
+
+SUMMARY = {
+    "seeds": 2,
+    "distance_l1": {"mean": 0.1},
+    "wall_seconds": dict.fromkeys(("compile", "train", "evaluation", "total"), 1.0),
+    "env_steps_per_seed": 100,
+    "env_steps_per_second": 100.0,
+    "diverged_seeds": [],
+}
+"""Of a run's results what the command prints."""
 
 
 def _with_tiny_learner(teacher_options, options, folder):
@@ -338,9 +370,3 @@ def test_a_teacher_is_trained_by_the_tasks_own_settings():
     options = TrainOptions(task="push", observe="camera", seeds=3, num_envs=7, rounds=2, settings=("updates=1",))
     teacher = teacher_options(options, Path("runs/push-camera-2"))
     assert teacher == TrainOptions(task="push", seeds=3, out=Path("runs/push-camera-2-teacher"))
-
-
-def test_the_best_seed_is_the_first_of_the_best(tmp_path):
-    (tmp_path / "summary.json").write_text('{"success_rate": {"per_seed": [0.5, 0.75, 0.75]}}')
-    (tmp_path / "config.json").write_text('{"first_seed": 4}')
-    assert best_policy(tmp_path) == tmp_path / "policies" / "seed-5.npz"
