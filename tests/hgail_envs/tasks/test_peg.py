@@ -63,6 +63,21 @@ def test_the_stages_of_a_relay_lead_into_the_hole_from_above(env, hole):
         assert is_object(goal)
 
 
+def test_some_training_episodes_begin_with_the_peg_in_the_hand_and_no_others_do(env):
+    physics, keys = env.reset_physics(jax.random.key(0)), jax.random.split(jax.random.key(0), 64)
+    started = jax.vmap(lambda rng: env.training_start(rng, physics, True))(keys)
+    in_hand = np.flatnonzero(started.object_start[:, 2] > 0.5)
+    assert 8 <= len(in_hand) <= 24
+    held = jax.tree.map(lambda leaf: leaf[in_hand[0]], started)
+    step = jax.jit(env.step_physics)
+    for _ in range(10):
+        held = step(held, jnp.array([0.0, 0.0, 0.0, -1.0]))
+    assert env.holding(held)
+    np.testing.assert_allclose(env.object_position(held), held.object_start, atol=0.01)
+    others = jax.vmap(lambda rng: env.training_start(rng, physics, False))(keys)
+    np.testing.assert_array_equal(others.qpos, jnp.broadcast_to(physics.qpos, others.qpos.shape))
+
+
 def test_a_script_puts_the_peg_into_the_hole(env, hole):
     layout = env.features_layout + env.goal_layout
 
