@@ -30,8 +30,8 @@ class Options:
 
     task: str = "reach"
     """A task's name, e.g. reach or grasp."""
-    policy: Annotated[Path | None, unless_given("the task's scripted controller", "FILE|FOLDER")] = None
-    """The policy that demonstrates it, in the task's reference physics."""
+    policy: Annotated[Path | None, unless_given("the task's scripted controller", "FILE|FOLDER|NAME")] = None
+    """The policy that demonstrates it, in the task's reference physics; by name one that comes with the package."""
     episodes: int = 100
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0

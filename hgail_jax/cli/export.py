@@ -34,9 +34,10 @@ class Options:
 
     task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
     """A task's name, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
-    """The policy's file, or the folder of a run of one seed. Of those that come with the package the plain one, or with
-    --randomize the one trained under that level, for mild and full levels else the robust one."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER|NAME")] = None
+    """The policy's file, the folder of a run of one seed, or the name of one that comes with the package, such as
+    push-camera. By default the task's plain one, or with --randomize the one trained under that level, for mild and
+    full levels else the robust one."""
     randomize: Annotated[str | None, unless_given("the plain policy", "|".join(LEVELS))] = None
     """Level of the training of the policy, of those that come with the package."""
     format: Annotated[Literal["lerobot"] | None, unless_given("by the end of the file's name", "lerobot")] = None

@@ -36,9 +36,10 @@ class PolicyOptions:
 
     task: Annotated[str | None, unless_given(f"the task of --policy, or {DEFAULT_TASK}", "STR")] = None
     """A task's name, e.g. reach or grasp, or 'module:Class' of your own."""
-    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER")] = None
-    """The policy's file, or a run's folder: for its first seed, or to evaluate all. Of those that come with the package
-    the plain one, or with --randomize the one trained under that level, else the robust one."""
+    policy: Annotated[Path | None, unless_given("one that comes with the package", "FILE|FOLDER|NAME")] = None
+    """The policy's file, a run's folder, for its first seed or to evaluate all, or the name of one that comes with the
+    package, such as push-camera. By default the task's plain one, or with --randomize the one trained under that level,
+    else the robust one."""
     randomize: Annotated[str | None, unless_given("as the policy was trained", "|".join(LEVELS))] = None
     """How much each episode is randomised; see docs/robust.md."""
     robot: Annotated[str | None, unless_given("the policy's", "|".join((*ROBOTS, "FILE.toml")))] = None
@@ -57,9 +58,12 @@ class PolicyOptions:
 
 
 def policy_files(path: Path) -> list[Path]:
-    """Returns a policy's file, or those of a run's folder, by seed."""
+    """Returns a policy's file, that of the policy of this name in the package, or those of a run's folder, by seed."""
     if not path.exists():
-        raise FileNotFoundError(f"there is no file or folder {path}")
+        of_package = _of_package(str(path))
+        if len(path.parts) != 1 or not of_package.exists():
+            raise FileNotFoundError(f"there is no file or folder {path}, nor a policy of that name in the package")
+        return [of_package]
     if not path.is_dir():
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
@@ -125,14 +129,18 @@ def shipped(task: str, level: str | None = None, exact: bool = False) -> Path | 
     else:
         names = [f"{task}-{level}", *([] if exact and level not in _OF_ROBUST else [f"{task}-robust"])]
         names += [] if exact else [task]
-    paths = (assets_directory() / "policies" / f"{name}.npz" for name in names)
+    paths = map(_of_package, names)
     return next((path for path in paths if path.exists()), None)
+
+
+def _of_package(name: str) -> Path:
+    return assets_directory() / "policies" / f"{name}.npz"
 
 
 def _none_is_shipped(task: str | None, level: str | None) -> str:
     """Returns a line that says which policies of a task come with the package, none of which is for the level."""
-    names = [f"{task}.npz", *(f"{task}-{name}.npz" for name in (*LEVELS, "robust"))]
-    paths = [path for name in names if (path := assets_directory() / "policies" / name).exists()]
+    names = [f"{task}", *(f"{task}-{name}" for name in (*LEVELS, "robust"))]
+    paths = [path for name in names if (path := _of_package(name)).exists()]
     if not paths:
         return f"no policy of {task} comes with the package; name one by --policy"
     known = ", ".join(str(from_here(path)) for path in paths)

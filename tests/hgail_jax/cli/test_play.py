@@ -369,6 +369,16 @@ def test_a_policy_is_played_with_the_task_options_it_was_trained_with(in_folder)
     assert policy.task_options == {"observation": "official"}
 
 
+def test_a_policy_of_the_package_goes_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (named,) = policies.policy_files(Path("reach-robust"))
+    assert named.samefile(ROOT / "assets" / "policies" / "reach-robust.npz")
+    with pytest.raises(FileNotFoundError, match="nor a policy of that name in the package"):
+        policies.policy_files(Path("policies/reach"))
+    (tmp_path / "reach-robust").write_text("one's own comes first")
+    assert policies.policy_files(Path("reach-robust")) == [Path("reach-robust")]
+
+
 @pytest.mark.parametrize(
     ("files", "level", "expected"),
     [
