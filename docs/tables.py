@@ -168,12 +168,21 @@ def _on_a_cpu(run: Row) -> list[str]:
 
 def camera() -> list[list[str]]:
     """Eight seeds of policies that see pictures."""
-    header = ["task", "success", "worst seed", "steps to .95", "all steps", "training of eight seeds", "whole run"]
+    header = [
+        "task",
+        "look",
+        "success",
+        "worst seed",
+        "steps to .95",
+        "all steps",
+        "training of eight seeds",
+        "whole run",
+    ]
     return [header, *(_camera(_run(f"{task}-camera")) for task in _CAMERA)]
 
 
 def _camera(run: Row) -> list[str]:
-    return [run["task"], _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
+    return [run["task"], f"`{run['look']}`", _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
 
 
 def robust() -> list[list[str]]:

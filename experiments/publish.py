@@ -48,6 +48,7 @@ def run_row(folder: Path) -> Row:
         "learner": config["config"]["learner"]["name"],
         "level": config["options"].get("randomize") or "none",
         "environment_reward": config["hyperparameters"]["environment_reward"],
+        **({"look": config["options"]["look"]} if summary["method"] == "camera" else {}),
         "seeds": list(range(first, first + summary["seeds"])),
         "episodes_per_seed": summary["evaluation_episodes_per_seed"],
         "success": success,

@@ -15,19 +15,19 @@ MADE_BY = {
 }
 
 
-def write_run(folder, rates, curve):
+def write_run(folder, rates, curve, method="hgail"):
     """Writes a run's folder; `curve` has success of two seeds by env steps."""
     folder.mkdir(exist_ok=True)
     mean = sum(rates) / len(rates)
     config = {
         "config": {"learner": {"name": "td3"}},
-        "options": {"randomize": None},
+        "options": {"randomize": None, "look": "plain"},
         "hyperparameters": {"environment_reward": 0.5},
         "first_seed": 8,
     }
     summary = {
         "task": "push",
-        "method": "hgail",
+        "method": method,
         "seeds": len(rates),
         "evaluation_episodes_per_seed": 100,
         "success_rate": {"mean": mean, "std": 0.0, "per_seed": rates},
@@ -66,6 +66,7 @@ def test_a_run_becomes_a_row_and_is_replaced(results, tmp_path):
     assert row["reached"] == {"0.80": {"env_steps": 300, "seconds": 3.0}, "0.95": {"env_steps": 400, "seconds": 4.0}}
     assert {name: row[name] for name in MADE_BY} == MADE_BY
     assert second["reached"] == {"0.80": None, "0.95": None}
+    assert "look" not in row  # nothing is seen
     write_run(folder, [0.5, 0.5, 0.5], {100: [0.5, 0.5]})
     publish.main([str(folder)])
     assert [(row["name"], row["worst"]) for row in json.loads(publish.RUNS.read_text())] == [
@@ -115,6 +116,13 @@ def test_table_4_is_written_a_row_a_line(results, tmp_path):
     publish.main([str(tmp_path / "TABLE4.json")])
     assert json.loads(publish.TABLE4.read_text()) == content
     assert publish.TABLE4.read_text().count("\n") == 6
+
+
+def test_a_row_of_a_policy_that_sees_has_its_look(results, tmp_path):
+    write_run(tmp_path / "push-camera", [0.9, 1.0], {100: [0.7, 0.8]}, method="camera")
+    publish.main([str(tmp_path / "push-camera")])
+    (row,) = json.loads(publish.RUNS.read_text())
+    assert row["look"] == "plain"
 
 
 def test_what_cannot_be_published_is_said_in_a_line(results, tmp_path):
