@@ -68,9 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
         if options.camera or options.target != "told":
             cameras = [name.strip() for name in options.camera.split(",") if name]
             env = CameraEnv(env, Pictures(env, cameras, options.picture_size, target=options.target))
-        with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}"):
+        with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}") as line:
             if options.format:
-                _write_dataset(path, env, options, policy)
+                _write_dataset(path, env, options, policy, line)
                 return
             demonstrations = record(env, options.task, options.episodes, options.seed, policy)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -108,12 +108,16 @@ def _policy(options: Options) -> MeanPolicy | None:
     return policy
 
 
-def _write_dataset(path: Path, env: GoalEnv, options: Options, policy: MeanPolicy | None) -> None:
+def _write_dataset(path: Path, env: GoalEnv, options: Options, policy: MeanPolicy | None, line: StatusLine) -> None:
     from hgail_jax.lerobot.dataset import write_dataset
 
     trajectory, episodes = successes(env, options.task, options.episodes, options.seed, policy)
     path.parent.mkdir(parents=True, exist_ok=True)
     made = made_by(env, options.seed, policy) | {"command": own_command()}
     made["versions"] |= installed("lerobot")
-    write_dataset(path, options.task, env, trajectory, episodes, made)
+
+    def report(written: int) -> None:
+        line.show(f"writing, episode {written} of {options.episodes}", log=False)
+
+    write_dataset(path, options.task, env, trajectory, episodes, made, report)
     say(f"{counted(options.episodes, 'successful episode')} of {options.task} -> {path}")

@@ -15,7 +15,7 @@ from hgail_jax.io.camera_export import export_camera_onnx, export_camera_policy
 from hgail_jax.io.export import check_described, export_onnx, export_policy
 from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.policy import AnyPolicy, save_policy
-from hgail_jax.lerobot import check_installed
+from hgail_jax.lerobot import check_installed, check_shown
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
@@ -77,9 +77,10 @@ def main(arguments: list[str] | None = None) -> None:
         if kind == ".npz":
             save_policy(out, policy)
         elif kind == LEROBOT:
-            from hgail_jax.lerobot.policy import export_lerobot
+            with StatusLine("loading LeRobot"):
+                from hgail_jax.lerobot.policy import export_lerobot
 
-            export_lerobot(out, policy)
+                export_lerobot(out, policy)
         elif isinstance(policy, CameraPolicy):
             export_camera_onnx(out, policy, success) if kind == ".onnx" else export_camera_policy(out, policy)
         elif kind == ".onnx":
@@ -99,8 +100,6 @@ def _kind(options: Options, policy: AnyPolicy, trusted: bool) -> tuple[str, Path
         check_new_file(out, FORMATS)
         return out.suffix.lower(), out
     check_installed()
-    from hgail_jax.lerobot.policy import check_shown
-
     out = options.out or Path(f"{name}-lerobot")
     check_new_file(out)
     if not trusted:

@@ -7,7 +7,11 @@ import importlib.util
 from pathlib import Path
 
 from hgail_envs import GoalEnv
+from hgail_envs.registry import make
+from hgail_envs.vision.camera_env import known_numbers
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations
+from hgail_jax.io.policy import AnyPolicy
+from hgail_jax.vision.policy import CameraPolicy
 
 
 def check_installed() -> None:
@@ -16,6 +20,17 @@ def check_installed() -> None:
     if missing:
         install = "pip install 'lerobot[training,evaluation]~=0.6.1', with Python 3.12 or later"
         raise ValueError(f"LeRobot is missing, or a part of it ({', '.join(missing)}): {install}")
+
+
+def check_shown(policy: AnyPolicy) -> None:
+    """Raises a ValueError unless a policy reads what LeRobot's environment of its task shows, on its robot."""
+    env = make(policy.task, **{name: value for name, value in policy.task_options.items() if name == "robot"})
+    shown = known_numbers(env, policy.target).size if isinstance(policy, CameraPolicy) else env.observation_size
+    if policy.mean.size != shown:
+        raise ValueError(
+            f"the policy reads {policy.mean.size} numbers; LeRobot's environment of {policy.task} shows {shown}:"
+            " policies that read the past, or were trained with options such as cube=tracked, cannot be exported"
+        )
 
 
 def find_demonstrations(path: Path, task: str, env: GoalEnv) -> Demonstrations:

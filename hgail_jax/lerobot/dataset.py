@@ -1,5 +1,6 @@
 """Episodes as a `LeRobotDataset`, and one of a task's shape as demonstrations."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,28 +24,41 @@ from hgail_jax.rollout import Trajectory
 
 # LeRobot's default, AV1, is slow to start, once for each short episode; a low crf, for small pictures lose much.
 _FILM = RGBEncoderConfig(vcodec="h264", crf=18)
+_DECODER = "pyav"  # LeRobot's default, torchcodec, is reported in fifty lines where FFmpeg is missing
 _REWARD, _SUCCESS, _DONE = "next.reward", "next.success", "next.done"
 
 
 def write_dataset(
-    folder: Path, task: str, env: GoalEnv, trajectory: Trajectory, episodes: np.ndarray, made_by: dict[str, Any]
+    folder: Path,
+    task: str,
+    env: GoalEnv,
+    trajectory: Trajectory,
+    episodes: np.ndarray,
+    made_by: dict[str, Any],
+    report: Callable[[int], None],
 ) -> None:
     """Writes episodes of a roll-out, by their places in it, as a dataset with what LeRobot's environment shows.
 
     A frame has the state, the task's observation or else pictures, the action, and of the state that follows whether it
     is the goal (`next.success`), its reward, and whether it is the last. The pictures of a `CameraEnv` are rendered
     from what the roll-out noted, see `hgail_jax.play.recording.successes`. The provenance `made_by` becomes
-    `meta/made_by.json`. The folder gets its name once it is whole.
+    `meta/made_by.json`. The folder gets its name once it is whole. How many episodes are written is reported.
     """
     datasets.disable_progress_bars()
     av.logging.set_libav_level(av.logging.ERROR)
     with replace_path(folder) as partial:
-        _write(partial, f"hgail/{folder.name}", task, env, trajectory, episodes)
+        _write(partial, f"hgail/{folder.name}", task, env, trajectory, episodes, report)
         write_json(partial / "meta" / "made_by.json", made_by)
 
 
 def _write(
-    folder: Path, repository: str, task: str, env: GoalEnv, trajectory: Trajectory, episodes: np.ndarray
+    folder: Path,
+    repository: str,
+    task: str,
+    env: GoalEnv,
+    trajectory: Trajectory,
+    episodes: np.ndarray,
+    report: Callable[[int], None],
 ) -> None:
     observation = np.asarray(trajectory.observation(env)[:-1], np.float32)
     action, reward = np.clip(np.asarray(trajectory.action), -1.0, 1.0), np.asarray(trajectory.reward)
@@ -58,6 +72,7 @@ def _write(
         rgb_encoder=_FILM,
         streaming_encoding=camera is not None,
         encoder_queue_maxsize=len(observation) + 1,  # an episode and its end: from a full queue LeRobot drops frames
+        video_backend=_DECODER,
     )
     try:
         noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]
@@ -75,6 +90,7 @@ def _write(
             for step in range(len(seen)):
                 dataset.add_frame({name: values[step] for name, values in columns.items()} | {"task": sentence(task)})
             dataset.save_episode()
+            report(dataset.num_episodes)
     finally:  # LeRobot would do it whenever the object is collected, in a folder that is removed by then
         dataset.finalize()
 
@@ -117,7 +133,7 @@ def read_dataset(folder: Path, task: str, env: GoalEnv) -> Demonstrations:
     if not (folder / "data").is_dir() or not any((folder / "meta").glob("episodes*")):
         raise ValueError(f"{folder} was not written to its end: it lacks data or meta/episodes")
     try:
-        dataset = LeRobotDataset(f"hgail/{folder.name}", root=folder)
+        dataset = LeRobotDataset(f"hgail/{folder.name}", root=folder, video_backend=_DECODER)
     except (CompatibilityError, NotImplementedError) as error:  # the latter for the oldest
         raise ValueError(f"{folder} is of another version of LeRobot, which this one cannot read") from error
     # Without its prefix where LeRobot itself recorded its environment.

@@ -15,8 +15,6 @@ from lerobot.processor import make_default_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 from torch import Tensor, nn
 
-from hgail_envs.registry import make
-from hgail_envs.vision.camera_env import known_numbers
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.policy import MAX_NORMALIZED, NORM_EPSILON
 from hgail_jax.vision.network import KERNELS, STRIDES
@@ -156,7 +154,7 @@ def make_hgail_pre_post_processors(config: HgailConfig, dataset_stats: Any = Non
 
 
 def export_lerobot(folder: Path, policy: AnyPolicy) -> None:
-    """Writes a policy as a folder that `lerobot-eval --policy.path` takes; see `check_shown`."""
+    """Writes a policy as a folder that `lerobot-eval --policy.path` takes; see `hgail_jax.lerobot.check_shown`."""
     cameras, convolutions, layers, squash = _parts(policy)
     config = HgailConfig(
         output_features={ACTION: PolicyFeature(FeatureType.ACTION, (policy.action_size,))},
@@ -196,14 +194,3 @@ def _parts(policy: AnyPolicy) -> tuple[Any, Any, Any, bool]:
 
 def _named(layer: str, *arrays: Any) -> dict[str, Any]:
     return dict(zip((f"{layer}.weight", f"{layer}.bias"), arrays, strict=False))
-
-
-def check_shown(policy: AnyPolicy) -> None:
-    """Raises a ValueError unless a policy reads what LeRobot's environment of its task shows, on its robot."""
-    env = make(policy.task, **{name: value for name, value in policy.task_options.items() if name == "robot"})
-    shown = known_numbers(env, policy.target).size if isinstance(policy, CameraPolicy) else env.observation_size
-    if policy.mean.size != shown:
-        raise ValueError(
-            f"the policy reads {policy.mean.size} numbers; LeRobot's environment of {policy.task} shows {shown}:"
-            " policies that read the past, or were trained with options such as cube=tracked, cannot be exported"
-        )

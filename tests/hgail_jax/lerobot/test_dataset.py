@@ -122,7 +122,7 @@ def test_a_dataset_demonstrates(written, expected):
 def test_pictures_are_those_of_the_episodes_that_are_chosen(tmp_path, monkeypatch, expected):
     env, trajectory = expected
     monkeypatch.setattr(RENDER, lambda pictures, noted: map(np.asarray, map(env.see, noted)))  # without processes
-    write_dataset(tmp_path / "chosen", "reach", env, trajectory, np.array([2, 0]), {})
+    write_dataset(tmp_path / "chosen", "reach", env, trajectory, np.array([2, 0]), {}, print)
     read = LeRobotDataset("local/chosen", root=tmp_path / "chosen")
     for place, episode in enumerate((2, 0)):
         seen = np.asarray(env.see(trajectory.noted[10, episode]))[0] / 255.0
@@ -146,7 +146,7 @@ def test_a_slow_encoder_loses_no_picture(tmp_path, monkeypatch, expected):
 
     downsample = compute_stats.auto_downsample_height_width
     monkeypatch.setattr(compute_stats, "auto_downsample_height_width", slow)
-    write_dataset(tmp_path / "slow", "reach", env, trajectory, np.array([0]), {})
+    write_dataset(tmp_path / "slow", "reach", env, trajectory, np.array([0]), {}, print)
     assert begun
     for film in (tmp_path / "slow").rglob("*.mp4"):
         with av.open(film) as container:
@@ -162,7 +162,7 @@ def test_what_fails_half_way_leaves_nothing(tmp_path, monkeypatch, expected):
 
     monkeypatch.setattr(RENDER, render)
     with pytest.raises(OSError, match="no space is left"):
-        write_dataset(tmp_path / "half", "reach", env, trajectory, np.array([0, 1]), {})
+        write_dataset(tmp_path / "half", "reach", env, trajectory, np.array([0, 1]), {}, print)
     assert not list(tmp_path.iterdir())
 
 
