@@ -29,8 +29,8 @@ from hgail_jax.io.files import from_here, write_json
 from hgail_jax.io.provenance import provenance
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.trainer.folder import create_folder, create_numbered_folder
-from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import success_interval
+from hgail_jax.trainer.train_options import unless_given
 from hgail_jax.vision.policy import CameraPolicy
 
 PROGRAM = "camera_moved"

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import hgail_envs
-from hgail_envs.tasks.arm import FAST_SUBSTEPS, REFERENCE_SUBSTEPS, ArmEnv, ArmPhysics
+from hgail_envs.tasks.base import FAST_SUBSTEPS, REFERENCE_SUBSTEPS, ArmEnv, ArmPhysics
 from hgail_envs.tasks.reference import make_reference
 from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_process
 from hgail_jax.io.files import check_writable, write_json

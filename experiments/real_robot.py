@@ -13,7 +13,7 @@ from experiments.transfer.robots import make_robot
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.validation import check_name
 from hgail_jax.io.policy import load_policy
 

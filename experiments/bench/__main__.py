@@ -17,12 +17,12 @@ from experiments.bench.whole_runs import measure_compilation, measure_time_to_su
 from experiments.bench.workload import Workload, default_preset, default_substeps
 from hgail_envs import TASKS, find_class
 from hgail_envs.engines import ENGINES
-from hgail_envs.tasks.arm import ArmEnv
+from hgail_envs.tasks.base import ArmEnv
 from hgail_envs.validation import check_count, check_name
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.io.provenance import provenance
 from hgail_jax.settings.defaults import platform_name
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 PROGRAM = "bench"
 

@@ -11,11 +11,11 @@ import jax
 
 import hgail_envs
 from experiments import FEW_UPDATES
-from hgail_envs.tasks.arm import ArmEnv
+from hgail_envs.tasks.base import ArmEnv
 from hgail_jax.devices.compilation import compile_program
 from hgail_jax.settings.defaults import platform_name, task_preset
 from hgail_jax.settings.presets import Preset
-from hgail_jax.trainer.options import TrainOptions, plan
+from hgail_jax.trainer.train_options import TrainOptions, plan
 
 _QUICK_EPISODE = 4  # steps
 _QUICK: dict[str, dict[str, Any]] = {

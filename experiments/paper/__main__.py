@@ -16,7 +16,7 @@ from hgail_jax.cli.command_line import fail, one_line_errors, parse, prepare_pro
 from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import stop_on_signal
 from hgail_jax.trainer.folder import sole_user
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 _PROGRAM = "paper"
 _QUICK_SEEDS = 2

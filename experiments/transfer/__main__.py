@@ -17,11 +17,11 @@ from experiments.transfer.robots.base import Robot
 from experiments.transfer.studies import FETCH, measured_pairs, parts
 from hgail_envs.engines.c import usable_cores
 from hgail_envs.past import Past
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.validation import MOST_SEED, check_count, check_not_negative, counted, parse_option
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.terminal import progress_bar
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 if TYPE_CHECKING:
     RobotName = str

@@ -12,7 +12,7 @@ from experiments.transfer.robots.base import Robot
 from hgail_envs import EpisodeMetrics, find_class
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
-from hgail_envs.tasks import episode
+from hgail_envs.tasks import numpy_episode
 
 
 def run_episode(
@@ -57,7 +57,7 @@ def _run(
         pending.append(action * factors)
         return pending.popleft()
 
-    return episode.run_episode(robot, act, watch)
+    return numpy_episode.run_episode(robot, act, watch)
 
 
 def run_episodes(

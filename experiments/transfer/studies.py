@@ -16,7 +16,7 @@ from experiments.transfer.policies import Policies, load
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import CUBES
 from hgail_jax.io.policy import load_policy
 

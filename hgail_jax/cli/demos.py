@@ -19,7 +19,7 @@ from hgail_jax.lerobot import check_installed
 from hgail_jax.play.recording import made_by, make_for_demonstrations, record, successes
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.terminal import StatusLine, say
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 PROGRAM = "hgail demos"
 

@@ -26,8 +26,8 @@ from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.io.provenance import installed
 from hgail_jax.play.evaluation import Evaluation
 from hgail_jax.terminal import StatusLine
-from hgail_jax.trainer.options import unless_given
 from hgail_jax.trainer.statistics import confidence_interval, success_interval
+from hgail_jax.trainer.train_options import unless_given
 from hgail_jax.vision.policy import CameraPolicy
 
 PROGRAM = "hgail evaluate"

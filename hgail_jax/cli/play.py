@@ -18,7 +18,7 @@ from hgail_jax.io.files import check_new_file
 from hgail_jax.io.policy import AnyPolicy
 from hgail_jax.play.playback import FORMATS, film, show
 from hgail_jax.terminal import say
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 PROGRAM = "hgail play"
 

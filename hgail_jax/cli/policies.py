@@ -22,7 +22,7 @@ from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import AnyPolicy, load_any_policy
 from hgail_jax.terminal import say
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 from hgail_jax.vision.policy import CameraPolicy
 
 DEFAULT_TASK = "grasp"

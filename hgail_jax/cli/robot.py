@@ -20,7 +20,7 @@ from hgail_jax.play.playback import film
 from hgail_jax.play.portrait import portrait
 from hgail_jax.play.recording import run_controller
 from hgail_jax.terminal import StatusLine
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 PROGRAM = "hgail robot"
 

@@ -25,10 +25,10 @@ from hgail_jax.settings.defaults import platform_name
 from hgail_jax.terminal import in_a_thread, say, stop_on_signal
 from hgail_jax.trainer.camera import MissingTeacherError
 from hgail_jax.trainer.folder import RunFolder, open_run_folder, student_folder
-from hgail_jax.trainer.options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
 from hgail_jax.trainer.teaching import best_policy, teacher_options
+from hgail_jax.trainer.train_options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.training import train_run
 
 PROGRAM = "hgail train"

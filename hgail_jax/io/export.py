@@ -14,7 +14,7 @@ from hgail_envs.quantities import Description, describe
 from hgail_envs.registry import TASKS, make
 from hgail_envs.robots.base import TOP_SPEED
 from hgail_envs.scenes import TABLE_HEIGHT
-from hgail_envs.tasks.arm import ArmEnv
+from hgail_envs.tasks.base import ArmEnv
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.graph import FLOAT, Graph
 from hgail_jax.policy import MAX_NORMALIZED, MeanPolicy

@@ -4,7 +4,7 @@ A run goes through these modules: `options` (plans it), `folder` (opens its fold
 `Trainer`), `loop` (the rounds, with `checkpoint` and `loggers`), `results` (policies, curves and the summary).
 """
 
-from hgail_jax.trainer.options import TrainOptions
+from hgail_jax.trainer.train_options import TrainOptions
 from hgail_jax.trainer.training import Trainer
 
 __all__ = ["TrainOptions", "Trainer"]

@@ -15,7 +15,7 @@ from hgail_jax.io.policy import load_policy
 from hgail_jax.policy import MeanPolicy
 
 if TYPE_CHECKING:
-    from hgail_jax.trainer.options import TrainOptions
+    from hgail_jax.trainer.train_options import TrainOptions
 
 TEACHER = "teacher.npz"
 """Name of the teacher's file in a student's folder."""

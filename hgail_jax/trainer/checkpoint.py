@@ -1,4 +1,4 @@
-"""Checkpoints: the whole state of a run on disk, written beside the training and checked when read.
+"""Checkpoints: the whole state of a run (`TrainState`, its buffer and keys) on disk, beside the training.
 
 A checkpoint is a folder, `<rounds done>/state`, with `arrays.npz`, the leaves of the state, whole, and `record.json`,
 with a hash. Beside the checkpoints `history.jsonl` has a line for each round; it only grows, so that a checkpoint costs

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hgail_jax.trainer.options import TrainOptions
+from hgail_jax.trainer.train_options import TrainOptions
 
 _SHARED = (
     *("task", "seeds", "first_seed", "robot", "impl", "substeps", "task_options", "devices", "checkpoint_every"),

@@ -27,9 +27,9 @@ from hgail_jax.trainer.camera import TEACHER, kept_teacher
 from hgail_jax.trainer.folder import RunFolder, open_run_folder
 from hgail_jax.trainer.loggers import LOGGERS
 from hgail_jax.trainer.loop import Progress, SavingPolicy, begin, is_stopped, train
-from hgail_jax.trainer.options import TrainOptions, plan
 from hgail_jax.trainer.results import summarize, write_results
 from hgail_jax.trainer.run import Run
+from hgail_jax.trainer.train_options import TrainOptions, plan
 
 _MOST_OF_SAVING = 0.05  # of the time of a run with a replay buffer
 

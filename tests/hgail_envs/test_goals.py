@@ -14,7 +14,7 @@ from scipy.stats import kstest, uniform
 import hgail_envs
 from hgail_envs.base import EpisodeMetrics, GoalEnv, TrainingDefaults
 from hgail_envs.point import Point
-from hgail_envs.tasks.arm import ArmEnv
+from hgail_envs.tasks.base import ArmEnv
 from hgail_envs.tasks.grasp import is_held
 from tests.support import starts_of
 

@@ -18,7 +18,7 @@ from hgail_jax.learners import LEARNERS
 from hgail_jax.settings.defaults import DEFAULTS, SHARED, SHARED_WITH_SCENE, default_learner, task_preset
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from hgail_jax.trainer.training import with_settings
 
 EIGHT = {"substeps": 8}

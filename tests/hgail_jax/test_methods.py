@@ -17,7 +17,7 @@ from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.settings.defaults import DEFAULTS
-from hgail_jax.trainer.options import TrainOptions, choose, plan
+from hgail_jax.trainer.train_options import TrainOptions, choose, plan
 
 SEEDS = 2
 SMALL = Config(

@@ -17,7 +17,7 @@ from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, trace_evaluation
 from hgail_jax.state import split_key
 from hgail_jax.train import _learn
-from hgail_jax.trainer.options import TrainOptions, plan
+from hgail_jax.trainer.train_options import TrainOptions, plan
 from tests.support import TINY
 
 ENV = hgail_envs.make("point")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hgail_envs.tasks.arm import CONTROL_PERIOD, ArmEnv
+from hgail_envs.tasks.base import CONTROL_PERIOD, ArmEnv
 from hgail_envs.tasks.objects import AT_GOAL
 from hgail_envs.tasks.pick_and_place import AT_CUBE
 

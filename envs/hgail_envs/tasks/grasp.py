@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag, position
 from hgail_envs.tasks import controllers
-from hgail_envs.tasks.arm import ArmEnv, ArmPhysics
+from hgail_envs.tasks.base import ArmEnv, ArmPhysics
 from hgail_envs.tasks.layouts import GRIPPER, HAND, TARGET, gripper_values
 from hgail_envs.validation import check_name
 

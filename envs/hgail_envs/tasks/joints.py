@@ -11,7 +11,7 @@ from hgail_envs.layout import Layout
 from hgail_envs.randomization import OF_OBJECT
 from hgail_envs.robots.kinematics import Chain
 from hgail_envs.scenes import check_names
-from hgail_envs.tasks.arm import CONTROL_PERIOD, ArmEnv
+from hgail_envs.tasks.base import CONTROL_PERIOD, ArmEnv
 from hgail_envs.tasks.objects import OBSERVATIONS, ObjectEnv, ObjectPhysics, object_goal
 from hgail_envs.validation import check_name
 from hgail_envs.variation import SensorErrors

@@ -7,7 +7,7 @@ import jax
 from hgail_envs.layout import METRES, Layout, Quantity, flag, position
 
 PER_ACTION = "m per action of 0.04 s"
-"""Unit of velocities, which are multiplied by `hgail_envs.tasks.arm.CONTROL_PERIOD` as the reference has it."""
+"""Unit of velocities, which are multiplied by `hgail_envs.tasks.base.CONTROL_PERIOD` as the reference has it."""
 
 GRIPPER = Layout(position("gripper position"), Quantity("gripper velocity", 3, PER_ACTION, "world"))
 GAP = Quantity("gap between the fingers", 1, METRES, "hand")
@@ -48,5 +48,5 @@ def official(name: str) -> Layout:
 
 
 def gripper_values(physics: Any) -> dict[str, jax.Array]:
-    """Returns the values of `GRIPPER` in a `hgail_envs.tasks.arm.ArmPhysics`."""
+    """Returns the values of `GRIPPER` in a `hgail_envs.tasks.base.ArmPhysics`."""
     return {"gripper position": physics.gripper_position, "gripper velocity": physics.gripper_velocity}

@@ -11,7 +11,7 @@ from flax import struct
 
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
-from hgail_envs.tasks.arm import CONTROL_PERIOD, ArmEnv, ArmPhysics
+from hgail_envs.tasks.base import CONTROL_PERIOD, ArmEnv, ArmPhysics
 from hgail_envs.tasks.layouts import TARGET, gripper_values, official
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors

@@ -4,7 +4,7 @@ import jax
 
 from hgail_envs.layout import Layout
 from hgail_envs.tasks import controllers
-from hgail_envs.tasks.arm import ArmEnv, ArmPhysics
+from hgail_envs.tasks.base import ArmEnv, ArmPhysics
 from hgail_envs.tasks.layouts import ACTION_OF_ARM, GRIPPER, TARGET, gripper_values
 
 GOAL_RANGE = 0.15

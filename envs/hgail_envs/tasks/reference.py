@@ -10,9 +10,9 @@ import numpy as np
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.past import Past
 from hgail_envs.registry import accepted_options, find_class
-from hgail_envs.tasks.episode import run_episode
 from hgail_envs.tasks.grasp import CUBES, is_held
 from hgail_envs.tasks.layouts import official
+from hgail_envs.tasks.numpy_episode import run_episode
 from hgail_envs.tasks.objects import OBSERVATIONS
 from hgail_envs.validation import MOST_SEED, check_name
 

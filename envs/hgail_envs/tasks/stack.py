@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
 from hgail_envs.tasks import controllers
-from hgail_envs.tasks.arm import CONTROL_PERIOD, REFERENCE_SUBSTEPS
+from hgail_envs.tasks.base import CONTROL_PERIOD, REFERENCE_SUBSTEPS
 from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
 from hgail_envs.tasks.grasp import CUBE_WIDTH
 from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, of_object

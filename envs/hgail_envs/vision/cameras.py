@@ -1,4 +1,4 @@
-"""The cameras of a scene, by their names."""
+"""The cameras of a scene, by their names; where those of the package stand, `assets/scenes/room.xml` says."""
 
 from collections.abc import Sequence
 from typing import Any

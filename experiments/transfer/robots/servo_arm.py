@@ -13,7 +13,7 @@ from experiments.transfer.robots.base import OptionCurve, Robot
 from experiments.transfer.robots.responses import FingerResponse
 from hgail_envs.robots.base import CONTROL_PERIOD
 from hgail_envs.scenes import TABLE_HEIGHT
-from hgail_envs.tasks.arm import ArmPhysics
+from hgail_envs.tasks.base import ArmPhysics
 from hgail_envs.validation import MOST_SEED, check_count
 
 _SLOWDOWN = 4

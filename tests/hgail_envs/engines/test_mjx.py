@@ -1,4 +1,4 @@
-"""MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_parity`."""
+"""MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_reach_parity`."""
 
 import jax
 import numpy as np

@@ -8,7 +8,7 @@ import pytest
 
 import hgail_envs
 from hgail_envs.robots.base import TOP_SPEED
-from hgail_envs.tasks.arm import CONTROL_PERIOD, FAST_SUBSTEPS, REFERENCE_SUBSTEPS
+from hgail_envs.tasks.base import CONTROL_PERIOD, FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 
 
 @pytest.mark.parametrize("task", ["reach", "grasp"])

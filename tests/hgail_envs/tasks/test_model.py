@@ -16,7 +16,7 @@ from hgail_envs.engines import make_engine
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv, randomize
 from hgail_envs.robots.fetch import Fetch
-from hgail_envs.tasks.arm import LEAST_DISTANCE
+from hgail_envs.tasks.base import LEAST_DISTANCE
 from hgail_envs.tasks.grasp import CUBE_WIDTH
 from hgail_envs.tasks.model import SceneModel
 from hgail_envs.variation import ModelFactors

@@ -17,7 +17,7 @@ from experiments.parity import (
     place,
     random_moves,
 )
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 
 
 @functools.cache

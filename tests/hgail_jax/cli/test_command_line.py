@@ -17,7 +17,7 @@ from hgail_envs.validation import MOST
 from hgail_jax.cli import command_line
 from hgail_jax.cli import train as run
 from hgail_jax.cli.command_line import parse, prepare_process, user_cache, with_new_names
-from hgail_jax.trainer.options import unless_given
+from hgail_jax.trainer.train_options import unless_given
 
 
 @dataclasses.dataclass

@@ -9,7 +9,7 @@ from hgail_jax import TrainOptions, load_demonstrations
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import load_policy
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from tests.support import ROOT
 
 POLICIES = ROOT / "assets" / "policies"

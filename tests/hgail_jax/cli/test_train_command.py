@@ -17,7 +17,7 @@ from hgail_jax.cli import train as run
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import RunFolder
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.support import compile_once, make_runs_tiny
 

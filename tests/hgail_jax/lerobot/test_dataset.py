@@ -12,7 +12,7 @@ import pytest
 from hgail_jax import TrainOptions
 from hgail_jax.cli import demos, train
 from hgail_jax.io.policy import load_policy
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from tests.support import ROOT
 
 pytest.importorskip("lerobot", reason="LeRobot is missing")

@@ -25,8 +25,8 @@ from hgail_jax.io.policy import from_state, load_any_policy, save_policy
 from hgail_jax.settings.camera import camera_preset
 from hgail_jax.trainer import camera
 from hgail_jax.trainer.checkpoint import AnotherRunError, as_json, refuse_another_run
-from hgail_jax.trainer.options import TrainOptions
 from hgail_jax.trainer.teaching import best_policy, teacher_options
+from hgail_jax.trainer.train_options import TrainOptions
 from hgail_jax.trainer.training import Trainer
 from hgail_jax.vision.augmentation import Augmentation
 from hgail_jax.vision.network import look

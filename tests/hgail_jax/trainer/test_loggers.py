@@ -21,7 +21,7 @@ from hgail_jax import Trainer, TrainOptions
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.loggers import check_loggers, scalars
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from hgail_jax.trainer.training import train_run
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.hgail_jax.trainer.test_trainer import After

@@ -20,7 +20,7 @@ from hgail_jax.cli import train as run
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import results, training
 from hgail_jax.trainer.folder import open_run_folder
-from hgail_jax.trainer.options import plan
+from hgail_jax.trainer.train_options import plan
 from tests.hgail_jax.trainer.test_checkpoint import arrays_of, saved_in
 from tests.support import compile_once, make_runs_tiny
 

@@ -14,7 +14,7 @@ from experiments.transfer.conditions import TASKS, Conditions
 from experiments.transfer.episode import run_episode, run_episodes
 from experiments.transfer.robots import ROBOTS, GymnasiumFetch, make_robot
 from hgail_envs.scenes import assets_directory
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import Grasp
 from hgail_jax.io.policy import load_policy
 

@@ -9,7 +9,7 @@ import pytest
 from experiments.transfer.episode import changed, run_episode, run_episodes
 from experiments.transfer.robots import GymnasiumFetch, make_robot
 from hgail_envs.scenes import TABLE_HEIGHT, assets_directory
-from hgail_envs.tasks.arm import CONTROL_PERIOD
+from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import Grasp
 from hgail_jax.io.policy import load_policy
 from tests.support import move
