@@ -15,6 +15,7 @@ import imageio
 import numpy as np
 import pytest
 import tensorboardX
+import wandb
 from scipy import stats
 
 from hgail_jax import Trainer, TrainOptions
@@ -167,7 +168,9 @@ def test_a_resumed_run_continues_in_the_same_log(monkeypatch, stopped):
         assert len(table(Path("run"))) == 3 * 2  # the third round is logged and not saved
     else:
         assert first.train(After(3)) is None
+    wandb.teardown()  # its service, which may still be at the first run, as a process ends that is stopped or killed
     Trainer(SMALL, resume="run", **options).train()
+    wandb.teardown()  # by then all is written
     same(tensorboard_scalars("run/tensorboard"), expected(Path("run")))
     ((_, rows),) = wandb_history("run").items()  # one run
     shown = {
