@@ -18,7 +18,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_count
+from hgail_envs.validation import check_count, check_not_negative
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Config
 from hgail_jax.descent import gradient_step
@@ -97,6 +97,8 @@ class Student(Learner):
     """Samples in one of them."""
     channels: tuple[int, ...] = (32, 64, 64, 64)
     """Features of the four convolutions."""
+    object_weight: float = 1.0
+    """Weight of the objects' positions in the loss; with 0 the student learns the actions alone."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
@@ -104,6 +106,7 @@ class Student(Learner):
             raise ValueError(f"channels is {self.channels!r}; it must be {len(KERNELS)} numbers of features")
         for features in self.channels:
             check_count("a number of features in channels", features)
+        check_not_negative("object_weight", self.object_weight)
 
     def validate(self, env: GoalEnv, config: Config) -> None:
         """See `Learner`; the task has pictures and a teacher."""
@@ -192,7 +195,7 @@ class Student(Learner):
         lesson = jax.tree.map(lambda leaf: leaf.reshape(lesson.weight.size, *leaf.shape[2:]), lesson)
         rate = state.hyperparameters.policy_learning_rate * _cosine(self.progress(config, state))
         look_name = cast(CameraEnv, env).pictures.look
-        fit = jax.custom_batching.sequential_vmap(functools.partial(_fit, self.updates, self.batch, look_name))
+        fit = jax.custom_batching.sequential_vmap(functools.partial(_fit, self, look_name))
         eyes, optimizer, metrics = fit(learner.eyes, learner.optimizer, lesson, jax.random.key_data(rng), rate)
         learner = learner.replace(eyes=eyes, optimizer=optimizer, steps=learner.steps + self.updates)
         return state.replace(learner=learner), metrics | {"teacher_share": share}
@@ -235,8 +238,7 @@ def _cosine(progress: jax.Array) -> jax.Array:
 
 
 def _fit(
-    updates: int,
-    batch: int,
+    sizes: Student,
     look_name: str,
     eyes: Eyes,
     optimizer: Any,
@@ -249,20 +251,20 @@ def _fit(
     def step(carry: tuple[Eyes, Any], rng: jax.Array) -> tuple[tuple[Eyes, Any], Metrics]:
         eyes, optimizer = carry
         draw_rng, augment_rng = jax.random.split(rng)
-        drawn = jax.random.randint(draw_rng, (batch,), 0, len(lesson.weight))
+        drawn = jax.random.randint(draw_rng, (sizes.batch,), 0, len(lesson.weight))
         sample = jax.tree.map(lambda leaf: leaf[drawn], lesson)
         pictures = augment(AUGMENTATIONS[look_name], augment_rng, _unit(sample.pictures))
-        gradient, metrics = jax.grad(_loss, has_aux=True)(eyes, pictures, sample)
+        gradient, metrics = jax.grad(_loss, has_aux=True)(eyes, pictures, sample, sizes.object_weight)
         return gradient_step(optax.scale_by_adam(), eyes, optimizer, gradient, rate), metrics
 
     (eyes, optimizer), metrics = jax.lax.scan(
-        step, (eyes, optimizer), jax.random.split(jax.random.wrap_key_data(rng), updates)
+        step, (eyes, optimizer), jax.random.split(jax.random.wrap_key_data(rng), sizes.updates)
     )
     return eyes, optimizer, {name: jnp.sqrt(values.mean()) for name, values in metrics.items()}
 
 
-def _loss(eyes: Eyes, pictures: jax.Array, sample: _Lesson) -> tuple[jax.Array, Metrics]:
-    """Returns the squared errors of actions and positions, `[]`, and each of them for the metrics."""
+def _loss(eyes: Eyes, pictures: jax.Array, sample: _Lesson, object_weight: float) -> tuple[jax.Array, Metrics]:
+    """Returns the loss, `[]`, and the squared errors of actions and positions for the metrics."""
     action, objects = look(eyes, pictures, sample.numbers, _precision())
 
     def error(predicted: jax.Array, true: jax.Array) -> jax.Array:
@@ -270,4 +272,5 @@ def _loss(eyes: Eyes, pictures: jax.Array, sample: _Lesson) -> tuple[jax.Array, 
         return each.sum() / jnp.maximum(sample.weight.sum() * max(predicted.shape[1], 1), 1.0)
 
     of_action, of_objects = error(action, sample.action), error(objects, sample.objects)
-    return of_action + of_objects, {"action_error": of_action, "object_error": of_objects * OBJECT_SCALE**2}
+    loss = of_action + object_weight * of_objects
+    return loss, {"action_error": of_action, "object_error": of_objects * OBJECT_SCALE**2}

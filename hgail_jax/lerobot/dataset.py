@@ -24,6 +24,7 @@ from hgail_jax.rollout import Trajectory
 
 # LeRobot's default, AV1, is slow to start, once for each short episode; a low crf, for small pictures lose much.
 _FILM = RGBEncoderConfig(vcodec="h264", crf=18)
+_FILM_FILE = 1  # MB: for each episode that LeRobot appends to a file, it copies all of it
 _DECODER = "pyav"  # LeRobot's default, torchcodec, is reported in fifty lines where FFmpeg is missing
 _REWARD, _SUCCESS, _DONE = "next.reward", "next.success", "next.done"
 
@@ -70,6 +71,7 @@ def _write(
         root=folder,
         robot_type=None if env.robot is None else env.robot.name,
         rgb_encoder=_FILM,
+        video_files_size_in_mb=_FILM_FILE,
         streaming_encoding=camera is not None,
         encoder_queue_maxsize=len(observation) + 1,  # an episode and its end: from a full queue LeRobot drops frames
         video_backend=_DECODER,

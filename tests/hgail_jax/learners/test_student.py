@@ -98,7 +98,7 @@ def test_it_learns_to_predict_where_the_cube_is():
         weight=jnp.ones(len(qpos)),
     )
     eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (8, 8, 8, 8), (32,), (4, 3)))(jax.random.key(0))
-    fit = jax.jit(functools.partial(_fit, 70, 32, "plain"))
+    fit = jax.jit(functools.partial(_fit, Student(updates=70, batch=32), "plain"))
     zero = jax.tree.map(np.zeros_like, eyes)
     optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
@@ -135,11 +135,32 @@ def test_a_look_varies_the_pictures_that_are_learnt_from():
 
     def learnt(name):
         rng = jax.random.key_data(jax.random.key(0))
-        return _fit(1, 8, name, learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0].convolutions[0][0]
+        eyes, _, _ = _fit(Student(updates=1, batch=8), name, learner.eyes, learner.optimizer, lesson, rng, 1e-3)
+        return eyes.convolutions[0][0]
 
     plain = learnt("plain")
     np.testing.assert_array_equal(learnt("cameras"), plain)  # whose pictures vary by the scene alone
     assert np.abs(learnt("varied") - plain).max() > 1e-4
+
+
+def test_without_their_weight_the_positions_teach_nothing():
+    env, learner = push(), untrained().learner
+    lesson = _Lesson(
+        pictures=env.pictures(poses(16), jnp.zeros((16, 1))),
+        numbers=jnp.zeros((16, len(env.known))),
+        objects=jnp.ones((16, 3)),
+        action=jnp.ones((16, 4)),
+        weight=jnp.ones(16),
+    )
+
+    def learnt(weight):
+        sizes, rng = Student(updates=2, batch=8, object_weight=weight), jax.random.key_data(jax.random.key(0))
+        return _fit(sizes, "plain", learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0]
+
+    before, without, with_them = learner.eyes, learnt(0.0), learnt(1.0)
+    jax.tree.map(np.testing.assert_array_equal, without.objects, before.objects)
+    assert np.abs(with_them.objects[1] - before.objects[1]).max() > 1e-4
+    assert np.abs(without.action[1] - before.action[1]).max() > 1e-4  # the actions do
 
 
 @pytest.mark.slow
