@@ -26,10 +26,15 @@ def made(robot, task="grasp", impl="reference"):
     return hgail_envs.make(task, robot=robot, impl=impl)
 
 
+@functools.cache
+def start_and_step(robot, impl):
+    env = made(robot, impl=impl)
+    return jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
+
+
 def states(robot, actions, impl="reference"):
     """Returns the physics at the start and after each action."""
-    env = made(robot, impl=impl)
-    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
+    state, step = start_and_step(robot, impl)
     seen = [state.pipeline_state]
     for action in actions:
         state = step(state, jnp.asarray(action, jnp.float32))

@@ -11,7 +11,7 @@ from tests.sharded_training import assert_close, train_on_four_devices
 from tests.support import four_devices
 
 
-@pytest.fixture(scope="module", params=["ppo", pytest.param("td3", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["ppo", "td3"])
 def trained(request, forks):
     shared = {"task": "point", "learner": request.param, "final": request.param != "ppo"}  # two processes evaluate, too
     return train_on_four_devices(
@@ -21,11 +21,13 @@ def trained(request, forks):
     )
 
 
+@pytest.mark.slow
 def test_a_seed_has_the_same_bits_on_whichever_device_and_beside_whichever_others(trained):
     for leaf in trained["seeds"]:
         np.testing.assert_array_equal(leaf[:4], leaf[4:][::-1])
 
 
+@pytest.mark.slow
 def test_a_seed_on_each_device_agrees_with_the_seed_alone(trained):
     assert_close([leaf[:4] for leaf in trained["seeds"]], trained["alone"], rtol=1e-4, atol=1e-5)
 
