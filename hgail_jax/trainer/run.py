@@ -8,7 +8,9 @@ from typing import Any
 
 from jax.sharding import Mesh
 
+from hgail_envs.engines.c import digest
 from hgail_envs.randomized import RandomizedEnv
+from hgail_envs.robots.description import is_file, text_of
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Hyperparameters
 from hgail_jax.trainer.checkpoint import LOOK_SIZES
@@ -49,6 +51,9 @@ class Run(Program):
     def identity(self) -> dict[str, Any]:
         """Returns the settings that a run must have in common with one that it resumes."""
         physics: dict[str, Any] = {name: getattr(self.env, name, None) for name in ("impl", "substeps")}
+        if is_file(robot := str(self.task_options.get("robot"))):  # which may have been changed by hand
+            model = digest(self.env.robot.model)
+            physics["robot"] = hashlib.sha256((text_of(robot) + model).encode()).hexdigest()
         if isinstance(self.env, RandomizedEnv):
             physics["randomization"] = dataclasses.asdict(self.env.randomization)
         if isinstance(self.env, CameraEnv):

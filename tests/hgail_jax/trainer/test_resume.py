@@ -17,12 +17,14 @@ import jax
 import numpy as np
 import pytest
 
+from hgail_envs.scenes import assets_directory
 from hgail_jax import METHODS
 from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
 from hgail_jax.trainer import loop
-from hgail_jax.trainer.checkpoint import Checkpoints
+from hgail_jax.trainer.checkpoint import AnotherRunError, Checkpoints, as_json, refuse_another_run
 from hgail_jax.trainer.folder import sole_user
+from hgail_jax.trainer.train_options import TrainOptions, plan
 from tests.hgail_jax.trainer.test_checkpoint import arrays_of, record_of, saved_in
 from tests.support import SOURCES, TINY_RUN, compile_once, make_runs_tiny, small_files_only
 
@@ -417,3 +419,19 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     last = [arrays_of(run / "checkpoints" / str(rounds + 1)) for run in (folder, tmp_path / "whole")]
     assert last[0].read_bytes() == last[1].read_bytes()
     assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))
+
+
+def test_a_run_on_an_arm_whose_description_was_changed_is_another_one():
+    pytest.importorskip("gymnasium_robotics")  # it has the model
+    description = Path("arm.toml")
+    text = (assets_directory() / "robots" / "franka.toml").read_text()
+
+    def identity():
+        return plan(TrainOptions(task="reach", robot=str(description), seeds=1), "cpu").identity()
+
+    description.write_text(text)
+    first = as_json(identity())
+    refuse_another_run("folder", first, identity())
+    description.write_text(text.replace("2.61, 2.61, 2.61", "2.0, 2.0, 2.0"))
+    with pytest.raises(AnotherRunError, match=r"folder holds another run: physics\.robot is \w+ there and \w+ here"):
+        refuse_another_run("folder", first, identity())
