@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
             raise ValueError(f"{command.policy} sees positions; a policy with cameras is needed")
         _, first = policies[0]
         env: Any = make_task(first, first.task, None)
-        pictures = Pictures(env.task, first.cameras, first.size, look=_LOOK, target=first.target)
+        pictures = Pictures(env.task, first.cameras, first.size, look=_LOOK, target=first.target, kind=first.kind)
         out = create_folder(command.out) if command.out else create_numbered_folder(Path("runs"), "camera-moved")
     except (ValueError, OSError, RenderingError) as error:
         fail(PROGRAM, error, 2)

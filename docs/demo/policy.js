@@ -101,6 +101,7 @@ const OBJECT_SCALE = 0.1; // metres that a 1 of the objects' positions stands fo
 // A policy that sees pictures, uint8 [cameras, size, size, 3], and is told the robot's own numbers and the goal's.
 class CameraPolicy {
   constructor(header, arrays) {
+    if (header.pictures.kind) throw new Error(`the policy sees ${header.pictures.kind}, and the page draws colours`);
     this.header = header;
     this.mean = arrays.mean.values;
     this.std = arrays.std.values;

@@ -126,7 +126,9 @@ def _simulation(task: str, options: Options, policies: list[AnyPolicy]) -> tuple
 
 def _sees(policy: AnyPolicy) -> Any:
     """Returns what decides the task that a policy is evaluated in, beside its options."""
-    return (policy.cameras, policy.size, policy.target) if isinstance(policy, CameraPolicy) else policy.observation_size
+    if isinstance(policy, CameraPolicy):
+        return policy.cameras, policy.size, policy.target, policy.kind
+    return policy.observation_size
 
 
 def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[Where, int, list[Measure]]:
@@ -150,7 +152,7 @@ def _reference(task: str, options: Options, policies: list[AnyPolicy]) -> tuple[
 def _seeing(reference: ReferenceFetch, env: hgail_envs.GoalEnv, policy: CameraPolicy) -> Act:
     """Returns a policy that sees the reference's pictures as a function of an observation."""
     assert isinstance(env, CameraEnv)  # by `make_task`
-    see = ReferencePictures(reference, env.task, policy.cameras, policy.size, env.pictures.marker)
+    see = ReferencePictures(reference, env.task, policy.cameras, policy.size, env.pictures.marker, policy.kind)
     return lambda observation: policy(see(), observation[env.known])
 
 

@@ -168,7 +168,7 @@ def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
     if isinstance(env, RandomizedEnv):
         raise ValueError("a policy that sees pictures was trained without --randomize; leave it out")
     try:
-        seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size, target=policy.target))
+        seen = CameraEnv(env, Pictures(env, policy.cameras, policy.size, target=policy.target, kind=policy.kind))
     except RenderingError as error:
         raise ValueError(str(error)) from error
     for what, given, needed in (

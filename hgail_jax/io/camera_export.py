@@ -13,17 +13,24 @@ from hgail_envs.quantities import describe
 from hgail_envs.registry import make
 from hgail_envs.vision.camera_env import KNOWN
 from hgail_envs.vision.cameras import camera_ids, describe_cameras
+from hgail_envs.vision.depth import FAR
 from hgail_jax.io.export import described_place, described_rows
 from hgail_jax.io.files import replace_file
 from hgail_jax.io.graph import FLOAT, UINT8, Graph
 from hgail_jax.vision.network import STRIDES
 from hgail_jax.vision.policy import CameraPolicy, act
 
+_PIXEL: dict[str, dict[str, Any]] = {
+    "colour": {"colours": "red, green, blue"},
+    "depth": {"kind": "depth: distance from the camera's plane, white where none was measured", "metres": [0.0, FAR]},
+}
+
 
 def export_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
     """Writes the action as a portable StableHLO artifact: a function `main` with the weights in it.
 
-    It maps pictures, uint8 `[cameras, size, size, 3]`, and numbers, float32 `[numbers]`, to an action, `[action_size]`.
+    It maps pictures, uint8 `[cameras, size, size, 3]` or of depth `[cameras, size, size, 1]`, and numbers, float32
+    `[numbers]`, to an action, `[action_size]`.
     """
     parameters = jax.tree.map(jnp.asarray, policy.parameters())
     given = (
@@ -38,11 +45,11 @@ def export_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
 def export_camera_onnx(path: Path | str, policy: CameraPolicy, success: float | None = None) -> None:
     """Writes the action as an ONNX model with metadata that explain its pictures and numbers.
 
-    Its inputs are a picture from each camera, by the camera's name, uint8 `[batch, size, size, 3]`, and `numbers`,
-    float32 `[batch, numbers]`; its output is `action`, `[batch, action_size]`, each number from -1 to 1. The metadata
-    are those of `hgail_jax.io.export.export_onnx`, with `numbers` in place of `observation`, and `pictures`: size,
-    order of colours and rows, range, and each camera's pose and intrinsics, see
-    `hgail_envs.vision.cameras.describe_cameras`.
+    Its inputs are a picture from each camera, by the camera's name, uint8 `[batch, size, size, 3]`, of depth
+    `[batch, size, size, 1]`, and `numbers`, float32 `[batch, numbers]`; its output is `action`, `[batch, action_size]`,
+    each number from -1 to 1. The metadata are those of `hgail_jax.io.export.export_onnx`, with `numbers` in place of
+    `observation`, and `pictures`: size, order of colours and rows, range, of depth the metres of that range, and each
+    camera's pose and intrinsics, see `hgail_envs.vision.cameras.describe_cameras`.
 
     Raises:
       ImportError: the extra `onnx` is not installed.
@@ -50,7 +57,7 @@ def export_camera_onnx(path: Path | str, policy: CameraPolicy, success: float | 
     """
     about = _metadata(policy, success)
     inputs: dict[str, tuple[int, list[Any]]] = {
-        camera: (UINT8, ["batch", policy.size, policy.size, 3]) for camera in policy.cameras
+        camera: (UINT8, ["batch", *policy.pictures_shape[1:]]) for camera in policy.cameras
     }
     inputs["numbers"] = FLOAT, ["batch", policy.mean.size]
     _graph(policy).save(path, inputs, policy.action_size, about)
@@ -114,7 +121,7 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
         "pictures": {
             "cameras": describe_cameras(model, policy.cameras, policy.size),
             "size": policy.size,
-            "colours": "red, green, blue",
+            **_PIXEL[policy.kind],
             "rows": "the upper first",
             "range": [0, 255],
         },

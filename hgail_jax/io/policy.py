@@ -15,6 +15,8 @@ A policy that sees pictures has another format:
 
     {"format": "hgail_jax camera policy 1", "task": "push",
      "pictures": {"cameras": ["front", "side"], "size": 64, "colours": "RGB", "range": [0, 255]},
+                                                               # of depth "kind": "depth", "metres": [0.0, 1.6] for
+                                                               # "colours": distances that are 0 and 255
      "numbers": {"size": 10, "goal": 4},                       # its numbers: `KNOWN` features, then the goal;
                                                                # no goal where it sees the target in the pictures
      "action": {"size": 4, "low": -1.0, "high": 1.0}, "convolutions": 4, "layers": 2, "look": "varied",
@@ -39,6 +41,7 @@ import numpy as np
 from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
 from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.depth import FAR
 from hgail_jax.config import Config
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.provenance import installed
@@ -50,7 +53,10 @@ from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
 _FORMAT, _CAMERA_FORMAT = "hgail_jax policy 2", "hgail_jax camera policy 1"
 _ACTION = {"low": -1.0, "high": 1.0}
 _TANH, _LAYER_NORM_RELU = "tanh", "layer-norm-relu"
-_PICTURES: dict[str, Any] = {"colours": "RGB", "range": [0, 255]}
+_PICTURES: dict[str, dict[str, Any]] = {
+    "colour": {"colours": "RGB", "range": [0, 255]},
+    "depth": {"kind": "depth", "range": [0, 255], "metres": [0.0, FAR]},
+}
 _ARRAYS = ("weights", "biases", "scale", "offset")  # of a layer
 _KERNEL = ("kernel", "kernel_biases")  # of a convolution
 _HEADS = ("action", "objects")
@@ -79,7 +85,8 @@ def from_state(
             versions=versions,
             task_options=dict(task_options or {}),
             look=env.pictures.look,
-            look_sizes=sizes_of_look(env.pictures.look),
+            look_sizes=sizes_of_look(env.pictures.look, env.pictures.kind),
+            kind=env.pictures.kind,
         )
     return MeanPolicy(
         task=task,
@@ -126,7 +133,7 @@ def _save_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
     header = {
         "format": _CAMERA_FORMAT,
         "task": policy.task,
-        "pictures": {"cameras": list(policy.cameras), "size": policy.size, **_PICTURES},
+        "pictures": {"cameras": list(policy.cameras), "size": policy.size, **_PICTURES[policy.kind]},
         "numbers": {"size": policy.mean.size, "goal": policy.goal_size},
         "action": {"size": policy.action_size, **_ACTION},
         "convolutions": len(eyes.convolutions),
@@ -147,7 +154,9 @@ def _save_camera_policy(path: Path | str, policy: CameraPolicy) -> None:
 
 def _camera_policy_from_file(header: dict, file: Mapping[str, np.ndarray]) -> CameraPolicy:
     pictures, numbers, action = header["pictures"], header["numbers"], header["action"]
-    if {name: pictures[name] for name in _PICTURES} != _PICTURES or {name: action[name] for name in _ACTION} != _ACTION:
+    kind = pictures.get("kind", "colour")
+    known = kind in _PICTURES and _PICTURES[kind].items() <= pictures.items() and _ACTION.items() <= action.items()
+    if not known:
         raise ValueError(f"this version does not compute {pictures}, {action}")
 
     def layers(names: tuple[str, ...], count: int) -> list[tuple[np.ndarray, ...]]:
@@ -169,6 +178,7 @@ def _camera_policy_from_file(header: dict, file: Mapping[str, np.ndarray]) -> Ca
         task_options=dict(header["task_options"]),
         look=str(header["look"]),
         look_sizes=dict(header.get("look_sizes", {})),  # older files have none
+        kind=kind,
     )
     if (policy.mean.size, policy.action_size) != (numbers["size"], action["size"]):
         raise ValueError("its arrays do not have the sizes that its header names")

@@ -26,7 +26,7 @@ from hgail_jax.devices.sharding import local_shard
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, Learner, Phase, Update, check_sizes
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.state import TrainState
-from hgail_jax.vision.augmentation import AUGMENTATIONS, augment
+from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, augment
 from hgail_jax.vision.network import KERNELS, Eyes, init_eyes, look
 
 OBJECT_SCALE = 0.1
@@ -56,7 +56,7 @@ class _Lesson(NamedTuple):
     """Samples of a roll-out, `[S, ...]`."""
 
     pictures: jax.Array
-    """`[S, cameras, H, W, 3]`, uint8."""
+    """`[S, cameras, H, W, colours]`, uint8."""
     numbers: jax.Array
     """`[S, numbers]`, normalised."""
     objects: jax.Array
@@ -118,9 +118,9 @@ class Student(Learner):
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> StudentState:
         """See `Learner`."""
         seen = cast(CameraEnv, env)
-        numbers, objects, cameras = len(seen.known), len(seen.objects), seen.pictures.shape[0]
+        numbers, objects, (cameras, *_, colours) = len(seen.known), len(seen.objects), seen.pictures.shape
         outputs = env.action_size, objects
-        eyes = init_eyes(rngs[0], cameras, numbers, self.channels, config.policy_hidden, outputs)
+        eyes = init_eyes(rngs[0], cameras, numbers, self.channels, config.policy_hidden, outputs, colours)
         return StudentState(
             eyes=eyes,
             optimizer=optax.scale_by_adam().init(eyes),
@@ -194,8 +194,9 @@ class Student(Learner):
         lesson = self.lesson(cast(CameraEnv, env), learner, trajectory)
         lesson = jax.tree.map(lambda leaf: leaf.reshape(lesson.weight.size, *leaf.shape[2:]), lesson)
         rate = state.hyperparameters.policy_learning_rate * _cosine(self.progress(config, state))
-        look_name = cast(CameraEnv, env).pictures.look
-        fit = jax.custom_batching.sequential_vmap(functools.partial(_fit, self, look_name))
+        pictures = cast(CameraEnv, env).pictures
+        augmentation = AUGMENTATIONS[pictures.kind][pictures.look]
+        fit = jax.custom_batching.sequential_vmap(functools.partial(_fit, self, augmentation))
         eyes, optimizer, metrics = fit(learner.eyes, learner.optimizer, lesson, jax.random.key_data(rng), rate)
         learner = learner.replace(eyes=eyes, optimizer=optimizer, steps=learner.steps + self.updates)
         return state.replace(learner=learner), metrics | {"teacher_share": share}
@@ -239,7 +240,7 @@ def _cosine(progress: jax.Array) -> jax.Array:
 
 def _fit(
     sizes: Student,
-    look_name: str,
+    augmentation: Augmentation,
     eyes: Eyes,
     optimizer: Any,
     lesson: _Lesson,
@@ -253,7 +254,7 @@ def _fit(
         draw_rng, augment_rng = jax.random.split(rng)
         drawn = jax.random.randint(draw_rng, (sizes.batch,), 0, len(lesson.weight))
         sample = jax.tree.map(lambda leaf: leaf[drawn], lesson)
-        pictures = augment(AUGMENTATIONS[look_name], augment_rng, _unit(sample.pictures))
+        pictures = augment(augmentation, augment_rng, _unit(sample.pictures))
         gradient, metrics = jax.grad(_loss, has_aux=True)(eyes, pictures, sample, sizes.object_weight)
         return gradient_step(optax.scale_by_adam(), eyes, optimizer, gradient, rate), metrics
 

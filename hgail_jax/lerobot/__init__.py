@@ -24,6 +24,8 @@ def check_installed() -> None:
 
 def check_shown(policy: AnyPolicy) -> None:
     """Raises a ValueError unless a policy reads what LeRobot's environment of its task shows, on its robot."""
+    if isinstance(policy, CameraPolicy) and policy.kind != "colour":
+        raise ValueError(f"the policy sees {policy.kind}; LeRobot's environment of {policy.task} shows colours")
     env = make(policy.task, **{name: value for name, value in policy.task_options.items() if name == "robot"})
     shown = known_numbers(env, policy.target).size if isinstance(policy, CameraPolicy) else env.observation_size
     if policy.mean.size != shown:

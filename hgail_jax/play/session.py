@@ -133,8 +133,11 @@ class Session:
 
     @property
     def seen(self) -> np.ndarray | None:
-        """What the policy's cameras see, `[cameras, size, size, 3]`, uint8; None if it sees positions."""
-        return None if self._see is None else np.asarray(self._see(self._state.obs))
+        """What the policy's cameras see, `[cameras, size, size, 3]`, uint8, of depth in grey; None without cameras."""
+        if self._see is None:
+            return None
+        pictures = np.asarray(self._see(self._state.obs))
+        return np.broadcast_to(pictures, (*pictures.shape[:-1], 3))
 
     def pose(self, fraction: float = 1.0) -> None:
         """Poses `data` between the states before (0) and after (1) the last action, with the target's site in place."""

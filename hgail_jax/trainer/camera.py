@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TEACHER = "teacher.npz"
 """Name of the teacher's file in a student's folder."""
-_OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer", "target")
+_OPTIONS = ("teacher", "camera", "picture_size", "look", "renderer", "target", "picture_kind")
 
 
 class MissingTeacherError(ValueError):
@@ -36,7 +36,8 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
       RenderingError: MuJoCo cannot render here.
     """
     cameras = [name.strip() for name in options.camera.split(",")]
-    pictures = Pictures(env, cameras, options.picture_size, options.renderer, options.look, options.target)
+    how = options.picture_size, options.renderer, options.look, options.target, options.picture_kind
+    pictures = Pictures(env, cameras, *how)
     if pictures.renderer == "opengl" and options.renderer == "auto":
         raise ValueError(
             "--observe camera trains on an NVIDIA GPU, which is not here; --renderer opengl tries it out on a CPU"

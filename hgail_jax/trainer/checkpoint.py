@@ -334,7 +334,7 @@ def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
 def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] | None:
     if not (isinstance(there, dict) and isinstance(here, dict)):
         return None if there == here else (name, there, here)
-    for key in [*here, *(key for key in there if key not in here)]:
+    for key in sorted(here | there, key=lambda key: key in here and key in there):  # what one lacks decides the rest
         if key == LOOK_SIZES and key not in there:
             continue
         found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)

@@ -61,7 +61,8 @@ class Run(Program):
             physics["pictures"] = {
                 "cameras": list(pictures.cameras),
                 **{name: getattr(pictures, name) for name in ("size", "look", "renderer", "target")},
-                LOOK_SIZES: sizes_of_look(pictures.look),
+                **({} if pictures.kind == "colour" else {"kind": pictures.kind}),  # older runs do not say it
+                LOOK_SIZES: sizes_of_look(pictures.look, pictures.kind),
                 "teacher": self.teacher and hashlib.sha256(self.teacher.read_bytes()).hexdigest(),
             }
         return {

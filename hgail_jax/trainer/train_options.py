@@ -21,7 +21,7 @@ from hgail_envs.robots import ROBOTS
 from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS
 from hgail_envs.vision.look import LOOKS
-from hgail_envs.vision.pictures import RENDERERS, SIZE, TARGETS
+from hgail_envs.vision.pictures import KINDS, RENDERERS, SIZE, TARGETS
 from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.learners import LEARNERS, PPO
@@ -87,11 +87,10 @@ class TrainOptions:
     """Cameras of the scene, with commas between them (--observe camera)."""
     picture_size: int = SIZE
     """Edge of the square pictures, pixels (--observe camera)."""
+    picture_kind: Annotated[str, _choices("What a picture shows (--observe camera)", KINDS)] = "colour"
     look: Annotated[str, _choices("How the look of the scene varies in training (--observe camera)", LOOKS)] = "varied"
     renderer: Annotated[str, _choices("Renderer of the pictures (--observe camera)", ["auto", *RENDERERS])] = "auto"
-    target: Annotated[str, _choices("Whether the target is told or seen as a ball (--observe camera)", TARGETS)] = (
-        "told"
-    )
+    target: Annotated[str, _choices("Whether the target is told or a ball (--observe camera)", TARGETS)] = "told"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None

@@ -8,6 +8,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
+from hgail_envs.vision.depth import FAR
 from hgail_envs.vision.look import LOOKS
 
 
@@ -20,7 +21,7 @@ class Augmentation:
     offset: float = 0.0
     """Bound of each colour channel's offset, in a range of 1: haze and stray light."""
     noise: float = 0.0
-    """Standard deviation of each number's noise."""
+    """Standard deviation of each number's noise, in a range of 1."""
     shift: float = 0.0
     """Largest shift along each axis, as a fraction of the picture's edge; the border is continued."""
 
@@ -29,19 +30,24 @@ class Augmentation:
 # sensor's noise indoors. Three of 64 pixels are about two degrees: a camera that was nudged. With these a student saw
 # through another renderer where one without saw little: success .68 for .15 on push.
 _VARIED = Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3 / 64)
-AUGMENTATIONS = dict.fromkeys(LOOKS, Augmentation()) | dict.fromkeys(
-    ("varied", "shadowless", "things", "wide", "late", "image"), _VARIED
-)
-"""By the name of the look."""
+# A tenth of a pixel of disparity is 5 mm at a metre, for a stereo camera whose lenses are 5 cm apart and whose focal
+# length is 430 pixels; neither exposure nor white balance is in a distance.
+_VARIED_DEPTH = Augmentation(noise=0.005 / FAR, shift=_VARIED.shift)
+AUGMENTATIONS = {
+    kind: dict.fromkeys(LOOKS, Augmentation())
+    | dict.fromkeys(("varied", "shadowless", "things", "wide", "late", "image"), sizes)
+    for kind, sizes in (("colour", _VARIED), ("depth", _VARIED_DEPTH))
+}
+"""By the kind of the pictures and the name of the look."""
 
 
 def augment(sizes: Augmentation, rng: jax.Array, pictures: jax.Array) -> jax.Array:
-    """Returns varied pictures, `[B, cameras, H, W, 3]` in [0, 1]; each camera of each sample is varied on its own."""
+    """Returns varied pictures, `[B, cameras, H, W, colours]` in [0, 1]; each is varied on its own."""
     if sizes == Augmentation():
         return pictures
     gain_rng, offset_rng, noise_rng, shift_rng = jax.random.split(rng, 4)
-    batch, cameras, height, width, _ = pictures.shape
-    channels = (batch, cameras, 1, 1, 3)
+    batch, cameras, height, width, colours = pictures.shape
+    channels = (batch, cameras, 1, 1, colours)
     gain = 1.0 + sizes.gain * jax.random.uniform(gain_rng, channels, minval=-1.0)
     pictures = pictures * gain + sizes.offset * jax.random.uniform(offset_rng, channels, minval=-1.0)
     pictures = jnp.clip(pictures + sizes.noise * jax.random.normal(noise_rng, pictures.shape), 0.0, 1.0)

@@ -22,8 +22,8 @@ class Eyes(NamedTuple):
     """Parameters of the network."""
 
     convolutions: Any
-    """Kernel `[edge, edge, inputs, outputs]` and biases of each convolution; the inputs of the first are the colours of
-    all cameras, one camera after another."""
+    """Kernel `[edge, edge, inputs, outputs]` and biases of each convolution; the inputs of the first are the colours
+    (or depth) of all cameras, one camera after another."""
     hidden: Any
     """Weights, biases, and scale and offset of the layer normalisation, of each hidden layer."""
     action: Any
@@ -33,16 +33,25 @@ class Eyes(NamedTuple):
 
 
 def init_eyes(
-    rng: jax.Array, cameras: int, numbers: int, channels: Sequence[int], hidden: Sequence[int], outputs: tuple[int, int]
+    rng: jax.Array,
+    cameras: int,
+    numbers: int,
+    channels: Sequence[int],
+    hidden: Sequence[int],
+    outputs: tuple[int, int],
+    colours: int = 3,
 ) -> Eyes:
-    """Returns untrained parameters; the outputs are the sizes of an action and of the objects' positions."""
+    """Returns untrained parameters; the outputs are the sizes of an action and of the objects' positions.
+
+    The `colours` are the numbers of a pixel, 1 for depth.
+    """
     rngs = iter(jax.random.split(rng, len(channels) + len(hidden) + 2))
 
     def scaled(*shape: int, gain: float = 2.0) -> jax.Array:
         fan_in = jnp.prod(jnp.array(shape[:-1]))
         return jax.random.normal(next(rngs), shape) * jnp.sqrt(gain / fan_in)
 
-    convolutions, inputs = [], 3 * cameras
+    convolutions, inputs = [], colours * cameras
     for edge, outs in zip(KERNELS, channels, strict=True):
         convolutions.append((scaled(edge, edge, inputs, outs), jnp.zeros(outs)))
         inputs = outs
@@ -57,8 +66,8 @@ def init_eyes(
 def look(eyes: Eyes, pictures: jax.Array, numbers: jax.Array, dtype: Any = jnp.float32) -> tuple[jax.Array, jax.Array]:
     """Returns actions `[B, action_size]` in [-1, 1], and the objects' positions as the loss has them, `[B, 3 objects]`.
 
-    The pictures are `[B, cameras, H, W, 3]` in [0, 1], the numbers `[B, numbers]` normalised. Convolutions are computed
-    in `dtype`.
+    The pictures are `[B, cameras, H, W, colours]` in [0, 1], the numbers `[B, numbers]` normalised. Convolutions are
+    computed in `dtype`.
     """
     batch, cameras, height, width, colours = pictures.shape
     seen = jnp.moveaxis(pictures, 1, 3).reshape(batch, height, width, cameras * colours).astype(dtype) - 0.5

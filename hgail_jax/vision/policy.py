@@ -13,13 +13,19 @@ from hgail_envs import GoalEnv
 from hgail_envs.randomization import Randomization
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.look import LOOKS
+from hgail_envs.vision.pictures import KINDS
 from hgail_jax.vision.augmentation import AUGMENTATIONS
 from hgail_jax.vision.network import KERNELS, Eyes, look
 
+_PIXEL = {"colour": "red, green, blue", "depth": "depth"}
 
-def sizes_of_look(look: str) -> dict[str, Any]:
-    """Returns the sizes that a look's name stands for in this version: of the scene's, and of the images' variation."""
-    return {"scene": dataclasses.asdict(LOOKS[look]), "image": dataclasses.asdict(AUGMENTATIONS[look])}
+
+def sizes_of_look(look: str, kind: str) -> dict[str, Any]:
+    """Returns the sizes that a look's name stands for in this version: of the scene's, and of the images' variation.
+
+    The images are of a kind, a name in `hgail_envs.vision.pictures.KINDS`.
+    """
+    return {"scene": dataclasses.asdict(LOOKS[look]), "image": dataclasses.asdict(AUGMENTATIONS[kind][look])}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +55,8 @@ class CameraPolicy:
     """How the look of the scene varied in its training."""
     look_sizes: dict[str, Any] = dataclasses.field(default_factory=dict)
     """By how much, see `sizes_of_look`; empty in older files."""
+    kind: str = "colour"
+    """Kind of its pictures, `"colour"` or `"depth"`."""
 
     randomization = Randomization()
     """Randomisation of its training episodes: none."""
@@ -72,7 +80,7 @@ class CameraPolicy:
     @property
     def pictures_shape(self) -> tuple[int, int, int, int]:
         """Shape of what it sees at a time."""
-        return len(self.cameras), self.size, self.size, 3
+        return len(self.cameras), self.size, self.size, KINDS[self.kind]
 
     @property
     def target(self) -> str:
@@ -87,13 +95,14 @@ class CameraPolicy:
     def __call__(self, pictures: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """Returns actions in [-1, 1], `[..., action_size]`, for pictures and the numbers that the robot knows.
 
-        Pictures are uint8, `[..., cameras, size, size, 3]`, the upper row first and red first. The numbers, `[...,
-        numbers]`, are as they are. A ValueError says that they have another shape, or another range.
+        Pictures are uint8, `[..., cameras, size, size, 3]`, the upper row first and red first, or of depth `[...,
+        cameras, size, size, 1]`. The numbers, `[..., numbers]`, are as they are. A ValueError says that they have
+        another shape, or another range.
         """
         if np.shape(pictures)[-4:] != self.pictures_shape:
             raise ValueError(
                 f"pictures have the shape {np.shape(pictures)}; the policy sees {self.pictures_shape}:"
-                f" {', '.join(self.cameras)}, {self.size} x {self.size}, red, green, blue"
+                f" {', '.join(self.cameras)}, {self.size} x {self.size}, {_PIXEL[self.kind]}"
             )
         if pictures.dtype != np.uint8:
             raise ValueError(f"pictures are {pictures.dtype}; they must be uint8, from 0 to 255")

@@ -18,7 +18,7 @@ import hgail_envs
 from docs._generate import demo
 from hgail_envs.randomized import randomize
 from hgail_envs.vision.camera_env import known_numbers
-from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.pictures import KINDS, Pictures
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.learners.student import OBJECT_SCALE
 from hgail_jax.vision.network import init_eyes, look
@@ -85,11 +85,14 @@ def site(tmp_path_factory):
 
 
 def in_node(site, command, given):
-    done = subprocess.run(
-        ["node", str(site / "headless.js"), command], input=json.dumps(given), capture_output=True, text=True
-    )
+    done = run_node(site, command, given)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
+
+
+def run_node(site, command, given):
+    words = ["node", str(site / "headless.js"), command]
+    return subprocess.run(words, input=json.dumps(given), capture_output=True, text=True)
 
 
 def episode(policy):
@@ -169,14 +172,14 @@ def test_a_policy_of_pictures_is_told_as_much_as_in_python(episodes, policy):
     np.testing.assert_allclose(found["told"][:until], observations[:until, known], atol=1e-4)
 
 
-def untrained(size, cameras, channels=(32, 64, 64, 64)):
+def untrained(size, cameras, channels=(32, 64, 64, 64), kind="colour"):
     """Returns a policy of pictures of push that saw nothing yet; its outputs are as large as a trained one's."""
     rng = np.random.default_rng(SEED)
-    eyes = init_eyes(jax.random.key(SEED), len(cameras), 10, channels, (256, 256), (4, 3))
+    eyes = init_eyes(jax.random.key(SEED), len(cameras), 10, channels, (256, 256), (4, 3), KINDS[kind])
     larger = {head: tuple(20.0 * np.asarray(array) for array in getattr(eyes, head)) for head in ("action", "objects")}
     mean, std, centre = (rng.uniform(0.5, 1.5, count).astype(np.float32) for count in (10, 10, 3))
     eyes = jax.tree.map(np.asarray, eyes._replace(**larger))
-    return CameraPolicy("push", 4, cameras, size, mean, std, centre, eyes)
+    return CameraPolicy("push", 4, cameras, size, mean, std, centre, eyes, kind=kind)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +199,13 @@ def test_a_policy_of_pictures_acts_as_in_python(site, tmp_path, policy):
     np.testing.assert_allclose([each["action"] for each in found], policy(pictures, numbers), atol=1e-5)
     places = policy.centre + OBJECT_SCALE * objects
     np.testing.assert_allclose([each["objects"] for each in found], places, atol=1e-5)
+
+
+def test_a_policy_of_depth_is_refused(site, tmp_path):
+    save_policy(tmp_path / "policy.npz", untrained(64, ("front",), kind="depth"))
+    given = {"policy": str(tmp_path / "policy.npz"), "pictures": [], "numbers": []}
+    done = run_node(site, "look", [given])
+    assert done.returncode != 0 and "the policy sees depth, and the page draws colours" in done.stderr
 
 
 @pytest.mark.slow

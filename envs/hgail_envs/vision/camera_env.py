@@ -54,7 +54,7 @@ class CameraEnv(Wrapper):
         return self.task.observation_size + self.pictures.joints + self.pictures.draws
 
     def see(self, observation: jax.Array) -> jax.Array:
-        """Returns what the cameras see in a batch of states, `[..., cameras, size, size, 3]`, uint8."""
+        """Returns what the cameras see in a batch of states, `[..., *pictures.shape]`, uint8."""
         first = self.task.observation_size
         qpos, draws = jnp.split(observation[..., first:], [self.pictures.joints], axis=-1)
         return self.pictures(qpos, draws)

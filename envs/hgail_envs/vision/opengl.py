@@ -13,6 +13,7 @@ import numpy as np
 
 from hgail_envs.engines.c import digest
 from hgail_envs.engines.host_call import host_call
+from hgail_envs.vision.depth import as_picture
 from hgail_envs.vision.look import FIELDS, Look, varied
 from hgail_envs.vision.rendering import open_renderer
 
@@ -24,13 +25,15 @@ class OpenGLRenderer:
     """Renders one scene after another, with MuJoCo's sky and shadows.
 
     Called with joint positions, `[N, nq]`, and draws of looks, `[N, draws]`, it returns pictures, uint8 `[N, cameras *
-    size * size * 3]`. A RenderingError says that MuJoCo cannot render here.
+    size * size * 3]`, or with `depth` those of `hgail_envs.vision.depth`, `[N, cameras * size * size]`. A
+    RenderingError says that MuJoCo cannot render here.
     """
 
-    def __init__(self, model: mujoco.MjModel, cameras: list[int], size: int, look: Look) -> None:
-        self._model, self._cameras, self._size = copy.copy(model), cameras, size
+    def __init__(self, model: mujoco.MjModel, cameras: list[int], size: int, look: Look, depth: bool = False) -> None:
+        self._model, self._cameras, self._size, self._depth = copy.copy(model), cameras, size, depth
         self._vary = functools.partial(varied, model, look, xp=np)
-        self._name = ".".join(map(str, ["pictures", digest(model), *cameras, size, *vars(look).values()]))
+        name = "depth" if depth else "pictures"
+        self._name = ".".join(map(str, [name, digest(model), *cameras, size, *vars(look).values()]))
         # An OpenGL context belongs to one thread, and XLA calls from any.
         self._thread = ThreadPoolExecutor(1)
         self._thread.submit(self._open).result()
@@ -40,13 +43,16 @@ class OpenGLRenderer:
         quality.shadowsize, quality.offsamples = min(quality.shadowsize, _SHADOW), min(quality.offsamples, _SAMPLES)
         quality.numslices, quality.numstacks, quality.numquads = _FACETS  # a third of the time, .3 of 255 apart
         self._renderer = open_renderer(self._model, self._size, self._size)
+        if self._depth:
+            self._renderer.enable_depth_rendering()
         # At the end of the process it must be closed before MuJoCo closes EGL, else each complains of the other.
         atexit.register(weakref.finalize(self, self._renderer.close))
         self._data, self._option = mujoco.MjData(self._model), mujoco.MjvOption()
         self._option.sitegroup[:] = 0
 
     def __call__(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
-        result = jax.ShapeDtypeStruct((len(self._cameras) * self._size**2 * 3,), jnp.float32)
+        pixels = len(self._cameras) * self._size**2
+        result = jax.ShapeDtypeStruct((pixels if self._depth else 3 * pixels,), jnp.float32)
 
         def of_scene(qpos: jax.Array, draws: jax.Array) -> jax.Array:
             return host_call(self._name, self._on_host, [result], qpos, draws)[0]
@@ -60,7 +66,7 @@ class OpenGLRenderer:
         return (pictures.astype(np.float32).reshape(*qpos.shape[:-1], -1),)
 
     def _scene(self, qpos: np.ndarray, draws: np.ndarray) -> np.ndarray:
-        """Returns the pictures of a scene, `[cameras, size, size, 3]`."""
+        """Returns the pictures of a scene, `[cameras, size, size, 3]`, or of depth `[cameras, size, size]`."""
         model, data = self._model, self._data
         look = self._vary(draws)
         for name in FIELDS:
@@ -74,4 +80,4 @@ class OpenGLRenderer:
         for camera in self._cameras:
             self._renderer.update_scene(data, camera, self._option)
             pictures.append(self._renderer.render())
-        return np.stack(pictures)
+        return as_picture(np.stack(pictures)) if self._depth else np.stack(pictures)

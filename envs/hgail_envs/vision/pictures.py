@@ -18,13 +18,15 @@ from hgail_envs.vision.opengl import OpenGLRenderer
 from hgail_envs.vision.things import JOINTS, add_sliding_body, add_things, places_of_things
 from hgail_envs.vision.warp_renderer import WarpRenderer
 
-RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look], Callable[..., jax.Array]]] = {
+RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look, bool], Callable[..., jax.Array]]] = {
     "opengl": OpenGLRenderer,
     "warp": WarpRenderer,
 }
 """Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's, made for an NVIDIA GPU."""
 TARGETS = ("told", "seen")
 """How a policy with pictures learns where the target is: by the goal's numbers, or from the pictures alone."""
+KINDS = {"colour": 3, "depth": 1}
+"""Kinds of pictures, and how many numbers a pixel has."""
 SIZE = 64
 """Edge of a picture unless another is given, pixels."""
 _SMALLEST, _LARGEST = 16, 256
@@ -38,12 +40,14 @@ class Pictures:
     batched. All scenes of a batch are rendered at once: a vmap around it, over seeds for instance, only makes the batch
     larger. The `renderer` is a name in `RENDERERS`, or `"auto"`: Warp's on an NVIDIA GPU.
 
+    Pictures of the `kind` `"depth"` are `[..., cameras, size, size, 1]`: distances, see `hgail_envs.vision.depth`.
+
     The marker of a `target` that is `"seen"` is a ball in the pictures, unless the scene shows the goal without it. Its
     three coordinates follow the task's own joint positions. A target that is `"told"` is in no picture.
 
     Raises:
-      ValueError: the task has no scene, the scene has no such camera, there is no such renderer or look, or warp-lang
-        is missing.
+      ValueError: the task has no scene, the scene has no such camera, there is no such renderer, look or kind, or
+        warp-lang is missing.
       RenderingError: MuJoCo cannot render here.
     """
 
@@ -55,16 +59,18 @@ class Pictures:
         renderer: str = "auto",
         look: str = "plain",
         target: str = "told",
+        kind: str = "colour",
     ) -> None:
         check_name("look", look, LOOKS)
         check_name("target", target, TARGETS)
+        check_name("kind", kind, KINDS)
         check_count("the size of a picture", size, _SMALLEST, _LARGEST)
         if env.robot is None:
             raise ValueError("the task has no scene that a camera could see")
         self.marker = target == "seen" and not env.shows_goal
         """Whether the target's marker is in the pictures."""
         self.model = _model_to_see(env.robot, self.marker, LOOKS[look].things)
-        self.cameras, self.size, self.look, self.target = tuple(cameras), size, look, target
+        self.cameras, self.size, self.look, self.target, self.kind = tuple(cameras), size, look, target, kind
         ids = camera_ids(self.model, env.robot.scene, self.cameras)
         of_things = JOINTS if LOOKS[look].things else 0
         self.joints = self.model.nq - of_things
@@ -73,8 +79,8 @@ class Pictures:
         """Numbers that a look takes."""
         self.renderer = resolve_renderer(renderer)
         """Name of the renderer."""
-        self._made_of = env, self.cameras, size, self.renderer, look, target
-        self._render = RENDERERS[self.renderer](self.model, ids, size, LOOKS[look])
+        self._made_of = env, self.cameras, size, self.renderer, look, target, kind
+        self._render = RENDERERS[self.renderer](self.model, ids, size, LOOKS[look], kind == "depth")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles and copies pictures by how they were made: a renderer belongs to its process."""
@@ -83,7 +89,7 @@ class Pictures:
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Shape of the pictures of a scene."""
-        return len(self.cameras), self.size, self.size, 3
+        return len(self.cameras), self.size, self.size, KINDS[self.kind]
 
     def __call__(self, qpos: jax.Array, draws: jax.Array) -> jax.Array:
         draws, of_things = jnp.split(draws, [draws_of(self.model)], axis=-1)

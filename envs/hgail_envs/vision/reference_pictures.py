@@ -10,6 +10,7 @@ import numpy as np
 from hgail_envs.base import GoalEnv
 from hgail_envs.tasks.reference import ReferenceFetch
 from hgail_envs.vision.cameras import camera_ids
+from hgail_envs.vision.depth import as_picture
 from hgail_envs.vision.rendering import open_renderer
 
 _BODIES = {"world": "world", "gripper": "robot0:gripper_link"}
@@ -19,8 +20,9 @@ _BODIES = {"world": "world", "gripper": "robot0:gripper_link"}
 class ReferencePictures:
     """What cameras of a task's scene would see in the reference's: called, it renders the present state.
 
-    Returns pictures `[cameras, size, size, 3]`, uint8, as `hgail_envs.vision.pictures.Pictures` does. Each camera has
-    the pose and the field of view that it has in the task's scene. With `marker` they show the target's ball.
+    Returns pictures of a `kind` as `hgail_envs.vision.pictures.Pictures` does, uint8 `[cameras, size, size, 3]`, or of
+    depth `[cameras, size, size, 1]`. Each camera has the pose and the field of view that it has in the task's scene.
+    With `marker` they show the target's ball.
 
     Raises:
       ValueError: the scene has no such camera, or one that is fixed to a body that the reference has not.
@@ -28,7 +30,13 @@ class ReferencePictures:
     """
 
     def __init__(
-        self, reference: ReferenceFetch, task: GoalEnv, cameras: Sequence[str], size: int, marker: bool
+        self,
+        reference: ReferenceFetch,
+        task: GoalEnv,
+        cameras: Sequence[str],
+        size: int,
+        marker: bool,
+        kind: str = "colour",
     ) -> None:
         ours, spec = task.robot.load(visual=True), mujoco.MjSpec.from_file(reference.scene)
         camera_ids(ours, task.robot.scene, cameras)
@@ -41,7 +49,9 @@ class ReferencePictures:
         self._reference, self._cameras, self._model = reference, tuple(cameras), spec.compile()
         self._data, self._option = mujoco.MjData(self._model), mujoco.MjvOption()
         self._option.sitegroup[:] = int(marker)
-        self._renderer = open_renderer(self._model, size, size)
+        self._renderer, self._depth = open_renderer(self._model, size, size), kind == "depth"
+        if self._depth:
+            self._renderer.enable_depth_rendering()
         # At the end of the process it must be closed before MuJoCo closes EGL, else each complains of the other.
         atexit.register(weakref.finalize(self, self._renderer.close))
 
@@ -56,4 +66,4 @@ class ReferencePictures:
         for camera in self._cameras:
             self._renderer.update_scene(data, camera, self._option)
             pictures.append(self._renderer.render())
-        return np.stack(pictures)
+        return as_picture(np.stack(pictures))[..., None] if self._depth else np.stack(pictures)

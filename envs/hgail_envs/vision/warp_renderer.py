@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
+from hgail_envs.vision.depth import as_picture
 from hgail_envs.vision.look import FIELDS, Look, draws_of, varied
 from hgail_envs.workarounds import promotion
 
@@ -57,10 +58,10 @@ class WarpRenderer:
     Warp's buffers are for a fixed number of scenes, and it must render them outside of any vmap: see `as_one_batch`.
     """
 
-    def __init__(self, model: mujoco.MjModel, cameras: list[int], size: int, look: Look) -> None:
+    def __init__(self, model: mujoco.MjModel, cameras: list[int], size: int, look: Look, depth: bool = False) -> None:
         if np.any(model.light_bodyid):
             raise ValueError("the renderer 'warp' is for lights that stand still; fix the scene's to the world")
-        self._model, self._cameras, self._size, self._look = model, cameras, size, look
+        self._model, self._cameras, self._size, self._look, self._depth = model, cameras, size, look, depth
         self._contexts: dict[int, Any] = {}  # by the number of scenes; freed with the renderer
         self._lock = threading.Lock()  # programs are traced in several threads
         with jax.ensure_compile_time_eval():
@@ -85,7 +86,9 @@ class WarpRenderer:
         data = jax.vmap(self._posed)(qpos, look["light_dir"], look["shift"], look["turn"])
         context = self._context(len(qpos))
         data = mjx.refit_bvh(model, data, context)
-        packed, _, _ = mjx.render(model, data, context)
+        packed, distance, _ = mjx.render(model, data, context)
+        if self._depth:
+            return as_picture(distance, jnp)
         channels = [(packed >> shift) & 0xFF for shift in (16, 8, 0)]
         return jnp.stack(channels, axis=-1).astype(jnp.uint8).reshape(len(qpos), -1)
 
@@ -114,8 +117,8 @@ class WarpRenderer:
                     nworld=scenes,
                     cam_res=(self._size, self._size),
                     cam_active=self._cameras,
-                    render_rgb=True,
-                    render_depth=False,
+                    render_rgb=not self._depth,
+                    render_depth=self._depth,
                     use_textures=False,
                     use_shadows=self._look.shadows > 0.0,
                     shadow_light_fraction=0.0,  # by default light falls into a shadow, as it does not in OpenGL

@@ -166,6 +166,7 @@ def test_wrong_uses_are_told_in_one_line(monkeypatch):
         ({"renderer": "pencil"}, "pencil"),
         ({"look": "odd"}, "odd"),
         ({"target": "felt"}, "target is 'felt'; choose from told, seen"),
+        ({"kind": "heat"}, "kind is 'heat'; choose from colour, depth"),
     ):
         with pytest.raises(ValueError, match=message):
             Pictures(env, **options)

@@ -6,6 +6,7 @@ import pytest
 import hgail_envs
 from hgail_envs.tasks.reference import ReferenceFetch
 from hgail_envs.vision.cameras import describe_cameras
+from hgail_envs.vision.depth import FAR
 from hgail_envs.vision.reference_pictures import ReferencePictures
 from tests.hgail_envs.vision.test_pictures import middle, pixel
 
@@ -43,6 +44,25 @@ def test_cube_and_target_are_where_a_pinhole_camera_of_ours_has_them(seen):
             near = other[y - 1 : y + 2, x - 1 : x + 2]
             found += black(near).all()
     assert found == 12
+
+
+def test_distances_are_those_of_table_and_cube_and_marker(seen):
+    task, reference, *_ = seen
+    see = ReferencePictures(reference, task, CAMERAS, SIZE, True, "depth")
+    described = describe_cameras(task.robot.load(visual=True), CAMERAS, SIZE)
+    for episode in (0, 1, 3):  # in 2 the cube hides the marker
+        reference.reset(np.random.default_rng(episode))
+        reference.data.qpos[:2] += 5.0  # the robot goes out of the picture
+        pictures = see()
+        assert pictures.shape == (2, SIZE, SIZE, 1) and pictures.dtype == np.uint8
+        cube = reference.carried() + np.array([0.0, 0.0, 0.025])  # the middle of its upper side
+        for camera, picture in zip(described, pictures, strict=True):
+            axis, place = -np.array(camera["rotation"])[:, 2], np.array(camera["position"])
+            towards = (place - reference.target()) / np.linalg.norm(place - reference.target())
+            for point in (cube, reference.target() + 0.02 * towards, [1.08, 0.45, 0.4], [1.5, 1.05, 0.4]):
+                x, y = np.floor(pixel(camera, point)).astype(int)
+                expected = 255.0 * (axis @ (point - place)) / FAR
+                assert picture[y, x, 0] == pytest.approx(expected, abs=2)  # a pixel is a centimetre of the table
 
 
 def test_the_wrist_camera_is_on_the_hand(seen):

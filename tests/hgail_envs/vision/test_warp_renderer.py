@@ -37,6 +37,19 @@ def test_pictures_are_those_of_mujocos_renderer(starts, rendering):
     assert np.median(difference) < 8
 
 
+def test_distances_are_those_of_mujocos_renderer(starts, rendering):
+    env, qpos = starts
+    pictures = Pictures(env, ["front", "side", "wrist"], SIZE, "warp", "cameras", kind="depth")
+    draws = jax.random.uniform(jax.random.key(1), (SCENES, pictures.draws), minval=-1.0)
+    seen = np.asarray(jax.jit(pictures)(qpos, draws), int)
+    assert seen.shape == (SCENES, 3, SIZE, SIZE, 1) and (seen == 255).any() and (seen < 32).any()
+    own = OpenGLRenderer(pictures.model, [0, 1, 2], SIZE, LOOKS["cameras"], depth=True)
+    (expected,) = own._on_host(np.asarray(qpos), np.asarray(draws))
+    difference = np.abs(seen - expected.reshape(seen.shape))
+    assert np.mean(difference > 1) < 0.02  # round shapes, which only one of them draws as such
+    assert np.mean(difference == 0) > 0.95
+
+
 def test_a_light_casts_shadows_where_it_is_to(starts):
     env, qpos = starts
     seen = {}

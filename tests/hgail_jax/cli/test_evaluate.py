@@ -16,6 +16,7 @@ from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.randomized import randomize
+from hgail_envs.vision.pictures import KINDS
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax import load_policy, save_policy
 from hgail_jax.cli import evaluate, export, play
@@ -133,12 +134,12 @@ def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, ca
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-9)
 
 
-@pytest.mark.parametrize("goal_size", [4, 0])
+@pytest.mark.parametrize(("goal_size", "kind"), [(4, "colour"), (0, "colour"), (4, "depth")])
 def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
-    goal_size, tmp_path, capsys, monkeypatch, rendering
+    goal_size, kind, tmp_path, capsys, monkeypatch, rendering
 ):
     pytest.importorskip("gymnasium_robotics")
-    save_policy(tmp_path / "p.npz", blind_policy(goal_size))
+    save_policy(tmp_path / "p.npz", blind_policy(goal_size, kind))
     given = []
 
     def stand_still(policy, pictures, numbers):
@@ -149,16 +150,17 @@ def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
     (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "1"], capsys)["policies"]
     assert len(given) == 50
     pictures, numbers = (np.stack(column) for column in zip(*given, strict=True))
-    assert pictures.shape == (50, 1, 16, 16, 3) and pictures.dtype == np.uint8 and pictures.std() > 10.0
+    assert pictures.shape == (50, 1, 16, 16, KINDS[kind]) and pictures.dtype == np.uint8 and pictures.std() > 10.0
     ends = run_episodes(GymnasiumFetch("push"), [lambda _: np.zeros(4)], range(1), seed=0)
     np.testing.assert_allclose(numbers[:, :3].std(axis=0), 0.0, atol=1e-2)  # the hand, which stands still
     assert numbers.shape[1] == 6 + goal_size
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
 
 
-def test_look_and_renderer_of_a_policy_of_pictures_are_said(tmp_path, capsys, monkeypatch, rendering):
+@pytest.mark.parametrize("kind", KINDS)
+def test_look_and_renderer_of_a_policy_of_pictures_are_said(kind, tmp_path, capsys, monkeypatch, rendering):
     monkeypatch.setattr(hgail_envs.find_class("push"), "episode_length", 2)
-    save_policy(tmp_path / "p.npz", dataclasses.replace(blind_policy(4), look="varied"))
+    save_policy(tmp_path / "p.npz", dataclasses.replace(blind_policy(4, kind), look="varied"))
     words = ["--policy", str(tmp_path / "p.npz"), "--episodes", "1"]
     shown = report(words, capsys)
     assert (shown["look"], shown["renderer"]) == ("plain", "opengl")
@@ -197,10 +199,12 @@ def test_a_policy_of_pictures_for_another_task_is_refused(goal_size, task, messa
     assert message in told and told.count("\n") == 1
 
 
-def blind_policy(goal_size):
-    eyes = init_eyes(jax.random.key(0), 1, 6 + goal_size, (4, 4, 4, 4), (8,), (4, 3 if goal_size else 6))
+def blind_policy(goal_size, kind="colour"):
+    outputs = 4, 3 if goal_size else 6
+    eyes = init_eyes(jax.random.key(0), 1, 6 + goal_size, (4, 4, 4, 4), (8,), outputs, KINDS[kind])
     ones, centre = np.ones(6 + goal_size, np.float32), np.ones(3 if goal_size else 6, np.float32)
-    return CameraPolicy("push", goal_size, ("side",), 16, ones, ones, centre, jax.tree.map(np.asarray, eyes))
+    eyes = jax.tree.map(np.asarray, eyes)
+    return CameraPolicy("push", goal_size, ("side",), 16, ones, ones, centre, eyes, kind=kind)
 
 
 def test_the_reference_of_an_arm_is_its_full_model(tmp_path, capsys, shipped_policy):

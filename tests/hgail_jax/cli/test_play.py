@@ -15,7 +15,7 @@ import hgail_envs
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import randomize
 from hgail_envs.vision.camera_env import CameraEnv
-from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.pictures import KINDS, Pictures
 from hgail_jax.cli import play, policies
 from hgail_jax.io.policy import load_policy, save_policy
 from hgail_jax.play.playback import caption, film, frames
@@ -72,9 +72,10 @@ def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy
     assert not any((picture[8:-8, 8:-8] == colour).all(axis=-1).any() for picture in pictures)
 
 
-def test_a_film_shows_what_the_policy_sees(monkeypatch, tmp_path, rendering):
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_film_shows_what_the_policy_sees(kind, monkeypatch, tmp_path, rendering):
     env = hgail_envs.make("push")
-    env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen"))
+    env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen", kind=kind))
     env.episode_length = 3  # where there is no GPU, pictures take long
     monkeypatch.setattr("hgail_jax.play.playback._HOLD", 1)
     frames, seen = [], []

@@ -260,7 +260,7 @@ HANDED_ON = {
     "logger": ("tensorboard,csv", lambda run: ",".join(run.loggers)),
 }
 """An option's value, which is no default, and where a run has it."""
-OF_CAMERA = {"observe", "teacher", "camera", "picture_size", "look", "renderer", "target"}
+OF_CAMERA = {"observe", "teacher", "camera", "picture_size", "look", "renderer", "target", "picture_kind"}
 ELSEWHERE = {"task", "method", "learner", "preset", "demos", "devices", "out", "resume", "robot"} | OF_CAMERA
 """Options with tests of their own."""
 

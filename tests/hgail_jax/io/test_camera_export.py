@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.vision.pictures import KINDS
 from hgail_jax.cli import export as command
 from hgail_jax.io.camera_export import export_camera_onnx, export_camera_policy
 from hgail_jax.io.policy import save_policy
@@ -19,13 +20,13 @@ onnxruntime = pytest.importorskip("onnxruntime")
 
 
 @functools.cache
-def policy(cameras=("front", "wrist"), size=18):
+def policy(cameras=("front", "wrist"), size=18, kind="colour"):
     """An untrained policy for push; the size is odd for its strides."""
     rng = np.random.default_rng(0)
-    eyes = init_eyes(jax.random.key(0), len(cameras), 10, (4, 5, 6, 7), (8, 9), (4, 3))
+    eyes = init_eyes(jax.random.key(0), len(cameras), 10, (4, 5, 6, 7), (8, 9), (4, 3), KINDS[kind])
     noisy = jax.tree.map(lambda values: np.asarray(values + 0.1 * rng.normal(size=values.shape), np.float32), eyes)
     mean, std, centre = (rng.uniform(0.5, 1.0, count).astype(np.float32) for count in (10, 10, 3))
-    return CameraPolicy("push", 4, cameras, size, mean, std, centre, noisy, {"jax": "0"}, look="varied")
+    return CameraPolicy("push", 4, cameras, size, mean, std, centre, noisy, {"jax": "0"}, look="varied", kind=kind)
 
 
 def seen(count, which):
@@ -34,9 +35,11 @@ def seen(count, which):
     return rng.integers(0, 256, (count, *which.pictures_shape)).astype(np.uint8), numbers.astype(np.float32)
 
 
-@pytest.mark.parametrize("cameras", [("front", "wrist"), ("side",)])
-def test_the_model_computes_the_policy(cameras, tmp_path):
-    which = policy(cameras)
+@pytest.mark.parametrize(
+    ("cameras", "kind"), [(("front", "wrist"), "colour"), (("side",), "colour"), (("front", "wrist"), "depth")]
+)
+def test_the_model_computes_the_policy(cameras, kind, tmp_path):
+    which = policy(cameras, kind=kind)
     export_camera_onnx(tmp_path / "p.onnx", which)
     session = onnxruntime.InferenceSession(tmp_path / "p.onnx")
     pictures, numbers = seen(5, which)
@@ -45,13 +48,14 @@ def test_the_model_computes_the_policy(cameras, tmp_path):
     assert np.ptp(action, axis=0).min() > 1e-3
     np.testing.assert_allclose(action, which(pictures, numbers), atol=1e-5)
     assert {each.name: (each.type, each.shape[1:]) for each in session.get_inputs()} == {
-        **{camera: ("tensor(uint8)", [18, 18, 3]) for camera in cameras},
+        **{camera: ("tensor(uint8)", [18, 18, KINDS[kind]]) for camera in cameras},
         "numbers": ("tensor(float)", [10]),
     }
 
 
-def test_the_portable_program_computes_the_policy(tmp_path):
-    export_camera_policy(tmp_path / "p.mlirbc", policy())
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_portable_program_computes_the_policy(kind, tmp_path):
+    export_camera_policy(tmp_path / "p.mlirbc", policy(kind=kind))
     assert (tmp_path / "p.mlirbc").read_bytes()[:4] == b"ML\xefR"
 
 
@@ -83,6 +87,19 @@ def test_the_metadata_describe_pictures_and_numbers(tmp_path):
     )
     assert (about["task"], about["success"], about["look"], about["robot"]) == ("push", 0.5, "varied", "fetch")
     assert about["control_period"] == hgail_envs.make("push").control_period
+
+
+def test_the_metadata_of_depth_say_what_is_black_and_white_in_metres(tmp_path):
+    export_camera_onnx(tmp_path / "p.onnx", policy(kind="depth"))
+    about = {prop.key: json.loads(prop.value) for prop in onnx.load(tmp_path / "p.onnx").metadata_props}
+    assert about["pictures"] | {"cameras": 0} == {
+        "cameras": 0,
+        "size": 18,
+        "kind": "depth: distance from the camera's plane, white where none was measured",
+        "metres": [0.0, 1.6],
+        "rows": "the upper first",
+        "range": [0, 255],
+    }
 
 
 def test_a_policy_that_sees_the_target_describes_no_goal(tmp_path):

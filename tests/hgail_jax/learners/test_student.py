@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import KINDS
 from hgail_jax import Config, Hyperparameters, init_state, phase_table, train_step
 from hgail_jax.learners.student import OBJECT_SCALE, Student, _fit, _Lesson
 from hgail_jax.rollout import rollout
 from hgail_jax.seeds import init_seeds, seed_keys
+from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation
 from hgail_jax.vision.network import init_eyes, look
-from tests.hgail_jax.vision.scenes import poses, push, teacher
+from tests.hgail_jax.vision.scenes import Map, poses, push, teacher
 
 STUDENT = Student(mixed=4, updates=3, batch=16, channels=(4, 4, 4, 4))
 CONFIG = Config(
@@ -98,7 +101,7 @@ def test_it_learns_to_predict_where_the_cube_is():
         weight=jnp.ones(len(qpos)),
     )
     eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (8, 8, 8, 8), (32,), (4, 3)))(jax.random.key(0))
-    fit = jax.jit(functools.partial(_fit, Student(updates=70, batch=32), "plain"))
+    fit = jax.jit(functools.partial(_fit, Student(updates=70, batch=32), Augmentation()))
     zero = jax.tree.map(np.zeros_like, eyes)
     optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
     eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
@@ -135,12 +138,27 @@ def test_a_look_varies_the_pictures_that_are_learnt_from():
 
     def learnt(name):
         rng = jax.random.key_data(jax.random.key(0))
-        eyes, _, _ = _fit(Student(updates=1, batch=8), name, learner.eyes, learner.optimizer, lesson, rng, 1e-3)
+        sizes = Student(updates=1, batch=8), AUGMENTATIONS["colour"][name]
+        eyes, _, _ = _fit(*sizes, learner.eyes, learner.optimizer, lesson, rng, 1e-3)
         return eyes.convolutions[0][0]
 
     plain = learnt("plain")
     np.testing.assert_array_equal(learnt("cameras"), plain)  # whose pictures vary by the scene alone
     assert np.abs(learnt("varied") - plain).max() > 1e-4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_kind_and_the_look_of_pictures_decide_how_they_are_varied(kind, monkeypatch):
+    given, pictures = [], Map(push().task, kind=kind)
+    pictures.look = "varied"
+
+    def fit(sizes, augmentation, eyes, optimizer, *_):
+        given.append(augmentation)
+        return eyes, optimizer, {}
+
+    monkeypatch.setattr("hgail_jax.learners.student._fit", fit)
+    STUDENT.update(CameraEnv(push().task, pictures, push().teacher), CONFIG, *rolled(), jax.random.key(0))
+    assert set(given) == {AUGMENTATIONS[kind]["varied"]}
 
 
 def test_without_their_weight_the_positions_teach_nothing():
@@ -155,7 +173,7 @@ def test_without_their_weight_the_positions_teach_nothing():
 
     def learnt(weight):
         sizes, rng = Student(updates=2, batch=8, object_weight=weight), jax.random.key_data(jax.random.key(0))
-        return _fit(sizes, "plain", learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0]
+        return _fit(sizes, Augmentation(), learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0]
 
     before, without, with_them = learner.eyes, learnt(0.0), learnt(1.0)
     jax.tree.map(np.testing.assert_array_equal, without.objects, before.objects)

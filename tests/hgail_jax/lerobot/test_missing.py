@@ -1,10 +1,14 @@
-"""Without LeRobot there is a line that says how to install it."""
+"""What LeRobot cannot do here is told in a line: without it, how to install it."""
 
+import dataclasses
 import importlib.util
 
 import pytest
 
+from hgail_envs.scenes import assets_directory
 from hgail_jax.cli import demos, export, train
+from hgail_jax.io.policy import load_any_policy
+from hgail_jax.lerobot import check_shown
 
 
 @pytest.mark.parametrize(
@@ -29,6 +33,15 @@ def test_what_is_missing_is_one_line_and_nothing_is_written(tmp_path, monkeypatc
     assert (ended.value.code, error.count("\n")) == (2, 1)
     assert f"LeRobot is missing, or a part of it ({part}): pip install 'lerobot[training,evaluation]~=0.6.1'" in error
     assert [path.name for path in tmp_path.iterdir()] == ["meta"]
+
+
+def test_a_policy_that_sees_depth_is_not_exported():
+    policy = load_any_policy(assets_directory() / "policies" / "push-camera.npz")
+    convolutions = [(policy.eyes.convolutions[0][0][:, :, ::3], policy.eyes.convolutions[0][1])]
+    eyes = policy.eyes._replace(convolutions=convolutions + policy.eyes.convolutions[1:])
+    check_shown(policy)
+    with pytest.raises(ValueError, match="the policy sees depth; LeRobot's environment of push shows colours"):
+        check_shown(dataclasses.replace(policy, eyes=eyes, kind="depth"))
 
 
 def test_a_folder_of_anything_else_is_no_dataset(tmp_path, capsys):

@@ -17,7 +17,7 @@ import pytest
 
 import hgail_envs
 from hgail_envs.vision.camera_env import CameraEnv
-from hgail_envs.vision.pictures import Pictures
+from hgail_envs.vision.pictures import KINDS, Pictures
 from hgail_jax.io.policy import load_policy
 from hgail_jax.play.session import Phase, Session
 from tests.support import ROOT, SOURCES, free_port
@@ -61,9 +61,10 @@ def test_a_page_may_be_served_on_ipv6():
     assert web.free_port("::1", None, 8080) >= 8080
 
 
-def test_the_page_shows_what_a_policy_with_cameras_sees(page, monkeypatch, rendering):
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_page_shows_what_a_policy_with_cameras_sees(kind, page, monkeypatch, rendering):
     env = hgail_envs.make("push", impl="c")
-    seeing = CameraEnv(env, Pictures(env, ["front", "side"], 16, target="seen"))
+    seeing = CameraEnv(env, Pictures(env, ["front", "side"], 16, target="seen", kind=kind))
     sessions = {"push": lambda: Session(seeing, lambda _: np.ones(4)), "reach": lambda: page_session}
     page_session = page.session
     monkeypatch.setattr(page, "_open_session", lambda task, seed: sessions[task]())

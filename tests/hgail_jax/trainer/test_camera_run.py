@@ -28,7 +28,7 @@ from hgail_jax.trainer.checkpoint import AnotherRunError, as_json, refuse_anothe
 from hgail_jax.trainer.teaching import best_policy, teacher_options
 from hgail_jax.trainer.train_options import TrainOptions
 from hgail_jax.trainer.training import Trainer
-from hgail_jax.vision.augmentation import Augmentation
+from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation
 from hgail_jax.vision.network import look
 from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
 from tests.hgail_jax.vision.scenes import Map
@@ -59,6 +59,14 @@ def trained(tmp_path_factory):
         stopped = Trainer(**OPTIONS, resume=stopped.folder)
         stopped.train()
         return whole, stopped
+
+
+def opened(path):
+    """Returns the header and the arrays of a policy's file."""
+    kind = "hgail_jax camera policy 1"
+    header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
+    arrays.pop("header")
+    return header, arrays
 
 
 class _after:
@@ -109,10 +117,9 @@ def test_a_run_of_a_look_of_other_sizes_is_another_and_one_without_them_is_not(t
 
 
 def test_an_older_file_of_a_policy_has_no_sizes_of_its_look(trained, tmp_path):
-    path, kind = trained[0].folder / "policies" / "seed-0.npz", "hgail_jax camera policy 1"
-    header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
-    arrays.pop("header")
-    assert header.pop("look_sizes") == load_any_policy(path).look_sizes == sizes_of_look("plain")
+    path = trained[0].folder / "policies" / "seed-0.npz"
+    header, arrays = opened(path)
+    assert header.pop("look_sizes") == load_any_policy(path).look_sizes == sizes_of_look("plain", "colour")
     save_npz(tmp_path / "older.npz", header, arrays)
     assert load_any_policy(tmp_path / "older.npz").look_sizes == {}
 
@@ -134,6 +141,47 @@ def test_a_policy_that_sees_the_target_is_told_no_goal(trained, tmp_path):
     save_policy(tmp_path / "policy.npz", from_state("push", env, run.config, state))
     policy = load_any_policy(tmp_path / "policy.npz")
     assert (policy.target, policy.goal_size, policy.mean.size) == ("seen", 0, trained[0].policy(0).mean.size - 4)
+
+
+def test_a_policy_of_depth_is_written_and_read_as_one(trained, tmp_path):
+    run, path = trained[0].run, tmp_path / "policy.npz"
+    pictures = Map(run.env.task, kind="depth")
+    pictures.look = "varied"
+    env = CameraEnv(run.env.task, pictures, run.env.teacher)
+    state = init_state(env, run.config, run.hyperparameters, jax.random.key(0))
+    save_policy(path, from_state("push", env, run.config, state))
+    policy = load_any_policy(path)
+    assert (policy.kind, policy.pictures_shape) == ("depth", (1, 16, 16, 1))
+    assert policy.look_sizes["image"] == dataclasses.asdict(AUGMENTATIONS["depth"]["varied"])
+    header, arrays = opened(path)
+    assert header["pictures"] == {
+        "cameras": ["above"],
+        "size": 16,
+        "kind": "depth",
+        "range": [0, 255],
+        "metres": [0.0, 1.6],
+    }
+    assert arrays["kernel_0"].shape[2] == 1
+    assert policy(np.zeros((1, 16, 16, 1), np.uint8), np.zeros(10)).shape == (4,)
+    with pytest.raises(ValueError, match=r"the policy sees \(1, 16, 16, 1\): above, 16 x 16, depth"):
+        policy(np.zeros((1, 16, 16, 3), np.uint8), np.zeros(10))
+    identity = dataclasses.replace(run, env=env).identity()
+    here = as_json(run.identity())
+    for one, other, said in ((here, identity, "absent there and depth"), (as_json(identity), here, "depth there and")):
+        with pytest.raises(AnotherRunError, match=f"physics.pictures.kind is {said}"):
+            refuse_another_run("folder", one, other)
+    for wrong in ({"metres": [0.0, 4.0]}, {"kind": "heat"}, {"kind": "colour", "colours": "RGB"}):
+        save_npz(path, header | {"pictures": header["pictures"] | wrong}, arrays)
+        with pytest.raises(ValueError, match="does not hold a policy"):
+            load_any_policy(path)
+
+
+def test_a_file_from_before_there_was_depth_is_of_colours_and_written_again_the_same(tmp_path):
+    before = TEACHER.with_name("push-camera.npz")
+    policy = load_any_policy(before)
+    save_policy(tmp_path / "again.npz", policy)
+    assert policy.kind == "colour" and policy.pictures_shape == (2, 64, 64, 3)
+    assert (tmp_path / "again.npz").read_bytes() == before.read_bytes()
 
 
 def test_a_policy_acts_on_pictures_and_numbers(trained):
@@ -167,9 +215,7 @@ def test_a_policy_of_pictures_is_refused_where_positions_are_given(trained):
 
 @pytest.mark.parametrize("fault", ["nan", "kernel_biases_0", "cameras"])
 def test_a_damaged_file_is_refused(trained, tmp_path, fault):
-    path, kind = trained[0].folder / "policies" / "seed-0.npz", "hgail_jax camera policy 1"
-    header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
-    arrays.pop("header")
+    header, arrays = opened(trained[0].folder / "policies" / "seed-0.npz")
     if fault == "nan":
         arrays["weights_0"] = arrays["weights_0"] * np.float32("nan")
     elif fault == "cameras":
@@ -186,6 +232,7 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
     [
         (["--task", "push", "--camera", "front"], "--camera changes nothing without --observe camera"),
         (["--task", "push", "--target", "seen"], "--target changes nothing without --observe camera"),
+        (["--task", "push", "--picture-kind", "depth"], "--picture-kind changes nothing without --observe camera"),
         (
             ["--task", "push", "--observe", "camera", "--method", "her"],
             "--method changes nothing for the method camera",
@@ -362,8 +409,9 @@ def test_pictures_are_those_that_the_options_ask_for(monkeypatch):
     given = []
     monkeypatch.setattr(camera, "Pictures", lambda env, *rest: given.append(rest) or Map(env))
     asked = {"camera": "side, wrist", "picture_size": 32, "renderer": "opengl", "look": "wide", "target": "seen"}
+    asked["picture_kind"] = "depth"
     camera.with_camera(hgail_envs.make("push"), TrainOptions("push", observe="camera", teacher=TEACHER, **asked), 1)
-    assert given == [(["side", "wrist"], 32, "opengl", "wide", "seen")]
+    assert given == [(["side", "wrist"], 32, "opengl", "wide", "seen", "depth")]
 
 
 def test_a_teacher_is_trained_by_the_tasks_own_settings():

@@ -9,6 +9,7 @@ import numpy as np
 import hgail_envs
 from hgail_envs.scenes import assets_directory
 from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.pictures import KINDS
 from hgail_jax import load_policy
 
 SIZE = 16
@@ -18,10 +19,9 @@ class Map:
     """Pictures of push from above without a renderer: a bright spot where the cube is on the table."""
 
     cameras, size, look, renderer, draws, marker = ("above",), SIZE, "plain", "map", 1, False
-    shape = (1, SIZE, SIZE, 3)
 
-    def __init__(self, env, target="told"):
-        self.target = target
+    def __init__(self, env, target="told", kind="colour"):
+        self.target, self.kind, self.shape = target, kind, (1, SIZE, SIZE, KINDS[kind])
         self.model, self._cube = env.robot.load(visual=True), env.qpos_of("cube")
         self.joints = self.model.nq
 
@@ -32,7 +32,7 @@ class Map:
             jnp.exp(-jnp.square(grid - x[..., None]) / 2.0)[..., None, :]
             * jnp.exp(-jnp.square(grid - y[..., None]) / 2.0)[..., :, None]
         )
-        return (255.0 * spot[..., None, :, :, None] * jnp.ones(3)).astype(jnp.uint8)
+        return (255.0 * spot[..., None, :, :, None] * jnp.ones(self.shape[-1])).astype(jnp.uint8)
 
 
 @functools.cache

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hgail_envs.vision.depth import FAR
 from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, augment
 from hgail_jax.vision.network import _places, init_eyes, look
 
@@ -17,10 +18,12 @@ def test_the_place_of_a_feature_is_the_mean_of_where_it_is():
     np.testing.assert_allclose(_places(jnp.asarray(features)), expected, atol=1e-5)
 
 
-def test_each_row_depends_on_its_own_pictures_numbers_and_cameras_alone():
-    eyes = init_eyes(jax.random.key(0), 2, 3, (4, 4, 4, 4), (8,), (4, 3))
+@pytest.mark.parametrize("colours", [3, 1])
+def test_each_row_depends_on_its_own_pictures_numbers_and_cameras_alone(colours):
+    eyes = init_eyes(jax.random.key(0), 2, 3, (4, 4, 4, 4), (8,), (4, 3), colours)
+    assert eyes.convolutions[0][0].shape == (5, 5, 2 * colours, 4)
     rng = np.random.default_rng(0)
-    pictures, numbers = rng.uniform(size=(3, 2, 16, 16, 3)), rng.normal(size=(3, 3))
+    pictures, numbers = rng.uniform(size=(3, 2, 16, 16, colours)), rng.normal(size=(3, 3))
 
     def told(pictures, numbers):
         return np.concatenate(jax.jit(look)(eyes, np.float32(pictures), np.float32(numbers)), axis=-1)
@@ -36,9 +39,10 @@ def test_each_row_depends_on_its_own_pictures_numbers_and_cameras_alone():
     assert np.abs(told(pictures, numbers + 1.0) - before).min(axis=0).max() > 1e-5
 
 
-def test_pictures_of_the_plain_look_are_left_alone():
+@pytest.mark.parametrize("kind", AUGMENTATIONS)
+def test_pictures_of_the_plain_look_are_left_alone(kind):
     pictures = jnp.ones((1, 1, 4, 4, 3))
-    assert augment(AUGMENTATIONS["plain"], jax.random.key(0), pictures) is pictures
+    assert augment(AUGMENTATIONS[kind]["plain"], jax.random.key(0), pictures) is pictures
 
 
 @pytest.mark.parametrize("size", [1, 3])
@@ -68,3 +72,14 @@ def test_gains_offsets_and_noise_are_within_their_sizes():
     assert means.max() - means.min() > 0.5  # of at most .8
     inside = (means > 0.2) & (means < 0.8)
     np.testing.assert_allclose(varied.std(axis=(2, 3))[inside], 0.03, rtol=0.3)
+
+
+def test_depth_is_varied_by_a_depth_cameras_noise_and_aim_alone():
+    sizes = AUGMENTATIONS["depth"]["varied"]
+    assert sizes.shift == AUGMENTATIONS["colour"]["varied"].shift
+    pictures = jnp.broadcast_to(jnp.linspace(0.3, 0.9, 64)[:, None, None, None, None], (64, 2, 16, 16, 1))
+    varied = np.asarray(augment(sizes, jax.random.key(0), pictures))
+    assert varied.shape == pictures.shape
+    difference = (varied - pictures) * FAR  # metres
+    np.testing.assert_allclose(difference.std(axis=(2, 3, 4)), 0.005, rtol=0.25)
+    np.testing.assert_allclose(difference.mean(axis=(2, 3, 4)), 0.0, atol=0.002)
