@@ -51,7 +51,7 @@ class HgailConfig(PreTrainedConfig):
     observation_delta_indices = action_delta_indices = reward_delta_indices = None
 
     def get_optimizer_preset(self) -> AdamConfig:
-        """Returns the optimizer of a further training by behavioural cloning."""
+        """Returns the optimizer of a further training by behaviour cloning."""
         return AdamConfig(lr=1e-4)
 
     def get_scheduler_preset(self) -> None:
@@ -135,7 +135,7 @@ class HgailPolicy(PreTrainedPolicy):
         return self.select_action(batch)[:, None]
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, None]:
-        """Returns the mean squared error of the actions, `[]`: behavioural cloning."""
+        """Returns the mean squared error of the actions, `[]`: behaviour cloning."""
         return nn.functional.mse_loss(self._action(batch), batch[ACTION]), None
 
 

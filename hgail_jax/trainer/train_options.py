@@ -95,8 +95,10 @@ class TrainOptions:
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
     """Probability that hindsight replaces a step's goal, 0 to 1."""
-    strategy: Annotated[str, _choices("Where hindsight takes goals from", STRATEGIES)] = "future"
-    reward: Annotated[str, _choices("How the discriminator's logit becomes a reward", REWARDS)] = "r1"
+    strategy: Annotated[str | None, unless_given("the task's", f"{{{','.join(STRATEGIES)}}}")] = None
+    """Where hindsight takes goals from."""
+    reward: Annotated[str | None, unless_given("the task's", f"{{{','.join(REWARDS)}}}")] = None
+    """How the discriminator's logit becomes a reward."""
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
@@ -181,7 +183,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
         resumed = resumed_folder(options.task, chosen.method, options.resume)
         options = dataclasses.replace(options, teacher=resumed and kept_teacher(resumed))
     preset = _with_options(options, chosen)
-    if preset.hyperparameters.p_ht == 0.0 and options.strategy != TrainOptions.strategy:
+    if preset.hyperparameters.p_ht == 0.0 and options.strategy is not None:
         raise ValueError("--strategy changes nothing where p_ht is 0, which replaces no goal")
     mesh = choose_mesh(options.seeds, preset.config.num_envs, options.devices)
     defaults = {name: value for name, value in preset.task_options.items() if name not in _PHYSICS}
@@ -243,8 +245,9 @@ def _check(options: TrainOptions) -> None:
     for name in ("checkpoint_every", "evaluate_every", "evaluation_episodes", "rounds"):
         if getattr(options, name) is not None:
             check_count(name, getattr(options, name), least=int(name != "rounds"))
-    check_name("strategy", options.strategy, STRATEGIES)
-    check_name("reward", options.reward, REWARDS)
+    for name, values in (("strategy", STRATEGIES), ("reward", REWARDS)):
+        if getattr(options, name) is not None:
+            check_name(name, getattr(options, name), values)
     if options.resume == "":
         raise ValueError("resume is ''; it must be a run's folder, or auto")
     if options.resume is not None and options.out is not None:
@@ -278,9 +281,9 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "environment_reward": options.environment_reward,
         "bc_weight": options.bc_weight,
         "exploration_noise": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
-        "strategy": STRATEGIES[options.strategy],
-        "reward": REWARDS[options.reward],
-        "standardize_reward": options.standardize_reward,
+        "strategy": None if options.strategy is None else STRATEGIES[options.strategy],
+        "reward": None if options.reward is None else REWARDS[options.reward],
+        "standardize_reward": None if options.standardize_reward else False,
     }
     for name, value in map(_parse_setting, options.settings):
         _check_effect(name, preset)

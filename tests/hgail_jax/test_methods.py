@@ -206,7 +206,19 @@ class HeavyPush(Push):
 class OwnSizes(Push):
     """One with its own settings, for PPO alone."""
 
-    training: ClassVar = {"ppo": {"cpu": TrainingDefaults({"num_envs": 8})}}
+    training: ClassVar = {
+        "ppo": {
+            "cpu": TrainingDefaults({"num_envs": 8}, {"strategy": 1, "reward": 2, "standardize_reward": False}),
+        }
+    }
+
+
+def test_a_task_s_own_settings_stay_where_no_option_says_otherwise():
+    task = f"{__name__}:OwnSizes"
+    own = plan(TrainOptions(task=task), "cpu").hyperparameters
+    assert (own.strategy, own.reward, own.standardize_reward) == (1, 2, False)
+    given = plan(TrainOptions(task=task, strategy="future", reward="r1"), "cpu").hyperparameters
+    assert (given.strategy, given.reward) == (STRATEGIES["future"], REWARDS["r1"])
 
 
 @pytest.mark.parametrize(
