@@ -20,6 +20,12 @@ def imported(tree):
     return modules + [f"{n.module}.{a.name}" for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names]
 
 
+def used(tree, modules):
+    """Returns the packages of these modules, and the functions that a module calls by a plain name."""
+    calls = {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    return calls | {module.split(".")[0] for module in modules}
+
+
 def test_rooms_stand_on_one_another_and_on_few_floors():
     """The rooms are the files and folders of `hgail_jax/`, doors included; a circle is an error that names it."""
     rooms = {}
@@ -33,6 +39,22 @@ def test_rooms_stand_on_one_another_and_on_few_floors():
     for room in graphlib.TopologicalSorter(below).static_order():
         floors[room] = 1 + max((floors[other] for other in below[room]), default=0)
     assert max(floors.values()) <= FLOORS, sorted(floors.items(), key=lambda room: room[1])
+
+
+def test_the_training_step_stands_on_few_modules_and_no_files():
+    """Those of `hgail_jax` that `train.py` imports, and that those import."""
+    by_name = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in MODULES}
+    reached, ahead = set(), {"hgail_jax.train"}
+    while ahead:
+        name = ahead.pop()
+        reached.add(name)
+        modules = imported(MODULES[by_name[name]])
+        assert not {"pathlib", "shutil", "signal", "subprocess", "tempfile", "open"} & used(
+            MODULES[by_name[name]], modules
+        )
+        ahead |= {part for module in modules for part in (module, module.rpartition(".")[0])} & by_name.keys() - reached
+    assert {"hgail_jax.rollout", "hgail_jax.config"} < reached
+    assert len(reached) <= 15, sorted(reached)
 
 
 def test_tasks_stand_below_the_algorithm():

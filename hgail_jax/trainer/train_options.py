@@ -271,8 +271,7 @@ def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     """Returns a method's preset with the sizes and hyperparameters that are given."""
     sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.rounds}
-    if not options.pretrain:
-        sizes["pretrain"] = False
+    sizes["pretrain"] = None if options.pretrain else False
     if options.bc_weight is not None:
         sizes["learner"] = preset.config.learner.with_bc(options.bc_weight)
     std = options.exploration_noise
@@ -281,8 +280,8 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "environment_reward": options.environment_reward,
         "bc_weight": options.bc_weight,
         "exploration_noise": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
-        "strategy": None if options.strategy is None else STRATEGIES[options.strategy],
-        "reward": None if options.reward is None else REWARDS[options.reward],
+        "strategy": options.strategy and STRATEGIES[options.strategy],
+        "reward": options.reward and REWARDS[options.reward],
         "standardize_reward": None if options.standardize_reward else False,
     }
     for name, value in map(_parse_setting, options.settings):
@@ -311,8 +310,7 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
     """Makes the task; `defaults` have the physics that it is trained with unless other is given."""
     accepted = hgail_envs.accepted_options(options.task)
     given = {"impl": options.impl, "worlds": worlds} | defaults | _given({"substeps": options.substeps})
-    asks_for_physics = options.substeps is not None or options.impl != "auto"
-    if asks_for_physics and not {"substeps", "impl"} <= set(accepted):
+    if (options.substeps is not None or options.impl != "auto") and not {"substeps", "impl"} <= set(accepted):
         raise ValueError(f"--substeps and --impl are for the tasks of an arm; {options.task!r} is none")
     if "robot" in task_options:
         check_takes_robot(options.task)
