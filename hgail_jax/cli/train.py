@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import jax
 import numpy as np
 
+from hgail_envs import find_class
 from hgail_envs.validation import counted
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import NO_DEVICE, fail, is_out_of_memory, parse, with_new_names
@@ -20,8 +21,9 @@ from hgail_jax.devices.processes import HEARTBEAT_TIMEOUT, RESUME, end_without_t
 from hgail_jax.devices.sharding import ReplicaError, is_first_process
 from hgail_jax.io.files import from_here
 from hgail_jax.io.policy import load_any_policy
+from hgail_jax.learners import LEARNERS
 from hgail_jax.play.playback import film
-from hgail_jax.settings.defaults import platform_name
+from hgail_jax.settings.defaults import has_own_settings, platform_name
 from hgail_jax.terminal import in_a_thread, say, stop_on_signal
 from hgail_jax.trainer.camera import MissingTeacherError
 from hgail_jax.trainer.folder import RunFolder, open_run_folder, student_folder
@@ -73,9 +75,8 @@ def main(arguments: list[str] | None = None) -> None:
             folder = held.enter_context(open_run_folder(run, command.out, command.resume))
         except (ValueError, OSError, RenderingError) as error:
             fail(PROGRAM, error, 2)
-        size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
-            say(f"{run.method} on {command.task}, {size} -> {folder.path}")
+            _announce(run, command, folder.path)
         resume_hint = _resume_hint(words, folder.path)
         summary = _train(run, folder, resume_hint)
         if not is_first_process():
@@ -86,6 +87,16 @@ def main(arguments: list[str] | None = None) -> None:
         _report(summary, folder.path)
         if command.video:
             _film(run, folder)
+
+
+def _announce(run: Run, command: Command, folder: Path) -> None:
+    """Prints what is trained, and whether it is with settings that were not chosen for the task."""
+    size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
+    say(f"{run.method} on {command.task}, {size} -> {folder}")
+    learner = run.config.learner.name
+    of_task = learner in LEARNERS and command.preset == Command.preset
+    if of_task and not has_own_settings(find_class(command.task), learner, platform_name()):
+        say(f"{command.task} has no settings of its own for {learner}, but shared ones, see GoalEnv.training")
 
 
 def _teacher(options: TrainOptions, words: list[str]) -> Path:

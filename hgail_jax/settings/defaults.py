@@ -234,6 +234,12 @@ def default_learner(task_class: type[GoalEnv]) -> str:
     return next(iter(DEFAULTS[name] if name else _training(task_class)), TD3.name)
 
 
+def has_own_settings(task_class: type[GoalEnv], learner: str, platform: str) -> bool:
+    """Returns whether a task comes with settings for a learner on a platform; without it has the shared ones."""
+    name = _name(task_class)
+    return learner in DEFAULTS[name] if name else platform in _training(task_class).get(learner, {})
+
+
 def platform_name() -> str:
     """Returns the kind of device that JAX runs on, as defaults distinguish platforms: `"cpu"` or `"gpu"`."""
     return "cpu" if jax.default_backend() == "cpu" else "gpu"

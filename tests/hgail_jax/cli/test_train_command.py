@@ -236,6 +236,22 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
 
 
+@pytest.mark.parametrize(
+    ("words", "shared"),
+    [
+        (["--task", "tests.hgail_jax.line:Line"], True),  # for td3
+        (["--task", "tests.hgail_jax.test_methods:OwnSizes"], False),
+        (["--task", "tests.hgail_jax.test_methods:OwnSizes", "--learner", "td3"], True),
+        (["--task", "point", "--preset", "paper"], False),
+        (["--task", "tower", "--learner", "ppo", "--seeds", "1", "--num-envs", "1"], False),
+    ],
+)
+def test_a_run_with_settings_that_were_not_chosen_for_its_task_says_so(in_folder, capsys, monkeypatch, words, shared):
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
+    run.main([*words, "--out", "run"])
+    assert ("has no settings of its own for" in capsys.readouterr().out) == shared
+
+
 HANDED_ON = {
     "seeds": (3, lambda run: run.seeds),
     "first_seed": (7, lambda run: run.first_seed),
