@@ -96,7 +96,7 @@ def _announce(run: Run, command: Command, folder: Path) -> None:
     learner = run.config.learner.name
     of_task = learner in LEARNERS and command.preset == Command.preset
     if of_task and not has_own_settings(find_class(command.task), learner, platform_name()):
-        say(f"{command.task} has no settings of its own for {learner}, but shared ones, see GoalEnv.training")
+        say(f"{command.task} has no settings of its own for {learner} and uses shared ones: see GoalEnv.training")
 
 
 def _teacher(options: TrainOptions, words: list[str]) -> Path:

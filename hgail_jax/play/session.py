@@ -133,7 +133,7 @@ class Session:
 
     @property
     def seen(self) -> np.ndarray | None:
-        """What the policy's cameras see, `[cameras, size, size, 3]`, uint8, of depth in grey; None without cameras."""
+        """Pictures from the policy's cameras, `[cameras, size, size, 3]`, uint8, grey for depth; None without any."""
         if self._see is None:
             return None
         pictures = np.asarray(self._see(self._state.obs))

@@ -235,7 +235,7 @@ def default_learner(task_class: type[GoalEnv]) -> str:
 
 
 def has_own_settings(task_class: type[GoalEnv], learner: str, platform: str) -> bool:
-    """Returns whether a task comes with settings for a learner on a platform; without it has the shared ones."""
+    """Returns whether a task comes with settings for a learner on a platform; otherwise it uses the shared ones."""
     name = _name(task_class)
     return learner in DEFAULTS[name] if name else platform in _training(task_class).get(learner, {})
 

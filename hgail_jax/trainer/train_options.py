@@ -90,15 +90,15 @@ class TrainOptions:
     picture_kind: Annotated[str, _choices("What a picture shows (--observe camera)", KINDS)] = "colour"
     look: Annotated[str, _choices("How the look of the scene varies in training (--observe camera)", LOOKS)] = "varied"
     renderer: Annotated[str, _choices("Renderer of the pictures (--observe camera)", ["auto", *RENDERERS])] = "auto"
-    target: Annotated[str, _choices("Whether the target is told or a ball (--observe camera)", TARGETS)] = "told"
+    target: Annotated[str, _choices("Target by numbers or as a ball to be seen (--observe camera)", TARGETS)] = "told"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None
     """Probability that hindsight replaces a step's goal, 0 to 1."""
     strategy: Annotated[str | None, unless_given("the task's", f"{{{','.join(STRATEGIES)}}}")] = None
-    """Where hindsight takes goals from."""
+    """Hindsight takes goals from the steps that follow (future), or from the last one (final)."""
     reward: Annotated[str | None, unless_given("the task's", f"{{{','.join(REWARDS)}}}")] = None
-    """How the discriminator's logit becomes a reward."""
+    """Form of the reward that is made of the discriminator's logit, see `hgail_jax.discriminator`."""
     standardize_reward: bool = True
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None

@@ -15,7 +15,14 @@ from hgail_jax import METHODS, PRESETS, Hyperparameters, TrainOptions
 from hgail_jax.config import OF_TD3
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
-from hgail_jax.settings.defaults import DEFAULTS, SHARED, SHARED_WITH_SCENE, default_learner, task_preset
+from hgail_jax.settings.defaults import (
+    DEFAULTS,
+    SHARED,
+    SHARED_WITH_SCENE,
+    default_learner,
+    has_own_settings,
+    task_preset,
+)
 from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.train_options import plan
@@ -105,6 +112,12 @@ def test_a_task_that_extends_another_is_trained_as_it_is_unless_it_says_otherwis
         assert off_policy.config == SHARED_WITH_SCENE["td3"]["cpu"].config.replace(updates=9)
         assert (off_policy.method, off_policy.task_options) == ("her", EIGHT)
         assert task_preset(task, "gpu", learner="td3") == SHARED_WITH_SCENE["td3"]["gpu"]
+
+
+def test_settings_of_a_task_s_own_are_those_for_the_learner_and_the_platform():
+    own = [has_own_settings(Own, learner, platform) for learner in ("ppo", "td3") for platform in ("cpu", "gpu")]
+    assert own == [True, False, True, False]
+    assert has_own_settings(Longer, "td3", "gpu")  # reach's
 
 
 class Moved(GoalEnv):

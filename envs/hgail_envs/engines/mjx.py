@@ -112,8 +112,8 @@ class WarpEngine(MjxEngine):
     def prepare(self) -> None:
         """Builds Warp's kernels, or finds them in its cache, by a step of one world outside of any program.
 
-        One thread builds them one after another. Five that built parts of a step at once, which Warp 1.18 allows, took
-        23 to 31 s for push on four cores, where one took 27.
+        One thread builds them one after another. Warp 1.18 allows several, but is no faster so: for push five threads,
+        each with a part of the step, took 23 to 31 s on four cores, and one took 27 s.
         """
         warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_MUJOCO_WARP)
         with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:

@@ -12,6 +12,7 @@ import pytest
 
 from hgail_envs.engines.c import usable_cores
 from hgail_envs.randomization import LEVELS
+from hgail_envs.scenes import assets_directory
 from hgail_jax import TrainOptions, load_policy
 from hgail_jax.cli import train as run
 from hgail_jax.config import REWARDS, STRATEGIES
@@ -243,6 +244,7 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
         (["--task", "tests.hgail_jax.test_methods:OwnSizes"], False),
         (["--task", "tests.hgail_jax.test_methods:OwnSizes", "--learner", "td3"], True),
         (["--task", "point", "--preset", "paper"], False),
+        (["--task", "tests.hgail_jax.line:Line", "--preset", "paper"], False),  # the preset's settings are for all
         (["--task", "tower", "--learner", "ppo", "--seeds", "1", "--num-envs", "1"], False),
     ],
 )
@@ -250,6 +252,14 @@ def test_a_run_with_settings_that_were_not_chosen_for_its_task_says_so(in_folder
     monkeypatch.setattr(run, "train_run", lambda *_: None)
     run.main([*words, "--out", "run"])
     assert ("has no settings of its own for" in capsys.readouterr().out) == shared
+
+
+def test_a_student_s_settings_are_its_own(in_folder, capsys, monkeypatch, rendering):
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
+    teacher = str(assets_directory() / "policies" / "push.npz")
+    sizes = ["--seeds", "1", "--num-envs", "1", "--renderer", "opengl"]
+    run.main(["--task", "push", "--observe", "camera", "--teacher", teacher, *sizes, "--out", "run"])
+    assert "settings of its own" not in capsys.readouterr().out
 
 
 HANDED_ON = {

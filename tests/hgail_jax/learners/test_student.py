@@ -179,6 +179,8 @@ def test_without_their_weight_the_positions_teach_nothing():
     jax.tree.map(np.testing.assert_array_equal, without.objects, before.objects)
     assert np.abs(with_them.objects[1] - before.objects[1]).max() > 1e-4
     assert np.abs(without.action[1] - before.action[1]).max() > 1e-4  # the actions do
+    with pytest.raises(ValueError, match=r"object_weight is -1\.0; it must be at least 0"):
+        Student(object_weight=-1.0)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What LeRobot cannot do here is told in a line: without it, how to install it."""
+"""Refusals in one line: LeRobot is not installed, or cannot run a policy."""
 
 import dataclasses
 import importlib.util

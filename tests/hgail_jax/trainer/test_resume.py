@@ -421,7 +421,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))
 
 
-def test_a_run_on_an_arm_whose_description_was_changed_is_another_one():
+def test_a_run_on_an_arm_whose_description_was_changed_is_another_one(monkeypatch):
     pytest.importorskip("gymnasium_robotics")  # it has the model
     description = Path("arm.toml")
     text = (assets_directory() / "robots" / "franka.toml").read_text()
@@ -432,6 +432,10 @@ def test_a_run_on_an_arm_whose_description_was_changed_is_another_one():
     description.write_text(text)
     first = as_json(identity())
     refuse_another_run("folder", first, identity())
+    with monkeypatch.context() as changed:  # the MJCF that it names
+        changed.setattr("hgail_jax.trainer.run.digest", lambda model: "another")
+        with pytest.raises(AnotherRunError, match=r"physics\.robot"):
+            refuse_another_run("folder", first, identity())
     description.write_text(text.replace("2.61, 2.61, 2.61", "2.0, 2.0, 2.0"))
     with pytest.raises(AnotherRunError, match=r"folder holds another run: physics\.robot is \w+ there and \w+ here"):
         refuse_another_run("folder", first, identity())
