@@ -1,4 +1,4 @@
-"""Measures speed: stepping, roll-outs, training, its scaling with seeds and devices, and whole runs."""
+"""Measures speed: stepping, roll-outs, training, its scaling with seeds and devices, pictures, and whole runs."""
 
 import dataclasses
 import itertools
@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from experiments.bench import speed
+from experiments.bench.pictures import measure_pictures
 from experiments.bench.results import Results, table
 from experiments.bench.scaling import measure_devices, measure_seeds
 from experiments.bench.whole_runs import measure_compilation, measure_time_to_success
@@ -40,7 +41,7 @@ class Options:
     """Measures speed and adds the rows to a file."""
 
     section: tuple[
-        Literal["physics", "rollout", "train", "shares", "seeds", "devices", "compile", "time-to-success"],
+        Literal["physics", "rollout", "train", "shares", "seeds", "devices", "pictures", "compile", "time-to-success"],
         ...,
     ] = ("physics", "rollout", "train", "shares")
     """Sections to measure. The first four are columns of one row for each size."""
@@ -53,6 +54,10 @@ class Options:
     """Physics steps per action, one row for each."""
     seeds: tuple[int, ...] = (1, 8)
     """Numbers of seeds to compare, the first of them 1."""
+    picture_size: tuple[int, ...] = (64,)
+    """Edges of pictures, one row for each."""
+    look: str = "plain"
+    """How the look of the pictures' scenes varies."""
     run: tuple[str, ...] = ()
     """Further options of hgail train for compile and time-to-success, as one word each: --run=--num-envs=64."""
     quick: bool = False
@@ -84,7 +89,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _check(options: Options) -> None:
     """Raises a ValueError if a list of options is empty or has an invalid value."""
-    for name in ("section", "task", "impl", "seeds", "num_envs", "substeps"):
+    for name in ("section", "task", "impl", "seeds", "num_envs", "substeps", "picture_size"):
         if getattr(options, name) == ():
             raise ValueError(f"--{name.replace('_', '-')} names nothing")
     if options.run and not _OF_WHOLE_RUNS & set(options.section):
@@ -114,10 +119,15 @@ def measure(options: Options) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
 
 def _rows(options: Options, task: str) -> Iterator[dict[str, Any]]:
     """Yields a task's rows that are measured in this process."""
+    sizes = options.num_envs or _NUM_ENVS[platform_name()]
     columns = [name for name in speed.COLUMNS if name in options.section]
     if columns:
-        for workload in _workloads(options, task, options.num_envs or _NUM_ENVS[platform_name()]):
+        for workload in _workloads(options, task, sizes):
             yield {"section": "speed", **speed.speed_row(workload, columns)}
+    if "pictures" in options.section:
+        for workload in _workloads(options, task, sizes):
+            for row in measure_pictures(workload, options.picture_size, options.look):
+                yield {"section": "pictures", **row}
     per_seed = options.num_envs or (default_preset(task).config.num_envs,)
     for workload in _workloads(options, task, per_seed[:1]):
         if "seeds" in options.section:

@@ -108,6 +108,7 @@ def test_reading_options_starts_no_backend(forks):
         ["seeds", "--task", "push"],
         ["devices"],
         ["devices", "--task", "push"],
+        ["pictures", "--picture-size", "16"],
         ["compile"],
         ["time-to-success"],
     ],
