@@ -32,17 +32,17 @@ function evaluate(mujoco, { task: name, policy, starts }) {
 function replay(mujoco, { task: name, policy, start, actions, asked }) {
   const task = new Task(mujoco, name);
   task.startFrom(start);
-  const pilot = pilotOf(policyOf(policy), task), observations = [pilot.observation()], told = [task.told()], achieved = [];
+  const pilot = pilotOf(policyOf(policy), task), observations = [pilot.observation()], known = [task.known()], achieved = [];
   for (const action of actions) {
     pilot.remember(action);
     task.step(action);
     observations.push(pilot.observation());
-    told.push(task.told());
+    known.push(task.known());
     achieved.push(task.achieved());
   }
   const { start: gripper, startQpos } = task, answers = asked.map((observation) => pilot.policy.act(observation));
   const distance = task.distance(), { bounds } = task;
-  return { gripper, qpos: Array.from(startQpos), bounds, observations, told, answers, achieved, distance };
+  return { gripper, qpos: Array.from(startQpos), bounds, observations, known, answers, achieved, distance };
 }
 
 // What a policy of pictures does, and where it sees the objects, for given pictures and numbers.

@@ -159,7 +159,7 @@ class Page {
       policy = await this.#policy(asked);
     } catch (error) {
       if (!this.session) throw error;
-      this.#showControls(); // of the task that goes on
+      this.#showControls(); // of the task that is shown still
       find("hint").textContent = `That policy did not load; choose it again. ${error.message}`;
       return;
     }

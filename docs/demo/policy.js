@@ -98,7 +98,7 @@ function normalised(values, { scale, offset }) {
 const STRIDES = [2, 2, 1, 1]; // of the convolutions, as in hgail_jax/vision/network.py
 const OBJECT_SCALE = 0.1; // metres that a 1 of the objects' positions stands for
 
-// A policy that sees pictures, uint8 [cameras, size, size, 3], and is told the robot's own numbers and the goal's.
+// A policy that sees pictures, uint8 [cameras, size, size, 3], the robot's own numbers and the goal's.
 class CameraPolicy {
   constructor(header, arrays) {
     if (header.pictures.kind) throw new Error(`the policy sees ${header.pictures.kind}, and the page draws colours`);
@@ -119,14 +119,14 @@ class CameraPolicy {
 
   // Returns the action, and where the objects are, metres.
   look(pictures, numbers) {
-    if (numbers.length !== this.mean.length) throw new Error(`the policy is told ${this.mean.length} numbers, not ${numbers.length}`);
+    if (numbers.length !== this.mean.length) throw new Error(`the policy takes ${this.mean.length} numbers, not ${numbers.length}`);
     let { cameras, size } = this.header.pictures, seen = sideBySide(pictures, cameras.length, size);
     for (const convolution of this.convolutions) {
       seen = convolved(seen, size, convolution);
       size = Math.ceil(size / convolution.stride);
     }
-    const told = Array.from(numbers, (value, index) => (value - this.mean[index]) / this.std[index]);
-    let hidden = [...placesOf(seen, size), ...told];
+    const known = Array.from(numbers, (value, index) => (value - this.mean[index]) / this.std[index]);
+    let hidden = [...placesOf(seen, size), ...known];
     for (const layer of this.layers) hidden = normalised(linear(hidden, layer), layer);
     const [action, objects] = this.heads.map((head) => linear(hidden, head));
     return { action: action.map(Math.tanh), objects: objects.map((value, axis) => this.centre[axis] + OBJECT_SCALE * value) };
@@ -240,7 +240,7 @@ class CameraPilot {
 
   act() {
     this.seen = this.eyes.look();
-    return this.policy.look(this.seen, this.task.told()).action;
+    return this.policy.look(this.seen, this.task.known()).action;
   }
 }
 

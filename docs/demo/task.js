@@ -270,8 +270,8 @@ export class Task {
     return [...this.gripper, ...this.gripperVelocity, ...ofObject, ...hand, ...ofCarrier];
   }
 
-  // The numbers that a policy of pictures is told: what the robot measures in itself, and the goal.
-  told() {
+  // The numbers that a policy of pictures has beside them: what the robot measures in itself, and the goal.
+  known() {
     return [...this.gripper, ...this.gripperVelocity, ...(this.kind.hand ? [this.gap] : []), ...this.desired()];
   }
 

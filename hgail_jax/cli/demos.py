@@ -46,8 +46,8 @@ class Options:
     """Cameras of the scene, with commas between them, for pictures (--format lerobot)."""
     picture_size: int = 96
     """Edge of the square pictures, pixels."""
-    target: str = "told"
-    """Whether the target is `told` in the observation's numbers, or `seen` as a ball in the pictures."""
+    target: str = "given"
+    """Whether the target's numbers are `given` in the observation, or it is `seen` as a ball in the pictures."""
     out: Annotated[Path | None, unless_given("demonstrations/<task>.npz, or <task>", "FILE|FOLDER")] = None
     """File or folder to write, which must not exist."""
 
@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         _check_pictures(options)
         policy = _policy(options)
         env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
-        if options.camera or options.target != "told":
+        if options.camera or options.target != "given":
             cameras = [name.strip() for name in options.camera.split(",") if name]
             env = CameraEnv(env, Pictures(env, cameras, options.picture_size, target=options.target))
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}") as line:

@@ -175,7 +175,7 @@ def _with_camera(policy: CameraPolicy, env: hgail_envs.GoalEnv) -> CameraEnv:
         ("takes", policy.mean.size, len(seen.known)),
         ("commands", policy.action_size, seen.action_size),
         ("predicts the objects' positions in", policy.centre.size, len(seen.objects)),
-        ("has goals of", policy.goal_size, seen.goal_size if policy.target == "told" else 0),
+        ("has goals of", policy.goal_size, seen.goal_size if policy.target == "given" else 0),
     ):
         if given != needed:
             raise ValueError(f"the policy {what} {given} numbers; in {policy.task} there are {needed}")

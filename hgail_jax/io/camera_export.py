@@ -107,7 +107,7 @@ def _metadata(policy: CameraPolicy, success: float | None) -> dict[str, Any]:
     described = describe(policy.task, 0, 0, (), **policy.task_options)
     features = [row for row in described_rows(described.features) if row["name"] in _names(described.features)]
     of_goal = described_rows(described.observation)[described.features.size :]
-    rows = [*features, *(of_goal if policy.target == "told" else [])]
+    rows = [*features, *(of_goal if policy.target == "given" else [])]
     if len(rows) != policy.mean.size:
         raise ValueError(f"the policy takes {policy.mean.size} numbers, which are not those of {policy.task}")
     numbers = [

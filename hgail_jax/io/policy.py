@@ -75,7 +75,7 @@ def from_state(
         of_student = jax.tree.map(np.asarray, state.learner)
         return CameraPolicy(
             task=task,
-            goal_size=env.goal_size if env.pictures.target == "told" else 0,
+            goal_size=env.goal_size if env.pictures.target == "given" else 0,
             cameras=env.pictures.cameras,
             size=env.pictures.size,
             mean=of_student.mean,

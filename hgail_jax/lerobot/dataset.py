@@ -19,7 +19,7 @@ from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.parallel import render
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import replace_path, write_json
-from hgail_jax.lerobot.environment import OBSERVATION, sentence, told_numbers
+from hgail_jax.lerobot.environment import OBSERVATION, sentence, state_numbers
 from hgail_jax.rollout import Trajectory
 
 # LeRobot's default, AV1, is slow to start, once for each short episode; a low crf, for small pictures lose much.
@@ -81,7 +81,7 @@ def _write(
         pictures = render(camera.pictures, noted) if camera else [None] * len(episodes)
         for episode, shown in zip(episodes, pictures, strict=True):
             seen, rewards = observation[:, episode], reward[:, episode, None]
-            columns = {OBS_STATE: seen[:, told_numbers(env)], ACTION: action[:, episode]}
+            columns = {OBS_STATE: seen[:, state_numbers(env)], ACTION: action[:, episode]}
             columns |= {
                 _REWARD: rewards,
                 _SUCCESS: rewards == 0.0,
@@ -108,7 +108,7 @@ def _features(env: GoalEnv) -> dict[str, dict[str, Any]]:
     def numbers(names: list[str]) -> dict[str, Any]:
         return {"dtype": "float32", "shape": (len(names),), "names": names}
 
-    seen = {OBS_STATE: numbers([names[place] for place in told_numbers(env)])}
+    seen = {OBS_STATE: numbers([names[place] for place in state_numbers(env)])}
     if isinstance(env, CameraEnv):
         axes = ["height", "width", "channels"]
         seen |= {name: {"dtype": "video", "shape": env.pictures.shape[1:], "names": axes} for name in _images(env)}

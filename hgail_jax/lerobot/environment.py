@@ -28,18 +28,18 @@ SENTENCES = {
     "stack": "Put cube A on cube B and let go of it.",
     "tower": "Build a tower of three cubes.",
 }
-"""What a policy is told in words, by the task."""
+"""Instructions in words, by the task."""
 _STATE, OBSERVATION, _PICTURES = "agent_pos", "environment_state", "pixels"  # as LeRobot's roll-outs have them
 
 
 def sentence(task: str) -> str:
-    """Returns what a policy of a task is told in words; of a task of one's own it is the name."""
+    """Returns a task's instruction in words; a task of your own has its name."""
     return SENTENCES.get(task, task)
 
 
-def told_numbers(env: GoalEnv) -> np.ndarray:
+def state_numbers(env: GoalEnv) -> np.ndarray:
     """Returns the places in a task's observation of LeRobot's state: the robot's own numbers, and the goal's."""
-    return env.known if isinstance(env, CameraEnv) else known_numbers(env, "told")
+    return env.known if isinstance(env, CameraEnv) else known_numbers(env, "given")
 
 
 def observation_space(env: GoalEnv) -> spaces.Dict:
@@ -48,7 +48,7 @@ def observation_space(env: GoalEnv) -> spaces.Dict:
     def box(size: int) -> spaces.Box:
         return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
-    state = box(told_numbers(env).size)
+    state = box(state_numbers(env).size)
     if not isinstance(env, CameraEnv):
         return spaces.Dict({_STATE: state, OBSERVATION: box(env.observation_size)})
     picture: spaces.Space = spaces.Box(0, 255, env.pictures.shape[1:], np.uint8)
@@ -98,7 +98,7 @@ class HgailVectorEnv(GoalVectorEnv):
     def _seen(self, state: State) -> tuple[dict[str, Any], dict[str, Any]]:
         seen, info = super()._seen(state)
         observation = np.array(state.obs, np.float32)
-        parts: dict[str, Any] = {_STATE: observation[:, told_numbers(self.env)]}
+        parts: dict[str, Any] = {_STATE: observation[:, state_numbers(self.env)]}
         if not isinstance(self.env, CameraEnv):
             return parts | {OBSERVATION: observation}, info
         pictures = np.moveaxis(seen["pixels"], 1, 0)
@@ -124,8 +124,8 @@ class HgailEnvConfig(EnvConfig):
     """Cameras of the scene, with commas between them; none unless they are named."""
     picture_size: int = 96
     """Edge of the square pictures, pixels."""
-    target: str = "told"
-    """Whether the target is told by numbers of the state, or with pictures `seen` as a ball."""
+    target: str = "given"
+    """Whether the target's numbers are `given` in the state, or it is `seen` as a ball in the pictures."""
 
     def __post_init__(self) -> None:
         try:
@@ -164,7 +164,7 @@ class HgailEnvConfig(EnvConfig):
         if env.robot is None:
             raise ValueError(f"the task {self.task} has no scene that LeRobot could film")
         cameras = [name.strip() for name in self.cameras.split(",") if name.strip()]
-        if not cameras and self.target == "told":
+        if not cameras and self.target == "given":
             if self.picture_size != HgailEnvConfig.picture_size:
                 raise ValueError(f"picture_size is {self.picture_size}, and there are no cameras; name some")
             return env

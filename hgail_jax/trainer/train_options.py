@@ -90,7 +90,7 @@ class TrainOptions:
     picture_kind: Annotated[str, _choices("What a picture shows (--observe camera)", KINDS)] = "colour"
     look: Annotated[str, _choices("How the look of the scene varies in training (--observe camera)", LOOKS)] = "varied"
     renderer: Annotated[str, _choices("Renderer of the pictures (--observe camera)", ["auto", *RENDERERS])] = "auto"
-    target: Annotated[str, _choices("Target by numbers or as a ball to be seen (--observe camera)", TARGETS)] = "told"
+    target: Annotated[str, _choices("Target by numbers or as a ball to be seen (--observe camera)", TARGETS)] = "given"
     task_options: tuple[str, ...] = ()
     """Further options of the task, as name=value: a number, true, false or a word."""
     p_ht: Annotated[float | None, unless_given("the method's", "FLOAT")] = None

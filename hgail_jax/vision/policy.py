@@ -84,8 +84,8 @@ class CameraPolicy:
 
     @property
     def target(self) -> str:
-        """How it learns where the target is: `"told"` by numbers, or `"seen"` in the pictures."""
-        return "told" if self.goal_size else "seen"
+        """How it learns where the target is: `"given"` by numbers, or `"seen"` in the pictures."""
+        return "given" if self.goal_size else "seen"
 
     @property
     def action_size(self) -> int:

@@ -165,11 +165,11 @@ def test_targets_are_in_the_bounds_of_the_page(episodes, policy):
 
 
 @pytest.mark.parametrize("policy", slow_but(QUICK, [name for name in POLICIES if not name.endswith("-robust")]))
-def test_a_policy_of_pictures_is_told_as_much_as_in_python(episodes, policy):
+def test_a_policy_of_pictures_knows_as_much_as_in_python(episodes, policy):
     observations, *_, found = episodes(policy)
-    known = known_numbers(hgail_envs.make(task_of(policy), impl="c"), "told")
+    known = known_numbers(hgail_envs.make(task_of(policy), impl="c"), "given")
     until = 2 if policy == "slide" else None  # before the hit
-    np.testing.assert_allclose(found["told"][:until], observations[:until, known], atol=1e-4)
+    np.testing.assert_allclose(found["known"][:until], observations[:until, known], atol=1e-4)
 
 
 def untrained(size, cameras, channels=(32, 64, 64, 64), kind="colour"):
@@ -334,7 +334,7 @@ def test_a_task_ends_in_success_at_the_target_of_a_visitor(visit, task):
         np.testing.assert_allclose(goal_of(page), TARGETS[task], atol=1e-3)  # it stays where it was put
 
 
-def test_a_policy_that_cannot_be_fetched_is_told_and_the_task_goes_on(browser):
+def test_a_policy_that_cannot_be_fetched_is_reported_and_the_task_continues(browser):
     opened_browser, address = browser
     page = opened_browser.new_page(viewport={"width": 640, "height": 480})
     page.set_default_timeout(_PATIENCE)

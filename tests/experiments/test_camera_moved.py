@@ -63,12 +63,12 @@ def test_the_figure_is_written(tmp_path):
         ([], "sees positions; a policy with cameras is needed"),
     ],
 )
-def test_wrong_options_are_told_in_one_line(words, message, tmp_path, capsys):
+def test_wrong_options_are_printed_in_one_line(words, message, tmp_path, capsys):
     policy = assets_directory() / "policies" / "push.npz"
     with pytest.raises(SystemExit):
         main(["--policy", str(policy), "--out", str(tmp_path / "out"), *words])
-    told = capsys.readouterr().err
-    assert message in told and told.count("\n") == 1 and not (tmp_path / "out").exists()
+    printed = capsys.readouterr().err
+    assert message in printed and printed.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 @pytest.fixture

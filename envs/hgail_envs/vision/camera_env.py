@@ -102,4 +102,4 @@ def known_numbers(task: GoalEnv, target: str) -> np.ndarray:
     names = [quantity.title for quantity in task.features_layout if quantity.title in KNOWN]
     own = [np.arange(task.feature_size)[task.features_layout[name]].ravel() for name in names]
     goal = np.arange(task.observation_size - task.goal_size, task.observation_size)
-    return np.concatenate([*own, goal] if target == "told" else own)
+    return np.concatenate([*own, goal] if target == "given" else own)

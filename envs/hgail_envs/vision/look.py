@@ -18,7 +18,7 @@ class Look:
     """Bounds of an episode's look."""
 
     colour: float = 0.0
-    """Of each channel of each colour, which are 0 to 1; see `_TOLD_APART`."""
+    """Of each channel of each colour, which are 0 to 1; see `_DISTINCT`."""
     brightness: float = 0.0
     """Of a light's strength, as a fraction."""
     light_turn: float = 0.0
@@ -66,7 +66,7 @@ LOOKS = {
 """Looks by name."""
 MARKER = "marker of the target"
 """Body of the ball that stands for a target that is seen."""
-_TOLD_APART = 0.15  # largest bound of the colour of the marker, and of the objects where there are several
+_DISTINCT = 0.15  # largest bound of the colour of the marker, and of the objects where there are several
 
 FIELDS = ("geom_rgba", "mat_rgba", "light_diffuse", "light_dir", "light_castshadow", "cam_fovy")
 """Fields of the model that a look changes."""
@@ -125,8 +125,8 @@ def _colour_bounds(model: mujoco.MjModel, look: Look) -> np.ndarray:
     objects = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
     if len(objects) < 2:
         objects = objects[:0]
-    told_apart = np.isin(model.geom_bodyid, [*np.flatnonzero(names == MARKER), *objects])
-    bounds = np.where(told_apart, min(look.colour, _TOLD_APART), look.colour)
+    distinct = np.isin(model.geom_bodyid, [*np.flatnonzero(names == MARKER), *objects])
+    bounds = np.where(distinct, min(look.colour, _DISTINCT), look.colour)
     bounds[np.char.startswith(names, THING)[model.geom_bodyid]] = 1.0
     return bounds[:, None].astype(np.float32)  # as the draws are
 

@@ -23,7 +23,7 @@ RENDERERS: dict[str, Callable[[mujoco.MjModel, list[int], int, Look, bool], Call
     "warp": WarpRenderer,
 }
 """Renderers by name: MuJoCo's own, called back on the host, and MuJoCo Warp's, made for an NVIDIA GPU."""
-TARGETS = ("told", "seen")
+TARGETS = ("given", "seen")
 """How a policy with pictures learns where the target is: by the goal's numbers, or from the pictures alone."""
 KINDS = {"colour": 3, "depth": 1}
 """Kinds of pictures, and how many numbers a pixel has."""
@@ -43,7 +43,7 @@ class Pictures:
     Pictures of the `kind` `"depth"` are `[..., cameras, size, size, 1]`: distances, see `hgail_envs.vision.depth`.
 
     The marker of a `target` that is `"seen"` is a ball in the pictures, unless the scene shows the goal without it. Its
-    three coordinates follow the task's own joint positions. A target that is `"told"` is in no picture.
+    three coordinates follow the task's own joint positions. A target that is `"given"` is in no picture.
 
     Raises:
       ValueError: the task has no scene, the scene has no such camera, there is no such renderer, look or kind, or
@@ -58,7 +58,7 @@ class Pictures:
         size: int = SIZE,
         renderer: str = "auto",
         look: str = "plain",
-        target: str = "told",
+        target: str = "given",
         kind: str = "colour",
     ) -> None:
         check_name("look", look, LOOKS)

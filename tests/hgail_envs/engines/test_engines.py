@@ -69,7 +69,7 @@ def test_a_batch_of_actions_is_mujoco_s_own_and_so_with_more_steps(impl):
         rows = zip(*(by_hand(substeps, *row) for row in zip(*random_actions(count), strict=True)), strict=True)
         for ours, theirs, tolerance in zip(found, rows, TOLERANCES[impl], strict=True):
             np.testing.assert_allclose(ours, np.array(theirs), atol=tolerance, rtol=0)
-    assert np.abs(ends[5][0] - ends[20][0]).max() > 2e-3  # so that the two can be told apart
+    assert np.abs(ends[5][0] - ends[20][0]).max() > 2e-3  # so that the two differ
 
 
 @pytest.mark.parametrize("impl", ENGINES)

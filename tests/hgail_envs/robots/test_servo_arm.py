@@ -152,7 +152,7 @@ def test_a_script_does_them_on_mjx(robot, task):
 
 @pytest.mark.parametrize(("robot", "force"), [("franka", 70.0), ("ur5e", 46.0)])
 def test_a_cube_weighs_what_the_hand_can_hold(robot, force):
-    """By the forces of the pads' contacts, in a hand that was told to close around a cube without weight."""
+    """By the forces of the pads' contacts, in a hand that closes around a cube without weight."""
     env = made("grasp", robot)
     assert env.model.body("cube").mass[0] == pytest.approx(0.1 * force / 9.81, rel=0.03)
     model, data = copy.copy(env.model), env.robot.settle()

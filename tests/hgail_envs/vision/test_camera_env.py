@@ -25,16 +25,16 @@ def started(task, target):
     return jax.jit(made(task, target).reset)(jax.random.key(0))
 
 
-def told(task, target):
+def known(task, target):
     return np.asarray(started(task, target).obs)[made(task, target).known]
 
 
 @pytest.mark.parametrize("task", ["reach", "push", "grasp"])
-def test_the_goal_is_told_unless_it_is_seen(task):
-    goal = np.asarray(started(task, "told").info["desired_goal"])
-    own = told(task, "told")[: -len(goal)]
-    np.testing.assert_array_equal(told(task, "told")[-len(goal) :], goal)
-    np.testing.assert_array_equal(told(task, "seen"), own)
+def test_the_goal_is_given_unless_it_is_seen(task):
+    goal = np.asarray(started(task, "given").info["desired_goal"])
+    own = known(task, "given")[: -len(goal)]
+    np.testing.assert_array_equal(known(task, "given")[-len(goal) :], goal)
+    np.testing.assert_array_equal(known(task, "seen"), own)
     assert len(own) and not np.isin(goal[:2], own).any()
 
 
@@ -42,7 +42,7 @@ def test_the_positions_of_cube_and_marker_are_in_the_observation():
     env, state = made("push", "seen"), started("push", "seen")
     expected = np.concatenate([state.info["features"][env.task.features_layout["cube position"]], _goal(state)])
     np.testing.assert_allclose(state.obs[env.objects], expected, atol=1e-6)
-    np.testing.assert_array_equal(made("push", "told").objects, env.objects[:3])
+    np.testing.assert_array_equal(made("push", "given").objects, env.objects[:3])
 
 
 def test_things_have_no_place_among_the_objects():

@@ -26,7 +26,7 @@ def grey(distance):
 
 
 @functools.cache
-def made(look="plain", cameras=("front", "side", "wrist"), target="told"):
+def made(look="plain", cameras=("front", "side", "wrist"), target="given"):
     return Pictures(push(), cameras, SIZE, look=look, target=target, kind="depth")
 
 

@@ -57,7 +57,7 @@ def test_a_geom_with_a_material_keeps_its_own_colour_and_opacities_stay():
     np.testing.assert_array_equal(look["mat_rgba"][:, 3], MODEL.mat_rgba[:, 3])
 
 
-def test_cubes_that_are_told_apart_and_the_marker_keep_near_their_colours():
+def test_cubes_of_several_and_the_marker_keep_near_their_colours():
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, 4000)
     for task, names in (("push", ["cube"]), ("stack", ["cube_a", "cube_b"])):
         model = Pictures(hgail_envs.make(task), target="seen").model

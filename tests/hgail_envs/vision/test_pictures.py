@@ -28,7 +28,7 @@ def push():
 
 
 @functools.cache
-def made(look="plain", cameras=("front", "side"), target="told"):
+def made(look="plain", cameras=("front", "side"), target="given"):
     return Pictures(push(), cameras, SIZE, look=look, target=target)
 
 
@@ -76,7 +76,7 @@ def test_a_cube_is_seen_where_a_pinhole_camera_has_it():
 
 
 def test_the_marker_is_seen_at_the_goal_and_what_is_hidden_changes_nothing():
-    pictures, told = made(target="seen"), made()
+    pictures, without = made(target="seen"), made()
     goals = np.array([[1.2, 0.65, 0.5], [1.2, 0.9, 0.7], [1.5, 0.85, 0.45], [1.45, 0.95, 0.6]])
     none, see = jnp.zeros((len(goals), pictures.draws)), jax.jit(pictures)
     seen = np.asarray(see(jnp.concatenate([poses(), goals], axis=1), none))
@@ -86,7 +86,7 @@ def test_the_marker_is_seen_at_the_goal_and_what_is_hidden_changes_nothing():
             assert count >= 4
             np.testing.assert_allclose(where, pixel(described, goal), atol=1.0)
     below = np.asarray(see(jnp.concatenate([poses(), goals - [0.0, 0.0, 3.0]], axis=1), none))
-    np.testing.assert_array_equal(below, told(poses(), jnp.zeros((len(goals), told.draws))))
+    np.testing.assert_array_equal(below, without(poses(), jnp.zeros((len(goals), without.draws))))
 
 
 @pytest.mark.parametrize("task", ["grasp", "stack"])
@@ -154,7 +154,7 @@ def test_the_physics_has_no_camera():
     assert push().model.ncam == 0
 
 
-def test_wrong_uses_are_told_in_one_line(monkeypatch):
+def test_wrong_uses_are_refused_in_one_line(monkeypatch):
     env, find_spec = push(), importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "warp" else find_spec(name))
     for options, message in (
@@ -165,7 +165,7 @@ def test_wrong_uses_are_told_in_one_line(monkeypatch):
         ({"renderer": "warp"}, "the renderer 'warp' needs warp-lang, the extra warp; use 'opengl' or 'auto'"),
         ({"renderer": "pencil"}, "pencil"),
         ({"look": "odd"}, "odd"),
-        ({"target": "felt"}, "target is 'felt'; choose from told, seen"),
+        ({"target": "felt"}, "target is 'felt'; choose from given, seen"),
         ({"kind": "heat"}, "kind is 'heat'; choose from colour, depth"),
     ):
         with pytest.raises(ValueError, match=message):

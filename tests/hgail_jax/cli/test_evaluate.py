@@ -195,8 +195,8 @@ def test_a_policy_of_pictures_for_another_task_is_refused(goal_size, task, messa
     save_policy(tmp_path / "p.npz", blind_policy(goal_size))
     with pytest.raises(SystemExit):
         evaluate.main(["--policy", str(tmp_path / "p.npz"), "--task", task])
-    told = capsys.readouterr().err
-    assert message in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert message in printed and printed.count("\n") == 1
 
 
 def blind_policy(goal_size, kind="colour"):

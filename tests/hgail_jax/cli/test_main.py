@@ -91,7 +91,7 @@ def test_a_command_has_help_of_its_own(capsys, prepared):
 
 
 # Python has a module of that name, too.
-TASK_OF_ONE_S_OWN = """
+USERS_TASK = """
 from hgail_envs.point import Point
 
 class Near(Point):
@@ -101,7 +101,7 @@ class Near(Point):
 
 def test_a_task_in_the_user_s_folder_is_found_first_and_programs_are_kept_in_the_cache(tmp_path):
     """The whole command, in a process of its own from the start."""
-    (tmp_path / "test.py").write_text(TASK_OF_ONE_S_OWN)
+    (tmp_path / "test.py").write_text(USERS_TASK)
     kept = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     environment = kept | {
         "PYTHONPATH": SOURCES,

@@ -242,7 +242,7 @@ def test_where_nothing_can_be_shown_one_line_says_why(environment, options, mess
     assert not list(ended.folder.iterdir())
 
 
-REACH_OF_ONE_S_OWN = """
+USERS_REACH = """
 from hgail_envs.tasks.reach import Reach
 
 class Near(Reach):
@@ -253,7 +253,7 @@ class Near(Reach):
 def test_a_user_s_task_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
     monkeypatch.syspath_prepend(in_folder)
     monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))
-    (in_folder / "my_reach.py").write_text(REACH_OF_ONE_S_OWN)
+    (in_folder / "my_reach.py").write_text(USERS_REACH)
     policy = dataclasses.replace(load_policy(shipped_policy), task="my_reach:Near")
     save_policy("near.npz", policy)
     play.main(["--task", "my_reach:Near", "--policy", "near.npz", "--episodes", "1", "--out", "near.webp"])
@@ -278,7 +278,7 @@ class BlackPictures:
 
 def test_a_terminal_shows_how_far_the_film_is(in_folder, shipped_policy, monkeypatch):
     monkeypatch.syspath_prepend(in_folder)
-    (in_folder / "one_more_reach.py").write_text(REACH_OF_ONE_S_OWN)
+    (in_folder / "one_more_reach.py").write_text(USERS_REACH)
     monkeypatch.setattr("hgail_jax.play.playback.open_renderer", lambda *_: contextlib.nullcontext(BlackPictures()))
     monkeypatch.setattr(sys, "stderr", Terminal())
     film(in_folder / "near.gif", hgail_envs.make("one_more_reach:Near"), load_policy(shipped_policy), episodes=2)
@@ -376,7 +376,7 @@ def test_a_policy_of_the_package_goes_by_its_name(tmp_path, monkeypatch):
     assert named.samefile(ROOT / "assets" / "policies" / "reach-robust.npz")
     with pytest.raises(FileNotFoundError, match="nor a policy of that name in the package"):
         policies.policy_files(Path("policies/reach"))
-    (tmp_path / "reach-robust").write_text("one's own comes first")
+    (tmp_path / "reach-robust").write_text("this folder's comes first")
     assert policies.policy_files(Path("reach-robust")) == [Path("reach-robust")]
 
 

@@ -61,7 +61,7 @@ def test_files_that_are_there_stay(folder, capsys):
 
 
 @pytest.mark.slow  # a film without a GPU, and a training
-def test_an_arm_of_one_s_own_is_shown_trained_and_played(folder, capsys):
+def test_a_users_arm_is_shown_trained_and_played(folder, capsys):
     main(["robot", "my_arm.xml", "--top-speed", "3"])
     out = capsys.readouterr().out
     assert "in 2 of 2 episodes" in out

@@ -69,9 +69,9 @@ def test_a_lesson_shows_the_state_that_acted():
     x, y = np.moveaxis((places[..., :2] - [1.1, 0.5]) / 0.5 * 16, -1, 0)
     bright = np.asarray(lesson.pictures[:, :, 0, :, :, 0]).reshape(50, 8, -1).argmax(axis=-1)
     assert np.abs(bright % 16 + 0.5 - x).max() < 1.0 and np.abs(bright // 16 + 0.5 - y).max() < 1.0
-    told = np.asarray(lesson.numbers)
-    np.testing.assert_array_equal(told[..., :3], trajectory.features[:-1, :, :3])
-    np.testing.assert_array_equal(told[..., -4:], trajectory.desired[:-1])
+    numbers = np.asarray(lesson.numbers)
+    np.testing.assert_array_equal(numbers[..., :3], trajectory.features[:-1, :, :3])
+    np.testing.assert_array_equal(numbers[..., -4:], trajectory.desired[:-1])
 
 
 @pytest.mark.parametrize(("rollouts", "share"), [(0, 1.0), (1, 0.75), (4, 0.0), (9, 0.0)])

@@ -319,7 +319,7 @@ def test_an_update_is_that_of_td3_with_hindsight(source, changes):
 
 def test_learning_rates_end_at_their_last_fractions():
     """After the last step they stay: as much is learnt at 8 steps as at 80, and less than at 0."""
-    moved, told = [], []
+    moved, judged = [], []
     for steps in (0, 8, 80):
         state = make_state(steps=steps)
         after, _ = learn(ENV, CONFIG, state, trajectory(), jax.random.key(5))
@@ -327,10 +327,10 @@ def test_learning_rates_end_at_their_last_fractions():
             after.learner.online.actor["params"]["Dense_0"]["kernel"]
             - state.learner.online.actor["params"]["Dense_0"]["kernel"]
         )
-        told.append(
+        judged.append(
             after.discriminator["params"]["Dense_0"]["kernel"] - state.discriminator["params"]["Dense_0"]["kernel"]
         )
-    for changes in (moved, told):
+    for changes in (moved, judged):
         np.testing.assert_array_equal(changes[1], changes[2])
         assert np.abs(changes[1]).sum() < 0.5 * np.abs(changes[0]).sum()
 

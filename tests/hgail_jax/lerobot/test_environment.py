@@ -81,17 +81,17 @@ def test_pictures_are_those_of_the_cameras():
     assert shapes == {"action": (4,), "observation.state": (10,), **images}
 
 
-def test_a_target_that_is_seen_is_not_told():
+def test_a_target_that_is_seen_is_in_no_number():
     pictures, numbers = {}, {}
-    for target in ("told", "seen"):
+    for target in ("given", "seen"):
         _, env = made(4, task="push", cameras="front", picture_size=64, target=target)
         observation, _ = env.reset(seed=[1, 2, 3, 4])
         pictures[target], numbers[target] = observation["pixels"]["front"], observation["agent_pos"]
-    np.testing.assert_array_equal(numbers["seen"], numbers["told"][:, :-4])
-    assert (pictures["seen"] != pictures["told"]).any()
+    np.testing.assert_array_equal(numbers["seen"], numbers["given"][:, :-4])
+    assert (pictures["seen"] != pictures["given"]).any()
 
 
-def test_it_tells_lerobot_what_it_asks_for():
+def test_lerobot_is_given_what_it_asks_for():
     _, env = made(2, task="pick-and-place")
     env.reset(seed=[0, 1])
     assert env.call("task_description") == (SENTENCES["pick-and-place"],) * 2

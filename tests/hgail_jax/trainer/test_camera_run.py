@@ -101,7 +101,7 @@ def test_the_folder_keeps_the_teacher_and_names_it(trained):
         "look": "plain",
         "look_sizes": {"scene": dataclasses.asdict(LOOKS["plain"]), "image": dataclasses.asdict(Augmentation())},
         "renderer": "map",
-        "target": "told",
+        "target": "given",
         "teacher": hashlib.sha256(TEACHER.read_bytes()).hexdigest(),
     }
 
@@ -134,7 +134,7 @@ def test_a_policys_file_holds_all_of_it(trained, tmp_path):
         jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
-def test_a_policy_that_sees_the_target_is_told_no_goal(trained, tmp_path):
+def test_a_policy_that_sees_the_target_is_printed_no_goal(trained, tmp_path):
     run = trained[0].run
     env = CameraEnv(run.env.task, Map(run.env.task, "seen"), run.env.teacher)
     state = init_state(env, run.config, run.hyperparameters, jax.random.key(0))
@@ -257,11 +257,11 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
         ([*TAUGHT, "--settings", "layer_norm=true"], "layer_norm changes nothing for the learner student"),
     ],
 )
-def test_wrong_options_are_told_in_one_line(words, message, capsys, tmp_path):
+def test_wrong_options_are_printed_in_one_line(words, message, capsys, tmp_path):
     with pytest.raises(SystemExit) as ended:
         command.main(words)
-    told = capsys.readouterr().err
-    assert ended.value.code == 2 and message in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert ended.value.code == 2 and message in printed and printed.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
@@ -352,7 +352,7 @@ def _with_tiny_learner(teacher_options, options, folder):
         (["--settings", "policy_hidden=[]"], "policy_hidden is empty"),
     ],
 )
-def test_faults_are_told_before_a_teacher_is_trained(words, message, capsys, tmp_path, monkeypatch):
+def test_faults_are_printed_before_a_teacher_is_trained(words, message, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "train_run", None)
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "config.json").write_text("{}")
@@ -360,8 +360,8 @@ def test_faults_are_told_before_a_teacher_is_trained(words, message, capsys, tmp
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(SystemExit) as ended:
         command.main(["--task", "push", "--observe", "camera", *words])
-    told = capsys.readouterr().err
-    assert ended.value.code == 2 and message in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert ended.value.code == 2 and message in printed and printed.count("\n") == 1
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -20,7 +20,7 @@ class Map:
 
     cameras, size, look, renderer, draws, marker = ("above",), SIZE, "plain", "map", 1, False
 
-    def __init__(self, env, target="told", kind="colour"):
+    def __init__(self, env, target="given", kind="colour"):
         self.target, self.kind, self.shape = target, kind, (1, SIZE, SIZE, KINDS[kind])
         self.model, self._cube = env.robot.load(visual=True), env.qpos_of("cube")
         self.joints = self.model.nq

@@ -25,18 +25,18 @@ def test_each_row_depends_on_its_own_pictures_numbers_and_cameras_alone(colours)
     rng = np.random.default_rng(0)
     pictures, numbers = rng.uniform(size=(3, 2, 16, 16, colours)), rng.normal(size=(3, 3))
 
-    def told(pictures, numbers):
+    def outputs(pictures, numbers):
         return np.concatenate(jax.jit(look)(eyes, np.float32(pictures), np.float32(numbers)), axis=-1)
 
-    before = told(pictures, numbers)
+    before = outputs(pictures, numbers)
     assert before.shape == (3, 7) and (np.abs(before[:, :4]) <= 1.0).all()
     for changed in (np.s_[1, 0], np.s_[1, 1]):
         other = pictures.copy()
         other[changed] = 1.0 - other[changed]
-        after = told(other, numbers)
+        after = outputs(other, numbers)
         assert np.abs(after - before)[1].max() > 1e-5
         np.testing.assert_allclose(after[[0, 2]], before[[0, 2]], atol=1e-6)
-    assert np.abs(told(pictures, numbers + 1.0) - before).min(axis=0).max() > 1e-5
+    assert np.abs(outputs(pictures, numbers + 1.0) - before).min(axis=0).max() > 1e-5
 
 
 @pytest.mark.parametrize("kind", AUGMENTATIONS)
