@@ -55,7 +55,10 @@ _BESIDE_PUBLISHED = (  # a run, and the success looked for, or None for how it e
     *((run, "0.95") for run in ("push-td3", "push-hgail", "pick-and-place-td3", "pick-and-place-hgail")),
     *(("slide-td3", "0.80"), ("slide-td3", None), ("slide-hgail", None)),
 )
-_CAMERA = ("push", "pick-and-place", "stack", "grasp")
+_CAMERA = (
+    *("push-camera", "pick-and-place-camera", "stack-camera", "grasp-camera"),
+    *("push-depth-camera", "pick-and-place-depth-camera", "push-wide-camera", "pick-and-place-wide-camera"),
+)
 _RANDOMISED = ("-robust", "-other-arms", "-known-delay")
 _POLICIES = {"other arms": "under `other-arms`", "known delay": "known delay", "robust": "robust policy"}
 
@@ -170,6 +173,7 @@ def camera() -> list[list[str]]:
     """Eight seeds of policies that see pictures."""
     header = [
         "task",
+        "pictures",
         "look",
         "success",
         "worst seed",
@@ -178,11 +182,12 @@ def camera() -> list[list[str]]:
         "training of eight seeds",
         "whole run",
     ]
-    return [header, *(_camera(_run(f"{task}-camera")) for task in _CAMERA)]
+    return [header, *(_camera(_run(name)) for name in _CAMERA)]
 
 
 def _camera(run: Row) -> list[str]:
-    return [run["task"], f"`{run['look']}`", _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
+    shown = [run["task"], run["kind"], f"`{run['look']}`"]
+    return [*shown, _success(run), f"{run['worst']:.3f}", *_steps(run), *_times(run)]
 
 
 def robust() -> list[list[str]]:

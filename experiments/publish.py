@@ -26,6 +26,7 @@ RUNS = RESULTS / "runs.json"
 STUDIES = RESULTS / "studies.json"
 TABLE4 = RESULTS / "table4.json"
 _MADE_BY = ("command", "commit", "device", "cpu_cores", "versions")
+_PICTURES = {"look": "look", "kind": "picture_kind"}  # options that tell policies of pictures apart
 _LEAST = ("0.80", "0.95")  # success rates of which the first time is kept
 
 
@@ -48,7 +49,7 @@ def run_row(folder: Path) -> Row:
         "learner": config["config"]["learner"]["name"],
         "level": config["options"].get("randomize") or "none",
         "environment_reward": config["hyperparameters"]["environment_reward"],
-        **({"look": config["options"]["look"]} if summary["method"] == "camera" else {}),
+        **({new: config["options"][name] for new, name in _PICTURES.items()} if summary["method"] == "camera" else {}),
         "seeds": list(range(first, first + summary["seeds"])),
         "episodes_per_seed": summary["evaluation_episodes_per_seed"],
         "success": success,

@@ -21,7 +21,7 @@ def write_run(folder, rates, curve, method="hgail"):
     mean = sum(rates) / len(rates)
     config = {
         "config": {"learner": {"name": "td3"}},
-        "options": {"randomize": None, "look": "plain"},
+        "options": {"randomize": None, "look": "plain", "picture_kind": "depth"},
         "hyperparameters": {"environment_reward": 0.5},
         "first_seed": 8,
     }
@@ -122,7 +122,7 @@ def test_a_row_of_a_policy_that_sees_has_its_look(results, tmp_path):
     write_run(tmp_path / "push-camera", [0.9, 1.0], {100: [0.7, 0.8]}, method="camera")
     publish.main([str(tmp_path / "push-camera")])
     (row,) = json.loads(publish.RUNS.read_text())
-    assert row["look"] == "plain"
+    assert (row["look"], row["kind"]) == ("plain", "depth")
 
 
 def test_what_cannot_be_published_is_said_in_a_line(results, tmp_path):
