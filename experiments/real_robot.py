@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+import hgail_envs
 from experiments.transfer.robots import make_robot
 from hgail_envs.past import Past
 from hgail_envs.randomization import Randomization
 from hgail_envs.scenes import assets_directory
 from hgail_envs.tasks.base import CONTROL_PERIOD
+from hgail_envs.tasks.layouts import GRIPPER
 from hgail_envs.validation import check_name
 from hgail_jax.io.policy import load_policy
 
@@ -45,7 +47,7 @@ def run(
 
     An observation or an action that is not finite counts as late; a goal or a limit that is not is a ValueError.
     """
-    goal = np.concatenate([goal[:3] + offset, goal[3:]])
+    goal = goal + np.pad(offset, (0, len(goal) - len(offset)))  # the position comes first
     if not (np.isfinite(goal).all() and np.isfinite(workspace).all()):
         raise ValueError("goal, offset and workspace must be finite")
     before, late, past = None, 0, past or Past(Randomization())
@@ -54,7 +56,8 @@ def run(
         if reading is not None and np.isfinite(reading).all():
             position, hand = reading[:3], reading[3:]
             moved = np.zeros(3) if before is None else position - before  # metres per action
-            seen = np.concatenate([position + offset, moved, hand])
+            gripper = GRIPPER.join({"gripper position": position + offset, "gripper velocity": moved}, np)
+            seen = np.concatenate([gripper, hand])
             action = policy(np.concatenate([past.before(seen), seen, goal]).astype(np.float32))
         if not np.isfinite(action).all():
             late, before = late + 1, None  # a difference over two periods would be twice the velocity
@@ -76,19 +79,22 @@ def main(task: str = "reach") -> None:
     robot: Any = make_robot("ur5e", task)
     policy = load_policy(assets_directory() / "policies" / f"{task}-robust.npz")
     robot.reset(np.random.default_rng(0))
-    start, target = (place - robot.offset for place in (robot.features()[:3], robot.target()))
+    layout = hgail_envs.find_class(task).features_layout
+    start, target = layout.split(robot.features())["gripper position"] - robot.offset, robot.target() - robot.offset
     workspace = start + np.array([[-0.2], [0.2]])
     workspace[0, 2] = max(workspace[0, 2], robot.lowest_height)  # above its table: the pads reach below the tool
-    goal = np.append(target, np.ones(policy.goal_size - 3))  # 1: the cube is to be held there
+    goal = np.append(target, np.ones(policy.goal_size - len(target)))  # 1: the cube is to be held there
 
     def read() -> np.ndarray:
         features = robot.features()
-        return np.concatenate([features[:3] - robot.offset, features[6:]])  # without the velocity, which `run` takes
+        position, hand = features[layout["gripper position"]], features[GRIPPER.size :]
+        return np.concatenate([position - robot.offset, hand])  # without the velocity, which `run` takes
 
     past = Past(policy.randomization)
     run(policy, read, robot.step, robot.offset, goal, workspace, past, robot.slowdown * CONTROL_PERIOD)
-    distance = np.linalg.norm(robot.features()[:3] - robot.target()) * 1000
-    held = f", the cube is {'' if robot.features()[7] else 'not '}held" if task == "grasp" else ""
+    last = layout.split(robot.features())
+    distance = np.linalg.norm(last["gripper position"] - robot.target()) * 1000
+    held = f", the cube is {'' if last['hand holds the cube'] else 'not '}held" if task == "grasp" else ""
     print(f"{distance:.1f} mm from the target, where 50 mm are near enough{held}")
 
 

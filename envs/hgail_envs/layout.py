@@ -98,6 +98,15 @@ class Layout:
         """Returns where a quantity is: the index of a single number, the slice of several."""
         return self._places[name]
 
+    def span(self, first: str, last: str) -> slice:
+        """Returns where quantities are that follow one another, from the first to the last of them.
+
+        >>> Layout(position("place"), flag("held"), flag("left")).span("held", "left")
+        slice(3, 5, None)
+        """
+        start, stop = (np.atleast_1d(np.arange(self.size)[self[name]]) for name in (first, last))
+        return slice(int(start[0]), int(stop[-1]) + 1)
+
     @property
     def numbers(self) -> tuple[Quantity, ...]:
         """Each number as a quantity, `size` of them."""

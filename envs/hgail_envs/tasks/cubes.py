@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hgail_envs.tasks.base import CONTROL_PERIOD, ArmEnv
+from hgail_envs.tasks.layouts import TARGET, target_of
 from hgail_envs.tasks.objects import AT_GOAL
 from hgail_envs.tasks.pick_and_place import AT_CUBE
 
@@ -38,7 +39,11 @@ class CubeGoals(ArmEnv):
     """
 
     cubes: tuple[str, ...]
-    """Names in the layout of the features, in the order of a goal's flags."""
+    """Names in the layout of the features."""
+    flags: tuple[str, ...]
+    """Names of their flags in the layout of a goal, which follow one another."""
+    left_flag: str
+    """Name of the flag that says whether the cube is left."""
     cubes_to_leave: int
     """The first so many are those that a goal may want left."""
     lift_test_steps = 12
@@ -50,9 +55,8 @@ class CubeGoals(ArmEnv):
         `apart`, `[..., 3]`, is the cube's position less the gripper's, metres; its `velocity`, `[..., 3]`, is in metres
         per action and the `gap` between the fingers, `[...]`, in metres.
         """
-        least = min(
-            _LEAST_GAP, _LEAST_OPENING * float(self.robot.widest_gap())
-        )  # a hand may open less than the Fetch's
+        # a hand may open less than the Fetch's
+        least = min(_LEAST_GAP, _LEAST_OPENING * float(self.robot.widest_gap()))
         away = (jnp.linalg.norm(apart, axis=-1) >= _LEAST_AWAY) & (gap >= least)
         return away & (jnp.linalg.norm(velocity, axis=-1) <= _AT_REST * CONTROL_PERIOD)
 
@@ -63,11 +67,11 @@ class CubeGoals(ArmEnv):
 
     def whose(self, goal: jax.Array) -> jax.Array:
         """Returns the flags of goals: booleans `[..., cubes]`, all False where the position is the gripper's."""
-        return goal[..., 3:-1] > 0.5
+        return goal[..., self.goal_layout.span(self.flags[0], self.flags[-1])] > 0.5
 
     def is_to_be_left(self, goal: jax.Array) -> jax.Array:
         """Returns whether the cube of goals is to be left there: booleans `[...]`."""
-        return goal[..., -1] > 0.5
+        return goal[..., self.goal_layout[self.left_flag]] > 0.5
 
     def position_of(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns the position in `features` of the body that each goal refers to, `[..., 3]`."""
@@ -88,13 +92,14 @@ class CubeGoals(ArmEnv):
 
     def is_at(self, position: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether positions, `[..., 3]`, are near enough to goals: booleans `[...]`."""
-        apart = position - goal[..., :3]
+        apart = position - target_of(goal)
         near = jnp.linalg.norm(apart, axis=-1) <= self.success_threshold
         return jnp.where(self.is_to_be_left(goal), is_in_place(apart), near)
 
     def success(self, achieved: jax.Array, desired: jax.Array) -> jax.Array:
-        alike = jnp.all(achieved[..., 3:] == desired[..., 3:], axis=-1)
-        return self.is_at(achieved[..., :3], desired) & alike
+        flags = self.goal_layout.span(self.flags[0], self.left_flag)
+        alike = jnp.all(achieved[..., flags] == desired[..., flags], axis=-1)
+        return self.is_at(target_of(achieved), desired) & alike
 
     def goal_test(self, features: jax.Array, achieved: jax.Array, goal: jax.Array) -> jax.Array:
         """Tests position and hand alone, whether a cube has moved or not; see `GoalEnv`."""
@@ -102,12 +107,12 @@ class CubeGoals(ArmEnv):
 
     def goal_tolerance(self, goal: jax.Array) -> jax.Array:
         aside = _MOST_ASIDE / np.sqrt(2.0)
-        on_cube = jnp.zeros(goal.shape[-1]).at[:3].set(jnp.array([aside, aside, _MOST_HIGH]))
+        on_cube = jnp.zeros(goal.shape[-1]).at[: TARGET.size].set(jnp.array([aside, aside, _MOST_HIGH]))
         return jnp.where(self.is_to_be_left(goal)[..., None], on_cube, super().goal_tolerance(goal))
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are a cube's and within 3 cm of its present position, and it is left as wanted."""
-        distance = jnp.linalg.norm(self.position_of(features, goal) - goal[..., :3], axis=-1)
+        distance = jnp.linalg.norm(self.position_of(features, goal) - target_of(goal), axis=-1)
         return self.whose(goal).any(axis=-1) & (distance <= AT_GOAL) & self.is_left_as_wanted(features, goal)
 
     def stage(self, physics: Any, cube: jax.Array | int, position: jax.Array, place: jax.Array) -> jax.Array:

@@ -13,12 +13,18 @@ GRIPPER = Layout(position("gripper position"), Quantity("gripper velocity", 3, P
 GAP = Quantity("gap between the fingers", 1, METRES, "hand")
 HAND = Layout(GAP, flag("hand holds the cube"))
 TARGET = position("target position")
+"""The first quantity of every goal."""
 
 _ARM = Quantity("gripper displacement", 3, "1 is about 0.033 m", "world")
 ACTION = Layout(
     _ARM, Quantity("hand: positive opens, negative closes", 1, "1 drives the fingers to their stops", "hand")
 )
 ACTION_OF_ARM = Layout(_ARM, Quantity("hand: no effect, the fingers are blocked", 1, "", "hand"))
+
+
+def target_of(goal: jax.Array) -> jax.Array:
+    """Returns the positions, `[..., 3]`, of goals, `[..., goal_size]`."""
+    return goal[..., : TARGET.size]
 
 
 def of_object(name: str) -> Layout:

@@ -12,7 +12,7 @@ from flax import struct
 from hgail_envs.base import EpisodeMetrics, State
 from hgail_envs.layout import Layout, flag
 from hgail_envs.tasks.base import CONTROL_PERIOD, ArmEnv, ArmPhysics
-from hgail_envs.tasks.layouts import TARGET, gripper_values, official
+from hgail_envs.tasks.layouts import TARGET, gripper_values, official, target_of
 from hgail_envs.validation import check_name
 from hgail_envs.variation import ModelFactors
 
@@ -203,10 +203,10 @@ class ObjectEnv(ArmEnv):
 
     def aim(self, plan: Any, position: jax.Array) -> Any:
         """Sets the field `goal` that the plans of these tasks have; see `GoalEnv`."""
-        return plan.replace(goal=plan.goal.at[:3].set(position))
+        return plan.replace(goal=plan.goal.at[: TARGET.size].set(position))
 
     def goal_kind(self, goal: jax.Array) -> jax.Array:
-        height = goal[..., 2]
+        height = target_of(goal)[..., 2]
         elsewhere = (height > _IN_THE_AIR) | (height < _BELOW_THE_TABLE)
         return jnp.where(is_object(goal), 1 + elsewhere.astype(jnp.int32), 0)
 
@@ -214,11 +214,11 @@ class ObjectEnv(ArmEnv):
         """Tests the position alone, whether the object has moved or not; see `GoalEnv`."""
         gripper = features[..., self.features_layout["gripper position"]]
         position = jnp.where(is_object(goal)[..., None], self._object_in(features), gripper)
-        return jnp.linalg.norm(position - goal[..., GOAL["target position"]], axis=-1) <= self.success_threshold
+        return jnp.linalg.norm(position - target_of(goal), axis=-1) <= self.success_threshold
 
     def already_solved(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         """Returns whether goals are the object's and within 3 cm of its present position; see `GoalEnv`."""
-        distance = jnp.linalg.norm(self._object_in(features) - goal[..., GOAL["target position"]], axis=-1)
+        distance = jnp.linalg.norm(self._object_in(features) - target_of(goal), axis=-1)
         return is_object(goal) & (distance <= AT_GOAL)
 
     def _object_in(self, features: jax.Array) -> jax.Array:
@@ -227,7 +227,7 @@ class ObjectEnv(ArmEnv):
 
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         physics, desired = end.pipeline_state, end.info["desired_goal"]
-        return self.measure(self.object_position(physics), desired[:3], self.reached(physics, desired))
+        return self.measure(self.object_position(physics), target_of(desired), self.reached(physics, desired))
 
 
 def gripper_goal(position: jax.Array) -> jax.Array:

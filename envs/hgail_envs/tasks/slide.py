@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from hgail_envs.tasks import controllers
-from hgail_envs.tasks.layouts import GRIPPER, of_object
+from hgail_envs.tasks.layouts import GRIPPER, of_object, target_of
 from hgail_envs.tasks.objects import GOAL, ObjectPhysics, gripper_goal, is_object
 from hgail_envs.tasks.push import Push
 from hgail_envs.validation import check_name
@@ -69,7 +69,7 @@ class Slide(Push):
     def goal_kind(self, goal: jax.Array) -> jax.Array:
         """Returns 0 for the gripper's goals, 1 to 15 for the puck's by field of the table, and 16 elsewhere."""
         of_any_object, start = super().goal_kind(goal), self.initial_gripper_position
-        offsets = (goal[..., axis] - start[axis] for axis in (0, 1))
+        offsets = (target_of(goal)[..., axis] - start[axis] for axis in (0, 1))
         pairs = zip((_AHEAD, _ASIDE), offsets, strict=True)
         band, column = (jnp.searchsorted(jnp.array(borders), offset) for borders, offset in pairs)
         field = 1 + band * (len(_ASIDE) + 1) + column

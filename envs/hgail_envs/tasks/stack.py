@@ -11,7 +11,7 @@ from hgail_envs.tasks import controllers
 from hgail_envs.tasks.base import CONTROL_PERIOD, REFERENCE_SUBSTEPS
 from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
 from hgail_envs.tasks.grasp import CUBE_WIDTH
-from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, of_object
+from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, of_object, target_of
 from hgail_envs.tasks.objects import MOVED, ObjectPhysics
 from hgail_envs.tasks.pick_and_place import PickAndPlace, PickAndPlacePlan, draw_kind
 from hgail_envs.variation import ModelFactors
@@ -39,11 +39,10 @@ class Stack(CubeGoals, PickAndPlace):
 
     episode_length = 100  # a scripted hand with a noise of .1 reaches two thirds of the goals in 50, nearly all in 100
     features_layout = GRIPPER + of_object("cube A") + Layout(GAP, flag("hand holds cube A")) + of_object("cube B")
-    goal_layout = Layout(
-        TARGET, flag("target is cube A's"), flag("target is cube B's"), flag("cube A is to be left at the target")
-    )
-    goal_kinds = 6
     cubes, cubes_to_leave = ("cube A", "cube B"), 1
+    flags, left_flag = ("target is cube A's", "target is cube B's"), "cube A is to be left at the target"
+    goal_layout = Layout(TARGET, *map(flag, (*flags, left_flag)))
+    goal_kinds = 6
     object_name, object_title = "cube_a", "cube A"
     holding_title = "hand holds cube A"
     object_range = 0.15
@@ -132,7 +131,7 @@ class Stack(CubeGoals, PickAndPlace):
 
         Cube A's are 1 on the table and 2 above it if the cube is not left there, and 3 and 4 if it is.
         """
-        raised, left, whose = goal[..., 2] > _RAISED, self.is_to_be_left(goal), self.whose(goal)
+        raised, left, whose = target_of(goal)[..., 2] > _RAISED, self.is_to_be_left(goal), self.whose(goal)
         of_a = 1 + raised.astype(jnp.int32) + 2 * left.astype(jnp.int32)
         return jnp.where(whose[..., A], of_a, jnp.where(whose[..., B], self.goal_kinds - 1, 0))
 
@@ -140,7 +139,7 @@ class Stack(CubeGoals, PickAndPlace):
         last, desired = end.pipeline_state, end.info["desired_goal"]
         achieved = self.reached(last, desired) & self._stands(last, desired)
         success = achieved & self._stands(lifted.pipeline_state, desired)
-        return self.measure(self.object_position(last), desired[:3], achieved, success)
+        return self.measure(self.object_position(last), target_of(desired), achieved, success)
 
     def _stands(self, physics: Any, desired: jax.Array) -> jax.Array:
         """Returns whether cube A is at the goal and on cube B, and touches it, wherever the hand is: a boolean `[]`."""

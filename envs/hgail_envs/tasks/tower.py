@@ -12,7 +12,7 @@ from hgail_envs.tasks import controllers
 from hgail_envs.tasks.base import CONTROL_PERIOD, ArmPhysics
 from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
 from hgail_envs.tasks.grasp import CUBE_WIDTH, is_held
-from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, gripper_values, of_object
+from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, gripper_values, of_object, target_of
 from hgail_envs.tasks.objects import MOVED
 from hgail_envs.tasks.pick_and_place import draw_kind
 from hgail_envs.variation import ModelFactors
@@ -31,7 +31,6 @@ _MOST_SHIFT = 0.05  # metres of the base cube from its start after a success
 _BEGUN = 0.5  # fraction of the training episodes that start with the middle cube on the base
 _RAISED = 0.45  # metres of height; on the table a cube's centre is at 0.425, on another cube at 0.475
 _KIND_ON_TABLE, _KIND_OF_MIDDLE, _KIND_OF_TOP = 1, 3, 5  # one higher if the cube is left
-_OF_CUBES = slice(GRIPPER.size, GRIPPER.size + CUBES * of_object("cube").size)
 
 
 def _features(first: str, second: str, third: str) -> Layout:
@@ -79,11 +78,11 @@ class Tower(CubeGoals):
     episode_length = 200  # a scripted hand with a noise of .1 reaches half of the goals in 100, nearly all in 200
     features_layout = _features(*NAMES)
     seen_layout = _features("target's cube", "cube below it", "third cube")
-    goal_layout = Layout(
-        TARGET, *(flag(f"target is the {cube}'s") for cube in NAMES), flag("the cube is to be left at the target")
-    )
-    goal_kinds = 7
     cubes, cubes_to_leave = NAMES, CUBES
+    flags = tuple(f"target is the {cube}'s" for cube in NAMES)
+    left_flag = "the cube is to be left at the target"
+    goal_layout = Layout(TARGET, *map(flag, (*flags, left_flag)))
+    goal_kinds = 7
 
     scene = "tower"
     controllers = (seen_layout + goal_layout).readers({"from-above": controllers.tower})
@@ -180,9 +179,10 @@ class Tower(CubeGoals):
     def goal_observation(self, features: jax.Array, goal: jax.Array) -> jax.Array:
         # The pursued cube comes first, then the one that it is to lie on: the roles are turned.
         turned = (jnp.argmax(self.whose(goal), axis=-1)[..., None] + jnp.arange(CUBES)) % CUBES
-        by_role = features[..., _OF_CUBES].reshape(*features.shape[:-1], CUBES, -1)
+        of_cubes = self.features_layout.span("top cube position less gripper position", "base cube velocity")
+        by_role = features[..., of_cubes].reshape(*features.shape[:-1], CUBES, -1)
         cubes = jnp.take_along_axis(by_role, turned[..., None], axis=-2).reshape(*features.shape[:-1], -1)
-        before, after = features[..., : _OF_CUBES.start], features[..., _OF_CUBES.stop :]
+        before, after = features[..., : of_cubes.start], features[..., of_cubes.stop :]
         return super().goal_observation(jnp.concatenate([before, cubes, after], axis=-1), goal)
 
     def achieved_goal(self, physics: TowerPhysics) -> jax.Array:
@@ -228,7 +228,7 @@ class Tower(CubeGoals):
         Those of a cube that is left are one higher. The base counts as on the table wherever it is.
         """
         whose = self.whose(goal)
-        raised = (goal[..., 2] > _RAISED) & ~whose[..., BASE]
+        raised = (target_of(goal)[..., 2] > _RAISED) & ~whose[..., BASE]
         of_cube = jnp.where(raised, jnp.where(whose[..., TOP], _KIND_OF_TOP, _KIND_OF_MIDDLE), _KIND_ON_TABLE)
         return jnp.where(whose.any(axis=-1), of_cube + self.is_to_be_left(goal), 0)
 
