@@ -144,9 +144,7 @@ def _lift_test(
     """
 
     def step(_: jax.Array, carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
-        state, action = carry
-        action = jax.vmap(env.lift_test_action)(action)
-        return move(state, action), action
+        return lift_test_step(env, move, *carry)
 
     if not env.lift_test_steps or wanted is False:  # so that nothing is compiled for it
         return end
@@ -157,6 +155,17 @@ def _lift_test(
         end,
         action,
     )
+
+
+def lift_test_step(
+    env: GoalEnv, move: Callable[..., State], state: State, action: jax.Array
+) -> tuple[State, jax.Array]:
+    """Returns the state after a step of the lift test, and its action, from the last action, `[..., action_size]`.
+
+    `move` takes the step: `env.step`, or that of a batch.
+    """
+    action = jnp.vectorize(env.lift_test_action, signature="(n)->(n)")(action)
+    return move(state, action), action
 
 
 def _is_bounded(seen: dict[str, jax.Array], limit: float) -> jax.Array:

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from hgail_envs import GoalEnv
+from hgail_envs import GoalEnv, State
 from hgail_envs.scenes import open_scene, pose
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.io.policy import AnyPolicy
+from hgail_jax.rollout import lift_test_step
 from hgail_jax.vision.policy import acting
 
 Actor = AnyPolicy | Callable[[np.ndarray], np.ndarray]
@@ -99,12 +100,13 @@ class Session:
                 if self._clock * self.env.control_period >= _REST:
                     self._begin()
             case Phase.ACTING | Phase.STAYING:
-                self._advance(self._policy(np.asarray(self._state.obs)))
+                action = self._policy(np.asarray(self._state.obs))
+                self._advance(self._step(self._state, action), action)
                 self._end = self._state
                 if self.phase is Phase.ACTING and self._clock == self.env.episode_length:
                     self._enter(Phase.LIFT_TEST)
             case Phase.LIFT_TEST:
-                self._advance(np.asarray(self.env.lift_test_action(jnp.asarray(self._action))))
+                self._advance(*lift_test_step(self.env, self._step, self._state, jnp.asarray(self._action)))
         if self.phase is Phase.LIFT_TEST and self._clock == self.env.lift_test_steps:
             self._conclude()
 
@@ -173,9 +175,8 @@ class Session:
             self._state = self._move(self._state, self._held)
         self._before = self._end = self._state
 
-    def _advance(self, action: np.ndarray) -> None:
-        self._action = action
-        self._state = self._step(self._state, action)
+    def _advance(self, state: State, action: jax.Array | np.ndarray) -> None:
+        self._state, self._action = state, action
         self._clock += 1
         if not np.abs(np.asarray(self._state.obs)).max() <= self.env.observation_limit:  # the simulation broke down
             self._begin()
