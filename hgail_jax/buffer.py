@@ -3,12 +3,16 @@
 Below, `K` is the episodes that the buffer holds, `T` the steps of an episode and `B` the samples drawn.
 """
 
+from typing import Self
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_jax.config import Hyperparameters
+from hgail_envs.validation import check_fraction
+from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.hindsight import count_kinds, draw_source
 from hgail_jax.rollout import Detour, Trajectory
 from hgail_jax.samples import Samples, jitter_goals, kind_share, shuffle_goals
@@ -32,6 +36,24 @@ class EpisodeBuffer(struct.PyTreeNode):
     """`[K]` booleans: whether the place holds an episode whose simulation stayed finite."""
     added: jax.Array
     """`[]` integer: episodes added so far; the next goes to place `added` modulo `K`."""
+
+
+class ReplayHyperparameters(Hyperparameters):
+    """Hyperparameters of a learner whose discriminator's samples are drawn from a buffer."""
+
+    discriminator_horizon: jax.Array | int = 2**30
+    """Most steps from an expert sample to the one that its hindsight goal is taken from. At 1 the discriminator learns
+    which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
+    negative_p_ht: jax.Array | float = 0.0
+    """Probability that a policy sample's goal, before it is shuffled, is one that its episode achieved later."""
+
+    def validate(self, action_size: int | None = None, config: Config | None = None) -> Self:
+        """See `Hyperparameters`."""
+        check_fraction("negative_p_ht", self.negative_p_ht)
+        horizon = self.discriminator_horizon
+        if not isinstance(horizon, jax.core.Tracer) and np.any(np.asarray(horizon) < 1):
+            raise ValueError(f"discriminator_horizon is {horizon}; it must be at least 1")
+        return super().validate(action_size, config)
 
 
 class Transitions(struct.PyTreeNode):
@@ -168,7 +190,7 @@ def draw_detour(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: int,
 
 
 def draw_positives(
-    env: GoalEnv, hyper: Hyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, jitter_rng: jax.Array
+    env: GoalEnv, hyper: ReplayHyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, jitter_rng: jax.Array
 ) -> Samples:
     """Draws the discriminator's expert samples, whose goals are achieved within `discriminator_horizon` steps.
 
@@ -181,7 +203,12 @@ def draw_positives(
 
 
 def draw_negatives(
-    env: GoalEnv, hyper: Hyperparameters, buffer: EpisodeBuffer, count: int, rng: jax.Array, shuffle_rng: jax.Array
+    env: GoalEnv,
+    hyper: ReplayHyperparameters,
+    buffer: EpisodeBuffer,
+    count: int,
+    rng: jax.Array,
+    shuffle_rng: jax.Array,
 ) -> Samples:
     """Draws the discriminator's policy samples, under goals pursued or, by `negative_p_ht`, achieved later.
 

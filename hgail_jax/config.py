@@ -1,7 +1,7 @@
 """Settings of a training: static sizes in `Config`, sweepable scalars in `Hyperparameters`."""
 
 import dataclasses
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +21,6 @@ EXPERT_SOURCES = ("relabelled", "frozen", "demonstrations", "best")
 """Sources of expert samples, see `hgail_jax.experts`."""
 RELABELLED, FROZEN, DEMONSTRATIONS, BEST = EXPERT_SOURCES
 
-OF_SAMPLES = ("discriminator_horizon", "goal_jitter", "shuffled_goals", "negative_p_ht", "negative_weight")
-"""Hyperparameters of the discriminator's samples."""
-OF_TD3 = ("epsilon", "tau", "target_noise", "discriminator_horizon", "negative_p_ht")
-"""Hyperparameters that TD3 alone reads; another learner's own stand beside it, see `Learner.hyperparameters`."""
 _MOST_SAMPLES = 2**31 - 1  # indices are 32 bits wide
 
 
@@ -104,7 +100,10 @@ class Config:
 
 
 class Hyperparameters(struct.PyTreeNode):
-    """Scalars of the algorithm. They are leaves of the training state, so that `jax.vmap` can sweep any of them."""
+    """Scalars of the algorithm. They are leaves of the training state, so that `jax.vmap` can sweep any of them.
+
+    A learner that has more of them is given a subclass, see `Learner.hyperparameters`.
+    """
 
     p_ht: jax.Array | float = 1.0
     """Probability that a step's goal is replaced in hindsight."""
@@ -147,37 +146,24 @@ class Hyperparameters(struct.PyTreeNode):
     """Adam's step size for the policy and the value functions."""
     discriminator_learning_rate: jax.Array | float = 1e-3
     """Adam's step size for the discriminator."""
-    epsilon: jax.Array | float = 0.3
-    """Probability of a uniformly random action in a step of a roll-out to learn from (TD3)."""
-    tau: jax.Array | float = 0.01
-    """Rate τ at which target networks follow the networks (TD3)."""
-    target_noise: jax.Array | float = 0.2
-    """Standard deviation of the noise on target actions, which is clipped at 2.5 of it (TD3)."""
-    discriminator_horizon: jax.Array | int = 2**30
-    """Most steps from an expert sample to the one that its hindsight goal is taken from (TD3). At 1 the discriminator
-    learns which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
-
     goal_jitter: jax.Array | float = 0.0
     """Edge of the box from which the discriminator's expert samples draw their goals, as a fraction of the task's
     `GoalEnv.goal_tolerance`; 0 is the paper's, the very position that is achieved."""
     shuffled_goals: jax.Array | float = 0.0
     """Fraction of the discriminator's policy samples that have the goal of another one; 0 is the paper's, the goals
     that were pursued. With 1 the best logit is log p(goal achieved next | s, a) - log p(goal), as in contrastive RL."""
-    negative_p_ht: jax.Array | float = 0.0
-    """Probability that a policy sample's goal, before it is shuffled, is one that its episode achieved later (TD3)."""
     negative_weight: jax.Array | float = 1.0
     """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's."""
 
-    def as_arrays(self) -> "Hyperparameters":
+    def as_arrays(self) -> Self:
         """Returns itself with arrays for leaves."""
-        return Hyperparameters(**{name: jnp.asarray(value) for name, value in vars(self).items()})
+        return type(self)(**{name: jnp.asarray(value) for name, value in vars(self).items()})
 
-    def as_dict(self, learner: Learner) -> dict[str, Any]:
-        """Returns the fields as JSON has them, less those that other learners alone read."""
-        others = set(OF_TD3) - set(learner.hyperparameters)
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items() if name not in others}
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the fields as JSON has them."""
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
-    def validate(self, action_size: int | None = None, config: Config | None = None) -> "Hyperparameters":
+    def validate(self, action_size: int | None = None, config: Config | None = None) -> Self:
         """Returns itself, checked against the sizes of an action and of the training, where they are known.
 
         A value out of its range, or that contradicts the sizes, is a ValueError; none that is being traced is checked.
@@ -186,18 +172,17 @@ class Hyperparameters(struct.PyTreeNode):
             check_fraction(name, getattr(self, name))
         for name in _POSITIVE:
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "bc_weight", "solved_weight", "target_noise"):
+        for name in ("ppo_weight", "bc_weight", "solved_weight"):
             check_not_negative(name, getattr(self, name))
-        if not isinstance(self.discriminator_horizon, jax.core.Tracer) and np.any(
-            np.asarray(self.discriminator_horizon) < 1
-        ):
-            raise ValueError(f"discriminator_horizon is {self.discriminator_horizon}; it must be at least 1")
         std = self.exploration_noise
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
         if action_size is not None and shape not in ((), (action_size,)):
             raise ValueError(f"exploration_noise is {self.exploration_noise}; it must be one number or {action_size}")
         check_choice("strategy", self.strategy, STRATEGIES)
         check_choice("reward", self.reward, REWARDS)
+        if config is not None and type(self) is not config.learner.hyperparameters:
+            own = config.learner.hyperparameters.__name__
+            raise ValueError(f"the learner {config.learner.name} takes {own}, not {type(self).__name__}")
         if config is not None and not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(self)):
             config.learner.check_hyperparameters(config, self)
         return self
@@ -205,8 +190,8 @@ class Hyperparameters(struct.PyTreeNode):
 
 _SHARES = (
     *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
-    *("standardize_reward", "standardize_advantage", "standardize_observation", "epsilon", "tau"),
-    *("goal_jitter", "shuffled_goals", "negative_p_ht"),
+    *("standardize_reward", "standardize_advantage", "standardize_observation"),
+    *("goal_jitter", "shuffled_goals"),
 )
 _POSITIVE = (
     "negative_weight",

@@ -52,8 +52,8 @@ class Learner(abc.ABC):
     name: ClassVar[str]
     metrics: ClassVar[Mapping[str, str]]
     """Names of its updates' metrics, with their meanings."""
-    hyperparameters: ClassVar[tuple[str, ...]] = ()
-    """Fields of `Hyperparameters` that this learner alone reads."""
+    hyperparameters: ClassVar[type["Hyperparameters"]]
+    """Class of its hyperparameters: `Hyperparameters`, or a subclass with those that it alone reads."""
     without_effect: ClassVar[tuple[str, ...]] = ()
     """Options of `hgail train` that change nothing with this learner, and are refused."""
     ignored: ClassVar[tuple[str, ...]] = ()

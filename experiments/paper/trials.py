@@ -104,7 +104,7 @@ class Trial:
             "physics": physics | self.task_options,
             "demonstrations": self.demonstrations_sha256,
             "config": self.config.as_dict(),
-            "hyperparameters": self.hyperparameters.as_dict(self.config.learner),
+            "hyperparameters": self.hyperparameters.as_dict(),
         }
         return json.loads(json.dumps(identity))
 

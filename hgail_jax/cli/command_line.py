@@ -25,6 +25,12 @@ OptionsT = TypeVar("OptionsT")
 
 RENAMED = {"--iterations": "--rounds", "--action-std": "--exploration-noise"}
 """New names of the options that still have their old name, for one release."""
+_FLAGS = {
+    f"--{negation}{name}": f"--{name}={not negation}"
+    for name in ("pretrain", "standardize-reward")
+    for negation in ("", "no-")
+}
+"""Flags of options that are None by default, for which tyro wants a value."""
 
 _STDERR = 2  # the last of the standard streams' descriptors
 _PLAIN = {"×": "x", "±": "+-", "…": "..."}  # where the output takes no more than ASCII
@@ -43,10 +49,11 @@ def parse(options: type[OptionsT], program: str, description: str | None, argume
     # JAX warns of any fork; those here only start another program: ffmpeg, git, another run.
     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
 
+    args = [_FLAGS.get(word, word) for word in with_new_names(words)]
     refusal = io.StringIO()
     try:
         with contextlib.redirect_stderr(refusal):
-            return tyro.cli(options, prog=program, args=with_new_names(words), description=description)
+            return tyro.cli(options, prog=program, args=args, description=description)
     except SystemExit as ended:
         if not ended.code:  # the help
             raise

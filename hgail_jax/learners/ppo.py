@@ -59,6 +59,7 @@ class PPO(Learner):
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
         "discriminator_accuracy": "fraction of samples that the discriminator classifies correctly",
     }
+    hyperparameters: ClassVar[type[Hyperparameters]] = Hyperparameters
 
     pretrain: bool = True
     """Whether to pre-train policy and discriminator before the first round."""

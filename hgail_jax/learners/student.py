@@ -20,7 +20,7 @@ from flax import struct
 from hgail_envs import GoalEnv
 from hgail_envs.validation import check_count, check_not_negative
 from hgail_envs.vision.camera_env import CameraEnv
-from hgail_jax.config import Config
+from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, Learner, Phase, Update, check_sizes
@@ -81,6 +81,7 @@ class Student(Learner):
         "object_error": "root mean square error of the objects' positions along an axis, metres",
         "teacher_share": "fraction of the episodes in which the teacher acts",
     }
+    hyperparameters: ClassVar[type[Hyperparameters]] = Hyperparameters
     convolves: ClassVar[bool] = True
     squashes: ClassVar[bool] = True
     ignored: ClassVar[tuple[str, ...]] = (

@@ -6,7 +6,7 @@ computed for that goal. Below, `U` is the gradient steps after a roll-out and `B
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from hgail_envs import GoalEnv
 from hgail_envs.validation import check_count, check_fraction, check_not_negative
 from hgail_jax.buffer import (
     EpisodeBuffer,
+    ReplayHyperparameters,
     Transitions,
     add_episodes,
     draw,
@@ -26,7 +27,7 @@ from hgail_jax.buffer import (
     draw_positives,
     init_buffer,
 )
-from hgail_jax.config import OF_TD3, RELABELLED, Config, Hyperparameters
+from hgail_jax.config import RELABELLED, Config, Hyperparameters
 from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
 from hgail_jax.discriminator import discriminate, fit_discriminator
@@ -61,6 +62,24 @@ class TD3State(struct.PyTreeNode):
     """`[]` integer: gradient steps so far."""
 
 
+class TD3Hyperparameters(ReplayHyperparameters):
+    """Hyperparameters of TD3."""
+
+    epsilon: jax.Array | float = 0.3
+    """Probability of a uniformly random action in a step of a roll-out to learn from."""
+    tau: jax.Array | float = 0.01
+    """Rate τ at which target networks follow the networks."""
+    target_noise: jax.Array | float = 0.2
+    """Standard deviation of the noise on target actions, which is clipped at 2.5 of it."""
+
+    def validate(self, action_size: int | None = None, config: Config | None = None) -> Self:
+        """See `Hyperparameters`."""
+        for name in ("epsilon", "tau"):
+            check_fraction(name, getattr(self, name))
+        check_not_negative("target_noise", self.target_noise)
+        return super().validate(action_size, config)
+
+
 @dataclasses.dataclass(frozen=True)
 class TD3(Learner):
     """TD3 without its delay of the actor, on samples relabelled in hindsight.
@@ -78,7 +97,7 @@ class TD3(Learner):
         "discriminator_loss": "cross-entropy of the discriminator, 2 log 2 at chance",
         "discriminator_accuracy": "fraction of samples that the discriminator classifies correctly",
     }
-    hyperparameters: ClassVar[tuple[str, ...]] = OF_TD3
+    hyperparameters: ClassVar[type[Hyperparameters]] = TD3Hyperparameters
     without_effect: ClassVar[tuple[str, ...]] = ("pretrain", "reward", "standardize_reward")
     squashes: ClassVar[bool] = True
 
@@ -148,7 +167,7 @@ class TD3(Learner):
         The target actor acts, in roll-outs, in evaluations and in the exported policy: it is an average over the last
         1 / tau gradient steps, and steadier than the actor.
         """
-        hyper = state.hyperparameters
+        hyper = cast(TD3Hyperparameters, state.hyperparameters)
         decay = 1.0 + (hyper.final_exploration_noise - 1.0) * self.progress(config, state)
         std = noise * decay * jnp.asarray(hyper.exploration_noise)
         random = noise * jnp.where(state.learner.steps > 0, decay * hyper.epsilon, 1.0)
@@ -198,7 +217,7 @@ class TD3(Learner):
     ) -> tuple[TrainState, Metrics]:
         """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of all of it."""
         discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
-        hyper = state.hyperparameters
+        hyper = cast(TD3Hyperparameters, state.hyperparameters)
         state = _fill(env, state, trajectory)
         state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
         drawn = draw(env, hyper, state.buffer, draw_rng, self.updates * self.batch, hyper.p_ht)
@@ -244,7 +263,8 @@ def _update_discriminator(
     if not (count := config.discriminator_minibatches):
         return state, {}
     expert_rng, policy_rng, fit_rng, jitter_rng, shuffle_rng = jax.random.split(rng, 5)
-    hyper, samples, sizes = state.hyperparameters, count * config.discriminator_batch, cast(TD3, config.learner)
+    hyper, sizes = cast(TD3Hyperparameters, state.hyperparameters), cast(TD3, config.learner)
+    samples = count * config.discriminator_batch
     if config.expert_source == RELABELLED:
         expert = draw_positives(env, hyper, state.buffer, samples, expert_rng, jitter_rng)
     else:
@@ -275,7 +295,7 @@ class _Step:
 
     config: Config
     sizes: TD3
-    hyper: Hyperparameters
+    hyper: TD3Hyperparameters
     actor: MLP
     critic: MLP
 

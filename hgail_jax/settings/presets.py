@@ -156,7 +156,7 @@ def td3(
         own = hyperparameters | (dict(on_cpu or {}) if platform == "cpu" else {})
         presets[platform] = Preset(
             config.replace(**(sizes or {}).get(platform, {})),
-            Hyperparameters(**shared | own),
+            TD3.hyperparameters(**shared | own),
             method if isinstance(method, str) else method[platform],
             task_options or {},
         )

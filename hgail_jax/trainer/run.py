@@ -70,6 +70,6 @@ class Run(Program):
             "physics": physics,
             "task_options": self.task_options,
             "config": self.config.as_dict(),
-            "hyperparameters": self.hyperparameters.as_dict(self.config.learner),
+            "hyperparameters": self.hyperparameters.as_dict(),
             "demonstrations": self.demonstrations_sha256,
         }

@@ -22,7 +22,7 @@ from hgail_envs.validation import check_count, check_name, parse_option
 from hgail_envs.vision.cameras import DEFAULT_CAMERAS
 from hgail_envs.vision.look import LOOKS
 from hgail_envs.vision.pictures import KINDS, RENDERERS, SIZE, TARGETS
-from hgail_jax.config import OF_SAMPLES, OF_TD3, REWARDS, STRATEGIES
+from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.lerobot import find_demonstrations
@@ -40,6 +40,8 @@ OBSERVED = ("positions", "camera")
 """What a policy may see of the objects: their positions, or pictures of them."""
 _PHYSICS = ("impl", "substeps", "worlds")
 """Options of a task that are options of `TrainOptions`, or follow from them."""
+_OF_DISCRIMINATOR = ("discriminator_", "negative_", "goal_jitter", "shuffled_goals")
+"""Beginnings of the names of sizes and hyperparameters of the discriminator and its samples."""
 _EPISODES = f"{EVALUATION_EPISODES['cpu']} on a CPU, {EVALUATION_EPISODES['gpu']} on a GPU"
 
 
@@ -73,7 +75,7 @@ class TrainOptions:
     rounds: Annotated[int | None, unless_given("the task's for the platform", "INT")] = None
     """Rounds of the adversarial training. 0 leaves the pre-training alone."""
     preset: Annotated[str, _choices("Sizes and schedule", PRESETS)] = "parallel"
-    pretrain: bool = True
+    pretrain: Annotated[bool | None, unless_given("the method's", "| --no-pretrain")] = None
     """Fit policy and discriminator to the first roll-out before the rounds begin."""
     robot: Annotated[str, _choices("Robot of the tasks of an arm", (*ROBOTS, "FILE.toml of hgail robot"))] = "fetch"
     impl: Annotated[str, _choices("Physics engine of the tasks of an arm", ["auto", *ENGINES])] = "auto"
@@ -99,7 +101,7 @@ class TrainOptions:
     """Hindsight takes goals from the steps that follow (future), or from the last one (final)."""
     reward: Annotated[str | None, unless_given("the task's", f"{{{','.join(REWARDS)}}}")] = None
     """Form of the reward that is made of the discriminator's logit, see `hgail_jax.discriminator`."""
-    standardize_reward: bool = True
+    standardize_reward: Annotated[bool | None, unless_given("the task's", "| --no-standardize-reward")] = None
     """Shift and scale the reward to mean 0 and standard deviation 1 over each roll-out."""
     environment_reward: Annotated[float | None, unless_given("the task's", "FLOAT")] = None
     """Weight of the environment's reward, the discriminator's has the rest. With TD3 1 is the method her."""
@@ -263,15 +265,14 @@ def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
         (method.decides, f"is decided by the method {name}{others}"),
     ):
         for option in names:
-            if getattr(options, option) != (default := getattr(TrainOptions, option)):
-                flag = ("no-" if default is True else "") + option.replace("_", "-")
+            if (value := getattr(options, option)) != getattr(TrainOptions, option):
+                flag = ("no-" if value is False else "") + option.replace("_", "-")
                 raise ValueError(f"--{flag} {why}")
 
 
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     """Returns a method's preset with the sizes and hyperparameters that are given."""
-    sizes: dict[str, Any] = {"num_envs": options.num_envs, "rounds": options.rounds}
-    sizes["pretrain"] = None if options.pretrain else False
+    sizes: dict[str, Any] = {name: getattr(options, name) for name in ("num_envs", "rounds", "pretrain")}
     if options.bc_weight is not None:
         sizes["learner"] = preset.config.learner.with_bc(options.bc_weight)
     std = options.exploration_noise
@@ -282,7 +283,7 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
         "exploration_noise": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
         "strategy": options.strategy and STRATEGIES[options.strategy],
         "reward": options.reward and REWARDS[options.reward],
-        "standardize_reward": None if options.standardize_reward else False,
+        "standardize_reward": options.standardize_reward,
     }
     for name, value in map(_parse_setting, options.settings):
         _check_effect(name, preset)
@@ -321,9 +322,9 @@ def _make(options: TrainOptions, defaults: Any, worlds: int, task_options: dict[
 def _check_effect(name: str, preset: Preset) -> None:
     """Raises a ValueError for a setting that nothing reads."""
     config = preset.config
-    if name in config.learner.ignored or (name in OF_TD3 and name not in config.learner.hyperparameters):
+    if name in config.learner.ignored:
         raise ValueError(f"--settings {name} changes nothing for the learner {config.learner.name}")
-    if not config.discriminator_minibatches and (name in OF_SAMPLES or name.startswith("discriminator_")):
+    if not config.discriminator_minibatches and name.startswith(_OF_DISCRIMINATOR):
         method = f"the method {preset.method}, which has no discriminator"
         raise ValueError(f"--settings {name} changes nothing for {method}")
 

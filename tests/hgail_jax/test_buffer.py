@@ -11,7 +11,15 @@ from scipy.stats import binomtest, chisquare
 
 from hgail_envs.base import EpisodeMetrics, GoalEnv
 from hgail_jax import Hyperparameters, Trajectory
-from hgail_jax.buffer import add_episodes, draw, draw_achieved, draw_negatives, draw_positives, init_buffer
+from hgail_jax.buffer import (
+    ReplayHyperparameters,
+    add_episodes,
+    draw,
+    draw_achieved,
+    draw_negatives,
+    draw_positives,
+    init_buffer,
+)
 from hgail_jax.discriminator import discriminator_loss
 from hgail_jax.hindsight import FINAL, FUTURE
 from hgail_jax.samples import shuffle_goals
@@ -330,7 +338,7 @@ def slope(logits, expert, policy, weight):
 def test_the_best_logit_is_the_log_ratio_of_the_densities(corners, changes, negative):
     """log p(state, goal achieved next) - log w q(state, goal), with q of goals pursued, achieved later, or of any."""
     buffer, state, achieved, pursued, later = corners
-    hyper, keys = Hyperparameters(discriminator_horizon=1, **changes), jax.random.split(jax.random.key(1), 4)
+    hyper, keys = ReplayHyperparameters(discriminator_horizon=1, **changes), jax.random.split(jax.random.key(1), 4)
     expert = positives(CORNERS, hyper, buffer, 200_000, *keys[:2])
     policy = negatives(CORNERS, hyper, buffer, 200_000, *keys[2:])
     together, hindsight = joint(state, pursued), joint(*later)

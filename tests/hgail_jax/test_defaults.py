@@ -11,8 +11,7 @@ from experiments import RESULTS
 from hgail_envs.base import GoalEnv, TrainingDefaults
 from hgail_envs.point import Point
 from hgail_envs.tasks.reach import Reach
-from hgail_jax import METHODS, PRESETS, Hyperparameters, TrainOptions
-from hgail_jax.config import OF_TD3
+from hgail_jax import METHODS, PPO, PRESETS, TD3, Hyperparameters, TrainOptions
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
 from hgail_jax.settings.defaults import (
@@ -150,7 +149,7 @@ def test_every_size_and_hyperparameter_is_an_option_or_a_setting(learner):
     chosen = task_preset(Point, "cpu", learner=learner)
     of_options = {field.name for field in dataclasses.fields(TrainOptions)}
     sizes = vars(chosen.config) | vars(chosen.config.learner)
-    hyperparameters = chosen.hyperparameters.as_dict(chosen.config.learner)
+    hyperparameters = chosen.hyperparameters.as_dict()
     for name, value in (sizes | hyperparameters).items():
         if name in of_options | BY_THE_METHOD:
             continue
@@ -198,11 +197,16 @@ def test_defaults_of_no_learner_are_refused():
         task_preset(type("Odd", (Point,), {"training": {"ppo": {"cpu": TrainingDefaults(method="hgial")}}}), "cpu")
 
 
-def test_each_hyperparameter_is_of_all_learners_or_of_those_that_name_it():
-    own = [learner.hyperparameters for learner in LEARNERS.values()]
-    assert {name for names in own for name in names} == set(OF_TD3) <= vars(Hyperparameters()).keys()
-    kept = {name: Hyperparameters().as_dict(learner()).keys() for name, learner in LEARNERS.items()}
-    assert kept["td3"] == vars(Hyperparameters()).keys() and kept["td3"] - kept["ppo"] == set(OF_TD3)
+def test_a_learner_takes_the_hyperparameters_of_its_class_alone():
+    env = hgail_envs.make("point")
+    for learner, other in ((PPO, TD3), (TD3, PPO)):
+        config = DEFAULTS["point"][learner.name]["cpu"].config
+        hyper = DEFAULTS["point"][learner.name]["cpu"].hyperparameters
+        assert type(hyper) is learner.hyperparameters and hyper.validate(env.action_size, config) is hyper
+        with pytest.raises(ValueError, match=f"the learner {learner.name} takes {learner.hyperparameters.__name__}, "):
+            other.hyperparameters().validate(env.action_size, config)
+    own = TD3.hyperparameters().as_dict().keys() - Hyperparameters().as_dict().keys()
+    assert own == {"epsilon", "tau", "target_noise", "discriminator_horizon", "negative_p_ht"}
 
 
 made = functools.cache(hgail_envs.make)

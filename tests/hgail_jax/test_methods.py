@@ -219,6 +219,7 @@ def test_a_task_s_own_settings_stay_where_no_option_says_otherwise():
     assert (own.strategy, own.reward, own.standardize_reward) == (1, 2, False)
     given = plan(TrainOptions(task=task, strategy="future", reward="r1"), "cpu").hyperparameters
     assert (given.strategy, given.reward) == (STRATEGIES["future"], REWARDS["r1"])
+    assert plan(TrainOptions(task=task, standardize_reward=True), "cpu").hyperparameters.standardize_reward is True
 
 
 @pytest.mark.parametrize(

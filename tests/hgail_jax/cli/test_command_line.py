@@ -17,7 +17,7 @@ from hgail_envs.validation import MOST
 from hgail_jax.cli import command_line
 from hgail_jax.cli import train as run
 from hgail_jax.cli.command_line import parse, prepare_process, user_cache, with_new_names
-from hgail_jax.trainer.train_options import unless_given
+from hgail_jax.trainer.train_options import TrainOptions, unless_given
 
 
 @dataclasses.dataclass
@@ -227,3 +227,16 @@ def test_a_tilde_that_a_shell_leaves_is_the_home_folder(monkeypatch, tmp_path):
     words = ["--out=~/runs/x", "--policy", "~/p.npz", "--settings", "a=~", "--demos", "x~/y", "--task=m:~"]
     expected = [f"--out={tmp_path}/runs/x", "--policy", f"{tmp_path}/p.npz", "--settings", f"a={tmp_path}"]
     assert with_new_names(words) == [*expected, "--demos", "x~/y", "--task=m:~"]
+
+
+@pytest.mark.parametrize(
+    ("words", "pretrain", "standardize"),
+    [
+        ([], None, None),
+        (["--pretrain", "--no-standardize-reward"], True, False),
+        (["--no-pretrain", "--standardize-reward"], False, True),
+    ],
+)
+def test_a_flag_that_is_not_given_leaves_the_choice_to_the_task(words, pretrain, standardize):
+    options = parse(TrainOptions, "hgail train", None, words)
+    assert (options.pretrain, options.standardize_reward) == (pretrain, standardize)

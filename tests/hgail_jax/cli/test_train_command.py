@@ -156,7 +156,7 @@ def test_folders_are_numbered(in_folder, monkeypatch):
         (["--settings", "taus=1"], "Config has no field 'taus', nor has the learner ppo"),
         (["--settings", "rounds=1"], "setting 'rounds=1': rounds is --rounds here"),
         (["--settings", "tau"], "setting 'tau' is not name=value with a number, true, false or a list of numbers"),
-        (["--settings", "tau=0.5"], "--settings tau changes nothing for the learner ppo"),
+        (["--settings", "tau=0.5"], "Config has no field 'tau', nor has the learner ppo"),
         (["--learner", "td3", "--settings", "goal_jitter=1"], "changes nothing for the method her, which has no"),
         (["--task", "push", "--settings", "shuffled_goals=2"], "shuffled_goals is 2; it must be from 0 to 1"),
         (["--bc-weight", "-1"], "bc_weight is -1.0; it must be at least 0"),

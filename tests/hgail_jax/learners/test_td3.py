@@ -14,7 +14,6 @@ from hgail_jax import (
     METHODS,
     TD3,
     Config,
-    Hyperparameters,
     Preset,
     Trajectory,
     init_state,
@@ -62,7 +61,7 @@ CONFIG = Config(
     discriminator_hidden=(7,),
     layer_norm=True,
 )
-HYPER = Hyperparameters(
+HYPER = TD3.hyperparameters(
     p_ht=0.6,
     exploration_noise=jnp.array([0.3, 0.05]),
     discount=0.4,

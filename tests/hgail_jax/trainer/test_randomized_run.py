@@ -10,7 +10,7 @@ import pytest
 from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax import TD3, Config, Hyperparameters, Preset, Trainer, load_policy
+from hgail_jax import TD3, Config, Preset, Trainer, load_policy
 from hgail_jax.cli import play
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
@@ -57,7 +57,7 @@ def test_a_randomised_run_says_so_and_resumes_as_such_alone(capsys):
 def test_a_policy_of_td3_is_shown_the_actions_on_their_way(monkeypatch):
     monkeypatch.setitem(LEVELS, "known", dataclasses.replace(SMALL, history=0, known_delay=3))
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8, critics=1)
-    tiny = Preset(Config(learner=few, policy_hidden=(8,), discriminator_minibatches=0), Hyperparameters())
+    tiny = Preset(Config(learner=few, policy_hidden=(8,), discriminator_minibatches=0), TD3.hyperparameters())
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": tiny})
     run.main([*SIZES, "--learner", "td3", "--randomize", "known"])
     policy = load_policy("run/policies/seed-1.npz")
