@@ -6,6 +6,7 @@ from typing import Any
 
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.learners import PPO, TD3
+from hgail_jax.learners.student import Student
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,3 +162,16 @@ def td3(
             task_options or {},
         )
     return presets
+
+
+def student(rounds: int) -> dict[str, Preset]:
+    """Returns the settings that tasks share whose policy sees pictures and is taught, by platform."""
+    config = Config(
+        Student(), rounds=rounds, training_goals=False, discriminator_minibatches=0, policy_hidden=(256, 256)
+    )
+    hyperparameters = Hyperparameters(exploration_noise=0.1, policy_learning_rate=1e-3, environment_reward=1.0)
+    # a picture takes a CPU a hundredth of a second: enough to try it out, not to solve a task
+    return {
+        platform: Preset(config.replace(num_envs=envs), hyperparameters, "camera", OBJECT_SUBSTEPS, evaluate_every=5)
+        for platform, envs in (("cpu", 16), ("gpu", 512))
+    }
