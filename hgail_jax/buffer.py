@@ -3,7 +3,7 @@
 Below, `K` is the episodes that the buffer holds, `T` the steps of an episode and `B` the samples drawn.
 """
 
-from typing import Self
+from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,6 @@ import numpy as np
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_fraction
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.hindsight import count_kinds, draw_source
 from hgail_jax.rollout import Detour, Trajectory
@@ -41,6 +40,8 @@ class EpisodeBuffer(struct.PyTreeNode):
 class ReplayHyperparameters(Hyperparameters):
     """Hyperparameters of a learner whose discriminator's samples are drawn from a buffer."""
 
+    fractions: ClassVar[tuple[str, ...]] = (*Hyperparameters.fractions, "negative_p_ht")
+
     discriminator_horizon: jax.Array | int = 2**30
     """Most steps from an expert sample to the one that its hindsight goal is taken from. At 1 the discriminator learns
     which actions reach a goal at once; a large number leaves the choice to Algorithm 1."""
@@ -49,7 +50,6 @@ class ReplayHyperparameters(Hyperparameters):
 
     def validate(self, action_size: int | None = None, config: Config | None = None) -> Self:
         """See `Hyperparameters`."""
-        check_fraction("negative_p_ht", self.negative_p_ht)
         horizon = self.discriminator_horizon
         if not isinstance(horizon, jax.core.Tracer) and np.any(np.asarray(horizon) < 1):
             raise ValueError(f"discriminator_horizon is {horizon}; it must be at least 1")

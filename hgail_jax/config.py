@@ -1,7 +1,7 @@
 """Settings of a training: static sizes in `Config`, sweepable scalars in `Hyperparameters`."""
 
 import dataclasses
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -105,6 +105,20 @@ class Hyperparameters(struct.PyTreeNode):
     A learner that has more of them is given a subclass, see `Learner.hyperparameters`.
     """
 
+    fractions: ClassVar[tuple[str, ...]] = (
+        *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
+        *("standardize_reward", "standardize_advantage", "standardize_observation"),
+        *("goal_jitter", "shuffled_goals"),
+    )
+    """Fields that are 0 to 1."""
+    positive: ClassVar[tuple[str, ...]] = (
+        *("exploration_noise", "final_exploration_noise", "clip_ratio", "reward_scale", "negative_weight"),
+        *("policy_learning_rate", "discriminator_learning_rate"),
+    )
+    """Fields above 0."""
+    not_negative: ClassVar[tuple[str, ...]] = ("ppo_weight", "bc_weight", "solved_weight")
+    """Fields that are 0 or more."""
+
     p_ht: jax.Array | float = 1.0
     """Probability that a step's goal is replaced in hindsight."""
     strategy: jax.Array | int = FUTURE
@@ -168,11 +182,11 @@ class Hyperparameters(struct.PyTreeNode):
 
         A value out of its range, or that contradicts the sizes, is a ValueError; none that is being traced is checked.
         """
-        for name in _SHARES:
+        for name in self.fractions:
             check_fraction(name, getattr(self, name))
-        for name in _POSITIVE:
+        for name in self.positive:
             check_positive(name, getattr(self, name))
-        for name in ("ppo_weight", "bc_weight", "solved_weight"):
+        for name in self.not_negative:
             check_not_negative(name, getattr(self, name))
         std = self.exploration_noise
         shape = (len(std),) if isinstance(std, tuple | list) else np.shape(std)  # of tracers too
@@ -186,15 +200,3 @@ class Hyperparameters(struct.PyTreeNode):
         if config is not None and not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(self)):
             config.learner.check_hyperparameters(config, self)
         return self
-
-
-_SHARES = (
-    *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
-    *("standardize_reward", "standardize_advantage", "standardize_observation"),
-    *("goal_jitter", "shuffled_goals"),
-)
-_POSITIVE = (
-    "negative_weight",
-    *("exploration_noise", "final_exploration_noise", "clip_ratio", "reward_scale"),
-    *("policy_learning_rate", "discriminator_learning_rate"),
-)

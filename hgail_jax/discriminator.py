@@ -134,6 +134,22 @@ def imitation_reward(form: jax.Array | int, logits: jax.Array) -> jax.Array:
     return jax.lax.switch(form, (r1, r2, r3, r4), logits)
 
 
+def bounded_reward(
+    config: Config, state: TrainState, observation: jax.Array, action: jax.Array, reached: jax.Array
+) -> jax.Array:
+    """Returns rewards in [-1, 0], `[...]`, of samples whose next states are at their goals, or not, by `reached`.
+
+    The discriminator's is σ(logit) - 1, the probability of an expert's sample less 1, so that it can be mixed with the
+    goal test and critics have one bound. Where none is trained the goal test is the whole reward.
+    """
+    goal_test = reached.astype(jnp.float32) - 1.0
+    if not config.discriminator_minibatches:
+        return goal_test
+    logits = discriminate(config, state.discriminator, state.normalize(observation), action)
+    weight = state.hyperparameters.environment_reward
+    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * goal_test
+
+
 def r1(logits: jax.Array) -> jax.Array:
     """-log(1 - σ(logit)), which is softplus(logit): never negative, the paper's default."""
     return jax.nn.softplus(logits)

@@ -6,7 +6,7 @@ computed for that goal. Below, `U` is the gradient steps after a roll-out and `B
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from hgail_envs.validation import check_count, check_fraction, check_not_negativ
 from hgail_jax.buffer import (
     EpisodeBuffer,
     ReplayHyperparameters,
-    Transitions,
     add_episodes,
     draw,
     draw_detour,
@@ -30,7 +29,7 @@ from hgail_jax.buffer import (
 from hgail_jax.config import RELABELLED, Config, Hyperparameters
 from hgail_jax.descent import gradient_step
 from hgail_jax.devices.sharding import local_shard
-from hgail_jax.discriminator import discriminate, fit_discriminator
+from hgail_jax.discriminator import bounded_reward, fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP, Learner, Phase, Update, check_sizes
 from hgail_jax.networks import MLP, apply, dense_layers
@@ -65,19 +64,15 @@ class TD3State(struct.PyTreeNode):
 class TD3Hyperparameters(ReplayHyperparameters):
     """Hyperparameters of TD3."""
 
+    fractions: ClassVar[tuple[str, ...]] = (*ReplayHyperparameters.fractions, "epsilon", "tau")
+    not_negative: ClassVar[tuple[str, ...]] = (*ReplayHyperparameters.not_negative, "target_noise")
+
     epsilon: jax.Array | float = 0.3
     """Probability of a uniformly random action in a step of a roll-out to learn from."""
     tau: jax.Array | float = 0.01
     """Rate τ at which target networks follow the networks."""
     target_noise: jax.Array | float = 0.2
     """Standard deviation of the noise on target actions, which is clipped at 2.5 of it."""
-
-    def validate(self, action_size: int | None = None, config: Config | None = None) -> Self:
-        """See `Hyperparameters`."""
-        for name in ("epsilon", "tau"):
-            check_fraction(name, getattr(self, name))
-        check_not_negative("target_noise", self.target_noise)
-        return super().validate(action_size, config)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,7 +220,7 @@ class TD3(Learner):
             observation=state.normalize(drawn.observation),
             action=drawn.action,
             next_observation=state.normalize(drawn.next_observation),
-            reward=_reward(config, state, drawn),
+            reward=bounded_reward(config, state, drawn.observation, drawn.action, drawn.reached),
             weight=drawn.weight,
             noise=jax.random.normal(noise_rng, drawn.action.shape),
         )
@@ -273,20 +268,6 @@ def _update_discriminator(
     policy = draw_negatives(env, hyper, state.buffer, samples, policy_rng, shuffle_rng)
     decay = 1.0 + (sizes.final_discriminator_learning_rate - 1.0) * sizes.progress(config, state)
     return fit_discriminator(config, state, expert, policy, count, fit_rng, decay, sizes.gradient_penalty)
-
-
-def _reward(config: Config, state: TrainState, drawn: Transitions) -> jax.Array:
-    """Rewards of samples, `[...]` in [-1, 0], as those of the environment are.
-
-    The discriminator's is σ(logit) - 1, the probability of an expert's sample less 1, so that the two can be mixed and
-    the critics have one bound. Where none is trained the goal test is the whole reward.
-    """
-    goal_test = drawn.reached.astype(jnp.float32) - 1.0
-    if not config.discriminator_minibatches:
-        return goal_test
-    logits = discriminate(config, state.discriminator, state.normalize(drawn.observation), drawn.action)
-    weight = state.hyperparameters.environment_reward
-    return (1.0 - weight) * (jax.nn.sigmoid(logits) - 1.0) + weight * goal_test
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

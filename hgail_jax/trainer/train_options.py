@@ -276,14 +276,11 @@ def _with_options(options: TrainOptions, preset: Preset) -> Preset:
     if options.bc_weight is not None:
         sizes["learner"] = preset.config.learner.with_bc(options.bc_weight)
     std = options.exploration_noise
-    scalars = {
-        "p_ht": options.p_ht,
-        "environment_reward": options.environment_reward,
-        "bc_weight": options.bc_weight,
+    plain = ("p_ht", "environment_reward", "bc_weight", "standardize_reward")
+    scalars = {name: getattr(options, name) for name in plain} | {
         "exploration_noise": std[0] if isinstance(std, tuple) and len(std) == 1 else std,
         "strategy": options.strategy and STRATEGIES[options.strategy],
         "reward": options.reward and REWARDS[options.reward],
-        "standardize_reward": options.standardize_reward,
     }
     for name, value in map(_parse_setting, options.settings):
         _check_effect(name, preset)

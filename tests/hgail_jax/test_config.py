@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import hgail_envs
 from hgail_envs.validation import MOST
-from hgail_jax import PPO, Config, Hyperparameters, evaluate, init_state, relabel, rollout
+from hgail_jax import PPO, TD3, Config, Hyperparameters, evaluate, init_state, relabel, rollout
 from hgail_jax.evaluate import whole_rollouts
 from hgail_jax.learners import LEARNERS
 from hgail_jax.seeds import seed_keys
@@ -116,6 +116,17 @@ def test_good_values_are_taken(learner, draw, share, positive, widths):
         Hyperparameters(exploration_noise=positive, reward=3, include_current=True),
     ):
         assert good.validate() is good
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("tau", 1.5), ("epsilon", -0.1), ("target_noise", -1.0), ("negative_p_ht", 2.0), ("discriminator_horizon", 0)],
+)
+def test_bad_hyperparameters_of_a_learner_s_own_are_refused_by_name(name, value):
+    good = TD3.hyperparameters()
+    with pytest.raises(ValueError, match=f"{name} is {value}; it must be"):
+        good.replace(**{name: value}).validate()
+    assert good.replace(p_ht=0.5).validate().p_ht == 0.5
 
 
 def test_hyperparameters_may_be_arrays_and_tracers():
