@@ -91,6 +91,8 @@ class GoalEnv(HasLayouts, Env):
     goals begin with the target's position, metres, world frame."""
     robot: Any = None
     """The `hgail_envs.robots.base.Robot` in its scene; None for a task without a scene."""
+    instruction: str = ""
+    """What is to be done, as one sentence, for policies that read words."""
     target_body: str | None = None
     """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
     shows_goal: bool = False

@@ -7,7 +7,8 @@ from hgail_envs.base import GoalEnv
 _SAME = (
     *("goal_size", "goal_layout", "action_size", "action_layout"),
     *("episode_length", "success_threshold", "goal_kinds", "lift_test_steps"),
-    *("observation_limit", "control_period", "scene", "robot", "target_body", "shows_goal", "reference", "training"),
+    *("observation_limit", "control_period", "scene", "robot", "instruction", "target_body", "shows_goal"),
+    *("reference", "training"),
 )
 
 

@@ -79,6 +79,7 @@ def _write(
     try:
         noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]
         pictures = render(camera.pictures, noted) if camera else [None] * len(episodes)
+        said = sentence(task)
         for episode, shown in zip(episodes, pictures, strict=True):
             seen, rewards = observation[:, episode], reward[:, episode, None]
             columns = {OBS_STATE: seen[:, state_numbers(env)], ACTION: action[:, episode]}
@@ -90,7 +91,7 @@ def _write(
             columns |= {OBS_ENV_STATE: seen} if shown is None else {}
             columns |= {} if shown is None else dict(zip(_images(env), np.moveaxis(shown, 1, 0), strict=True))
             for step in range(len(seen)):
-                dataset.add_frame({name: values[step] for name, values in columns.items()} | {"task": sentence(task)})
+                dataset.add_frame({name: values[step] for name, values in columns.items()} | {"task": said})
             dataset.save_episode()
             report(dataset.num_episodes)
     finally:  # LeRobot would do it whenever the object is collected, in a folder that is removed by then

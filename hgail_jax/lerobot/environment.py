@@ -12,29 +12,19 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from hgail_envs import GoalEnv, State
+from hgail_envs import GoalEnv, State, find_class
 from hgail_envs.registry import check_takes_robot
 from hgail_envs.vector import GoalVectorEnv, make_task
 from hgail_envs.vision.camera_env import CameraEnv, known_numbers
 from hgail_envs.vision.pictures import Pictures
 from hgail_envs.vision.rendering import RenderingError
 
-SENTENCES = {
-    "reach": "Move the gripper to the target.",
-    "grasp": "Grasp the cube.",
-    "push": "Push the cube to the target.",
-    "pick-and-place": "Grasp the cube and bring it to the target.",
-    "slide": "Hit the puck so that it slides to the target.",
-    "stack": "Put cube A on cube B and let go of it.",
-    "tower": "Build a tower of three cubes.",
-}
-"""Instructions in words, by the task."""
 _STATE, OBSERVATION, _PICTURES = "agent_pos", "environment_state", "pixels"  # as LeRobot's roll-outs have them
 
 
 def sentence(task: str) -> str:
-    """Returns a task's instruction in words; a task of your own has its name."""
-    return SENTENCES.get(task, task)
+    """Returns a task's instruction in words; its name where it has none."""
+    return find_class(task).instruction or task
 
 
 def state_numbers(env: GoalEnv) -> np.ndarray:

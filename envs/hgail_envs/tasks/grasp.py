@@ -59,6 +59,7 @@ class Grasp(ArmEnv):
     lift_test_steps = 12
 
     scene = "grasp"
+    instruction = "Grasp the cube."
     target_body = "cube"
     shows_goal = True
     reference = "FetchPickAndPlace-v4"

@@ -50,6 +50,7 @@ class PickAndPlace(ObjectEnv):
     target_range = 0.15
 
     scene = "grasp"
+    instruction = "Grasp the cube and bring it to the target."
     reference: str | None = "FetchPickAndPlace-v4"
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.pick_and_place})
 

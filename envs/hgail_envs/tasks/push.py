@@ -25,5 +25,6 @@ class Push(ObjectEnv):
     target_range = 0.15
 
     scene = "push"
+    instruction = "Push the cube to the target."
     reference = "FetchPush-v4"
     controllers = (features_layout + goal_layout).readers({"from-behind": controllers.push})

@@ -23,6 +23,7 @@ class Reach(ArmEnv):
     action_layout = ACTION_OF_ARM
 
     scene = "reach"
+    instruction = "Move the gripper to the target."
     reference = "FetchReach-v4"
     controllers = (features_layout + goal_layout).readers({"proportional": controllers.reach})
 

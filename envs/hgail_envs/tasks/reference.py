@@ -9,15 +9,12 @@ import numpy as np
 
 from hgail_envs.base import EpisodeMetrics
 from hgail_envs.past import Past
-from hgail_envs.registry import accepted_options, find_class
+from hgail_envs.registry import TASKS, accepted_options, find_class
 from hgail_envs.tasks.grasp import CUBES, is_held
 from hgail_envs.tasks.layouts import official
 from hgail_envs.tasks.numpy_episode import run_episode
 from hgail_envs.tasks.objects import OBSERVATIONS
 from hgail_envs.validation import MOST_SEED, check_name
-
-TASKS = ("reach", "grasp", "push", "pick-and-place", "slide")
-"""Tasks of `ReferenceFetch`."""
 
 _FINGERS = ("robot0:r_gripper_finger_link", "robot0:l_gripper_finger_link")
 _LARGEST_ACTION = np.array([2.0, 2.0, 2.0, 1.0])  # the displacements of an episode with a longer stride
@@ -36,6 +33,11 @@ def make_reference(name: str, **options: Any) -> Any:
     return gymnasium.make(name, **options)
 
 
+def reference_tasks() -> tuple[str, ...]:
+    """Returns the names of the tasks that have a reference."""
+    return tuple(task for task in TASKS if find_class(task).reference)
+
+
 class ReferenceFetch:
     """The reference environment of a task: FetchReach-v4, FetchPickAndPlace-v4, FetchPush-v4 or FetchSlide-v4.
 
@@ -47,7 +49,7 @@ class ReferenceFetch:
     """
 
     def __init__(self, task: str, observation: str = "compact", cube: str = CUBES[0]) -> None:
-        check_name("task of the reference", task, TASKS)
+        check_name("task of the reference", task, reference_tasks())
         check_name("cube", cube, CUBES if task == "grasp" else CUBES[:1])
         has_object_in_sight = "observation" in accepted_options(task)
         check_name("observation", observation, OBSERVATIONS if has_object_in_sight else OBSERVATIONS[:1])

@@ -49,6 +49,7 @@ class Slide(Push):
     goal_kinds = 2 + (len(_AHEAD) + 1) * (len(_ASIDE) + 1)
 
     scene = "slide"
+    instruction = "Hit the puck so that it slides to the target."
     reference = "FetchSlide-v4"
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.slide})
 

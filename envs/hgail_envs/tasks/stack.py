@@ -48,6 +48,7 @@ class Stack(CubeGoals, PickAndPlace):
     object_range = 0.15
 
     scene = "stack"
+    instruction = "Put cube A on cube B and let go of it."
     shows_goal = True
     reference = None
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.stack})

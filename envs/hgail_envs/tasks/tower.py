@@ -85,6 +85,7 @@ class Tower(CubeGoals):
     goal_kinds = 7
 
     scene = "tower"
+    instruction = "Build a tower of three cubes."
     controllers = (seen_layout + goal_layout).readers({"from-above": controllers.tower})
 
     def place(self, qpos: jax.Array, qvel: jax.Array) -> TowerPhysics:
