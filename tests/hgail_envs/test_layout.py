@@ -34,6 +34,8 @@ def test_quantities_are_read_and_joined_by_name():
     np.testing.assert_array_equal(parts["held"], [0, 12])
     np.testing.assert_array_equal(parts["hand"], [[1, 2, 3], [13, 14, 15]])
     np.testing.assert_array_equal(vector[:, FEATURES["gap"]], [4, 16])
+    np.testing.assert_array_equal(vector[0, FEATURES.span("hand", "gap")], [1, 2, 3, 4])
+    np.testing.assert_array_equal(vector[0, FEATURES.span("gap", "joint angle")], np.arange(4, 12))
     row = FEATURES.split(vector[1])
     for xp in (np, jnp):
         np.testing.assert_array_equal(FEATURES.join(dict(reversed(row.items())), xp), vector[1])
