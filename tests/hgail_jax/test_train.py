@@ -277,7 +277,7 @@ def still(observation, rng):
     return jnp.zeros((len(observation), 3)), jnp.zeros(len(observation))
 
 
-def test_an_evaluation_tells_of_one_environment_of_one_roll_out_of_one_seed_without_room_for_contacts(monkeypatch):
+def test_an_evaluation_reports_one_environment_of_one_roll_out_of_one_seed_without_room_for_contacts(monkeypatch):
     env, config = Crowded(), TINY.replace(num_envs=2)
     monkeypatch.setattr("hgail_jax.seeds.make_policy", lambda *_, **__: still)
     states = init_seeds(env, config, Hyperparameters(), seed_keys(0, 2))
@@ -291,7 +291,7 @@ def test_an_evaluation_tells_of_one_environment_of_one_roll_out_of_one_seed_with
     evaluate_seeds(env, config, states, 4)
 
 
-def test_a_phase_tells_the_fraction_of_environments_without_room_for_contacts_or_broken():
+def test_a_phase_reports_the_fraction_of_environments_without_room_for_contacts_or_broken():
     learner = types.SimpleNamespace(phase_updates=dict, metrics=(), phase_table=lambda config: PHASES)
     nothing = types.SimpleNamespace(learner=learner)
 

@@ -151,7 +151,7 @@ def test_one_run_takes_its_goal_from_the_source_that_is_named(capsys, monkeypatc
     assert ", 40 ms an action, goal by camera, delay of 3 steps, steps × 0.5: success" in printed
 
 
-def test_one_run_tells_the_error_of_the_goal(capsys):
+def test_one_run_prints_the_error_of_the_goal(capsys):
     transfer.main(["--episodes", "1", "--noise", "0.25", "--offset", "0.5", "0", "0"])
     named = "goal off by 0.25 m (σ), goal off by (0.5, 0.0, 0.0) m"
     assert f", 40 ms an action, {named}: success" in capsys.readouterr().out

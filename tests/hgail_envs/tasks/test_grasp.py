@@ -192,7 +192,7 @@ def test_a_hand_that_tracks_the_cube_tries_again(start):
     assert grasped(tracked, after).mean() > 0.9
 
 
-def test_the_reference_tells_where_a_tracked_cube_is():
+def test_the_reference_shows_where_a_tracked_cube_is():
     """A closed hand pushes the cube away; what it observes follows, and agrees with the environment's own state."""
     reference, seen = ReferenceFetch("grasp", cube="tracked"), []
 

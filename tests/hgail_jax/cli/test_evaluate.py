@@ -126,7 +126,7 @@ def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, name, ca
         assert row[name] == pytest.approx(np.mean([getattr(end, name) for end in ends]), abs=1e-9)
 
 
-def test_the_reference_tells_a_policy_of_a_tracked_cube_where_it_is(tmp_path, capsys, tracking_policy):
+def test_the_reference_shows_a_policy_of_a_tracked_cube_where_it_is(tmp_path, capsys, tracking_policy):
     pytest.importorskip("gymnasium_robotics")
     save_policy(tmp_path / "p.npz", tracking_policy)
     (row,) = report(["--policy", str(tmp_path / "p.npz"), "--reference", "--episodes", "2"], capsys)["policies"]

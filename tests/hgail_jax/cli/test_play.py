@@ -58,7 +58,7 @@ def test_a_film_is_written_and_nothing_else(tmp_path, monkeypatch, capsys, rende
 
 
 @pytest.mark.parametrize(("threshold", "colour"), [(0.05, (0, 158, 115)), (0.0, (213, 94, 0))])
-def test_the_edge_of_the_last_pose_tells_the_success(monkeypatch, shipped_policy, threshold, colour):
+def test_the_edge_of_the_last_pose_shows_the_success(monkeypatch, shipped_policy, threshold, colour):
     env, pictures, steps = hgail_envs.make("reach"), [], 20 if threshold else 2
     monkeypatch.setattr(env, "success_threshold", threshold)
     monkeypatch.setattr(env, "episode_length", steps)

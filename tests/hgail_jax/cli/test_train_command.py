@@ -386,7 +386,7 @@ def test_help_leaves_out_what_changes_nothing_for_the_method(capsys):
     assert "--exploration-noise" in line and "--p-ht" not in line and "--bc-weight" not in line
 
 
-def test_help_tells_the_settings_of_randomised_episodes(capsys):
+def test_help_has_the_settings_of_randomised_episodes(capsys):
     def help_of(*words):
         with pytest.raises(SystemExit):
             run.main(["--task", "push", *words, "--help"])

@@ -58,7 +58,7 @@ def test_samples_are_the_steps_under_their_goals():
     assert (samples.weight == 1.0).all()
 
 
-def test_the_hash_tells_demonstrations_apart():
+def test_the_hash_differs_between_demonstrations():
     changed = DEMONSTRATIONS.action.copy()
     changed[2, 1, 0] += 1e-6
     others = [DEMONSTRATIONS.first(3), Demonstrations("point", **arrays(action=changed))]
