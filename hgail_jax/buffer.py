@@ -3,7 +3,7 @@
 Below, `K` is the episodes that the buffer holds, `T` the steps of an episode and `B` the samples drawn.
 """
 
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,8 @@ class EpisodeBuffer(struct.PyTreeNode):
     """`[K]` booleans: whether the place holds an episode whose simulation stayed finite."""
     added: jax.Array
     """`[]` integer: episodes added so far; the next goes to place `added` modulo `K`."""
+    noted: Any = None
+    """`[K, T, ...]`: what policies noted of their steps, for a learner that wants it; else None."""
 
 
 class ReplayHyperparameters(Hyperparameters):
@@ -73,10 +75,14 @@ class Transitions(struct.PyTreeNode):
     """`[B, feature_size]`: the observations without their goals."""
     goal: jax.Array
     """`[B, goal_size]`."""
+    episode: jax.Array
+    """`[B]` integers: the samples' episodes in the buffer."""
+    step: jax.Array
+    """`[B]` integers below `T`: their steps in the episodes."""
 
 
-def init_buffer(env: GoalEnv, episodes: int) -> EpisodeBuffer:
-    """Returns an empty buffer for `episodes` episodes."""
+def init_buffer(env: GoalEnv, episodes: int, noted: Any = None) -> EpisodeBuffer:
+    """Returns an empty buffer for `episodes` episodes, and for what is `noted` of a step, arrays of its shapes."""
     states, steps = (episodes, env.episode_length + 1), (episodes, env.episode_length)
     return EpisodeBuffer(
         features=jnp.zeros((*states, env.feature_size)),
@@ -85,6 +91,7 @@ def init_buffer(env: GoalEnv, episodes: int) -> EpisodeBuffer:
         action=jnp.zeros((*steps, env.action_size)),
         valid=jnp.zeros(episodes, bool),
         added=jnp.zeros((), jnp.int32),
+        noted=jax.tree.map(lambda leaf: jnp.zeros((*steps, *leaf.shape), leaf.dtype), noted),
     )
 
 
@@ -109,6 +116,7 @@ def add_episodes(buffer: EpisodeBuffer, trajectory: Trajectory) -> EpisodeBuffer
         action=put(buffer.action, jnp.clip(trajectory.action, -1.0, 1.0)),
         valid=buffer.valid.at[place].set(trajectory.valid, unique_indices=True),
         added=buffer.added + count,
+        noted=None if buffer.noted is None else jax.tree.map(put, buffer.noted, trajectory.noted),
     )
 
 
@@ -158,6 +166,8 @@ def draw(
         weight=valid[episode] * jnp.where(chosen & solved, hyper.solved_weight, 1.0),
         features=features,
         goal=goal,
+        episode=episode,
+        step=step,
     )
 
 

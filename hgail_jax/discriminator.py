@@ -25,7 +25,7 @@ _LEAST_SQUARE = 1e-12  # under a square root, whose gradient is infinite at 0
 
 def init_discriminator(env: GoalEnv, config: Config, rng: jax.Array) -> tuple[Any, optax.OptState]:
     """Returns the parameters of an untrained discriminator and its optimiser's state."""
-    params = _network(config).init(rng, jnp.zeros(env.observation_size + env.action_size))
+    params = _network(config).init(rng, jnp.zeros(env.goal_observation_size + env.action_size))
     return params, _optimizer().init(params)
 
 

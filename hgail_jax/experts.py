@@ -103,13 +103,15 @@ def keep_best(env: GoalEnv, hyper: Hyperparameters, best: BestEpisodes, trajecto
 def _check(env: GoalEnv, samples: Samples) -> Samples:
     observations, actions, weights = samples.observation.shape, samples.action.shape, samples.weight.shape
     count = weights[0] if weights else 0
-    if (observations, actions, weights) != ((count, env.observation_size), (count, env.action_size), (count,)):
+    if (observations, actions, weights) != ((count, env.goal_observation_size), (count, env.action_size), (count,)):
         raise ValueError(
             f"demonstrations have observations {observations}, actions {actions} and weights {weights}; they must be"
-            f" [S, {env.observation_size}], [S, {env.action_size}] and [S]"
+            f" [S, {env.goal_observation_size}], [S, {env.action_size}] and [S]"
         )
     return jax.tree.map(jnp.asarray, samples)
 
 
 def _no_samples(env: GoalEnv, *shape: int) -> Samples:
-    return Samples(jnp.zeros((*shape, env.observation_size)), jnp.zeros((*shape, env.action_size)), jnp.zeros(shape))
+    return Samples(
+        jnp.zeros((*shape, env.goal_observation_size)), jnp.zeros((*shape, env.action_size)), jnp.zeros(shape)
+    )

@@ -60,6 +60,8 @@ class Learner(abc.ABC):
     """Fields of `Config` and `Hyperparameters` that change nothing with this learner, and are refused."""
     convolves: ClassVar[bool] = False
     """Whether its networks have convolutions, for which a GPU's compiler must try several algorithms."""
+    resumes: ClassVar[bool] = True
+    """Whether its runs keep checkpoints, to be resumed."""
     squashes: ClassVar[bool] = False
     """Whether tanh brings its actions into [-1, 1]; else they are clipped."""
 
@@ -112,6 +114,10 @@ class Learner(abc.ABC):
     @abc.abstractmethod
     def layers(self, state: "TrainState") -> list[tuple[jax.Array, ...]]:
         """Returns the layers of the mean action's network, as `MeanPolicy.layers` has them."""
+
+    def camera_policy(self, env: GoalEnv, state: "TrainState") -> dict[str, Any]:
+        """Returns the arrays of a `CameraPolicy`, by the names of its fields; for learners from pictures alone."""
+        raise NotImplementedError
 
 
 def check_sizes(sizes: Any, may_be_zero: tuple[str, ...] = ()) -> None:

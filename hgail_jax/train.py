@@ -50,7 +50,7 @@ def init_state(
         learner=config.learner.init(env, config, jnp.stack(learner_rngs)),
         discriminator=discriminator,
         discriminator_optimizer=discriminator_optimizer,
-        statistics=running_statistics.init_state(specs.Array((env.observation_size,), jnp.dtype("float32"))),
+        statistics=running_statistics.init_state(specs.Array((env.goal_observation_size,), jnp.dtype("float32"))),
         hyperparameters=hyperparameters.as_arrays(),
         rng=rng,
         expert=init_expert(env, config, demonstrations),
@@ -217,6 +217,9 @@ def _learn(
     learnt, metrics, finite = jax.lax.switch(phase, [branch(kind) for kind in Phase], state, trajectory, rng)
     taught = trajectory.valid.any()
     after = jax.tree.map(lambda new, old: jnp.where(taught & finite, new, old), learnt, state)
+    if (noted := getattr(learnt.buffer, "noted", None)) is not None:
+        # It may be gigabytes, so it is not copied to be undone. The next roll-out replaces the same episodes first.
+        after = after.replace(buffer=after.buffer.replace(noted=noted))
     return after, _as_arrays(
         PhaseMetrics(
             episodes=mean_outcome(trajectory),

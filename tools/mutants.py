@@ -51,6 +51,7 @@ TESTS = {
     "hgail_jax/learners/ppo_loss": [PPO],
     "hgail_jax/learners/ppo": [PPO, ROUNDS, TRAIN, LEARNING],
     "hgail_jax/learners/td3": [TD3],
+    "hgail_jax/learners/td3_step": [TD3],
     "hgail_jax/train": [ROUNDS, TRAIN, LEARNING],
     "hgail_jax/rollout": [ROLLOUT, ROUNDS],
     "hgail_jax/evaluate": [ROLLOUT, ROUNDS, TRAIN, EVALUATE],

@@ -316,6 +316,11 @@ class GoalEnv(HasLayouts, Env):
         return self.feature_size + self.goal_size
 
     @property
+    def goal_observation_size(self) -> int:
+        """Numbers in a `goal_observation`: in `State.obs` a wrapper may add others, which no goal changes."""
+        return self.observation_size
+
+    @property
     def backend(self) -> str:
         """Brax's name for the physics, by default `"mjx"`."""
         return "mjx"

@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
             fail(PROGRAM, error, 2)
         if not (folder.path / "summary.json").exists():  # else it is complete, as was printed
             _announce(run, command, folder.path)
-        resume_hint = _resume_hint(words, folder.path)
+        resume_hint = _resume_hint(words, folder.path) if run.config.learner.resumes else "it keeps no checkpoint"
         summary = _train(run, folder, resume_hint)
         if not is_first_process():
             return
@@ -158,7 +158,9 @@ def _train(run: Run, folder: RunFolder, resume_hint: str) -> dict[str, Any] | No
 
 
 def _stopped(run: Run, folder: RunFolder) -> str:
-    """Returns a line with the round of a stopped run's last checkpoint."""
+    """Returns a line with the round of a stopped run's last checkpoint, if it keeps any."""
+    if not run.config.learner.resumes:
+        return "stopped"
     done = folder.checkpoints.saved  # with round 0
     return f"stopped after round {done - 1} of {run.config.rounds}" if done else "stopped before round 0"
 

@@ -72,16 +72,12 @@ def from_state(
     """Takes the policy out of the state of one seed, trained on `env`, which `task` and its options name."""
     versions = installed("hgail-jax", "jax", "mujoco-mjx")
     if isinstance(env, CameraEnv):
-        of_student = jax.tree.map(np.asarray, state.learner)
         return CameraPolicy(
             task=task,
             goal_size=env.goal_size if env.pictures.target == "given" else 0,
             cameras=env.pictures.cameras,
             size=env.pictures.size,
-            mean=of_student.mean,
-            std=of_student.std,
-            centre=of_student.centre,
-            eyes=of_student.eyes,
+            **jax.tree.map(np.asarray, config.learner.camera_policy(env, state)),
             versions=versions,
             task_options=dict(task_options or {}),
             look=env.pictures.look,

@@ -18,7 +18,7 @@ import optax
 from flax import struct
 
 from hgail_envs import GoalEnv
-from hgail_envs.validation import check_count, check_not_negative
+from hgail_envs.validation import check_not_negative
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.descent import gradient_step
@@ -27,11 +27,18 @@ from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, Learner, Phase, Update
 from hgail_jax.rollout import Policy, Trajectory
 from hgail_jax.state import TrainState
 from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, augment
-from hgail_jax.vision.network import KERNELS, Eyes, init_eyes, look
-
-OBJECT_SCALE = 0.1
-"""Metres that are 1 in the network's positions of objects: an error of so much weighs as one of 1 in an action."""
-_LEAST_STD = 0.01  # of a number that hardly changes, such as the gap of blocked fingers, metres
+from hgail_jax.vision.network import CHANNELS, Eyes, check_channels, look
+from hgail_jax.vision.training import (
+    LEAST_STD,
+    OBJECT_SCALE,
+    act_by_seed,
+    check_hidden,
+    init_for_task,
+    mean_positions,
+    precision,
+    squared_error,
+    unit_range,
+)
 
 Metrics = dict[str, jax.Array]
 
@@ -96,38 +103,32 @@ class Student(Learner):
     """Gradient steps after each roll-out."""
     batch: int = 1024
     """Samples in one of them."""
-    channels: tuple[int, ...] = (32, 64, 64, 64)
+    channels: tuple[int, ...] = CHANNELS
     """Features of the four convolutions."""
     object_weight: float = 1.0
     """Weight of the objects' positions in the loss; with 0 the student learns the actions alone."""
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        if not isinstance(self.channels, tuple) or len(self.channels) != len(KERNELS):
-            raise ValueError(f"channels is {self.channels!r}; it must be {len(KERNELS)} numbers of features")
-        for features in self.channels:
-            check_count("a number of features in channels", features)
+        check_channels(self.channels)
         check_not_negative("object_weight", self.object_weight)
 
     def validate(self, env: GoalEnv, config: Config) -> None:
         """See `Learner`; the task has pictures and a teacher."""
         if not isinstance(env, CameraEnv) or env.teacher is None:
             raise ValueError("a student needs a task with pictures and a teacher: --observe camera")
-        if not config.policy_hidden:
-            raise ValueError("policy_hidden is empty; a student needs a hidden layer at least")
+        check_hidden(config)
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> StudentState:
         """See `Learner`."""
         seen = cast(CameraEnv, env)
-        numbers, objects, (cameras, *_, colours) = len(seen.known), len(seen.objects), seen.pictures.shape
-        outputs = env.action_size, objects
-        eyes = init_eyes(rngs[0], cameras, numbers, self.channels, config.policy_hidden, outputs, colours)
+        eyes = init_for_task(seen, config, self.channels, rngs[0])
         return StudentState(
             eyes=eyes,
             optimizer=optax.scale_by_adam().init(eyes),
-            mean=jnp.zeros(numbers),
-            std=jnp.ones(numbers),
-            centre=jnp.zeros(objects),
+            mean=jnp.zeros(len(seen.known)),
+            std=jnp.ones(len(seen.known)),
+            centre=jnp.zeros(len(seen.objects)),
             steps=jnp.zeros((), jnp.int32),
         )
 
@@ -149,7 +150,7 @@ class Student(Learner):
 
         def policy(observation: jax.Array, rng: jax.Array) -> tuple[jax.Array, Any]:
             pictures, count = seen.see(observation), len(observation) * (1 if axis is None else jax.lax.axis_size(axis))
-            action = _act(learner.eyes, pictures, (observation[:, seen.known] - learner.mean) / learner.std)
+            action = act_by_seed(learner.eyes, pictures, (observation[:, seen.known] - learner.mean) / learner.std)
             gaussian = local_shard(jax.random.normal(rng, (count, env.action_size)), axis)
             taught = jnp.clip(teacher(observation[:, : seen.task.observation_size]) + std * gaussian, -1.0, 1.0)
             led = local_shard(jnp.arange(count) < share * count, axis)
@@ -171,8 +172,12 @@ class Student(Learner):
         return np.array([[PRETRAIN, EVALUATE]] + [[POLICY, EVALUATE]] * config.rounds)
 
     def layers(self, state: TrainState) -> list[tuple[jax.Array, ...]]:
-        """See `Learner`; a network of pictures has others than a `MeanPolicy`, see `hgail_jax.vision.policy`."""
+        """See `Learner`; a network of pictures has others than a `MeanPolicy`, see `camera_policy`."""
         raise NotImplementedError
+
+    def camera_policy(self, env: GoalEnv, state: TrainState) -> dict[str, Any]:
+        """See `Learner`."""
+        return {name: getattr(state.learner, name) for name in ("mean", "std", "centre", "eyes")}
 
     def begin(
         self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
@@ -181,10 +186,8 @@ class Student(Learner):
         numbers = _observation(env, trajectory)[..., cast(CameraEnv, env).known]
         weight = jnp.broadcast_to(trajectory.valid[None, :, None], numbers.shape)
         mean = numbers.mean(axis=(0, 1), where=weight)
-        std = jnp.maximum(numbers.std(axis=(0, 1), where=weight), _LEAST_STD)
-        objects = trajectory.noted["objects"]
-        centre = objects.mean(axis=(0, 1), where=jnp.broadcast_to(weight[..., :1], objects.shape))
-        learner = state.learner.replace(mean=mean, std=std, centre=centre)
+        std = jnp.maximum(numbers.std(axis=(0, 1), where=weight), LEAST_STD)
+        learner = state.learner.replace(mean=mean, std=std, centre=mean_positions(trajectory))
         return self.update(env, config, state.replace(learner=learner), trajectory, rng)
 
     def update(
@@ -220,21 +223,6 @@ def _observation(env: GoalEnv, trajectory: Trajectory) -> jax.Array:
     return trajectory.observation(env)[:-1]
 
 
-# A seed's batch fills a GPU; the convolutions of several seeds at once, each with its own kernels, are far slower.
-@jax.custom_batching.sequential_vmap
-def _act(eyes: Eyes, pictures: jax.Array, numbers: jax.Array) -> jax.Array:
-    return look(eyes, _unit(pictures), numbers, _precision())[0]
-
-
-def _precision() -> Any:
-    """Returns the type in which convolutions are computed: a CPU has none that is faster than single precision."""
-    return jnp.float32 if jax.default_backend() == "cpu" else jnp.bfloat16
-
-
-def _unit(pictures: jax.Array) -> jax.Array:
-    return pictures.astype(jnp.float32) / 255.0
-
-
 def _cosine(progress: jax.Array) -> jax.Array:
     return 0.5 * (1.0 + jnp.cos(jnp.pi * progress))
 
@@ -255,7 +243,7 @@ def _fit(
         draw_rng, augment_rng = jax.random.split(rng)
         drawn = jax.random.randint(draw_rng, (sizes.batch,), 0, len(lesson.weight))
         sample = jax.tree.map(lambda leaf: leaf[drawn], lesson)
-        pictures = augment(augmentation, augment_rng, _unit(sample.pictures))
+        pictures = augment(augmentation, augment_rng, unit_range(sample.pictures))
         gradient, metrics = jax.grad(_loss, has_aux=True)(eyes, pictures, sample, sizes.object_weight)
         return gradient_step(optax.scale_by_adam(), eyes, optimizer, gradient, rate), metrics
 
@@ -267,12 +255,8 @@ def _fit(
 
 def _loss(eyes: Eyes, pictures: jax.Array, sample: _Lesson, object_weight: float) -> tuple[jax.Array, Metrics]:
     """Returns the loss, `[]`, and the squared errors of actions and positions for the metrics."""
-    action, objects = look(eyes, pictures, sample.numbers, _precision())
-
-    def error(predicted: jax.Array, true: jax.Array) -> jax.Array:
-        each = jnp.square(predicted - true) * sample.weight[:, None]
-        return each.sum() / jnp.maximum(sample.weight.sum() * max(predicted.shape[1], 1), 1.0)
-
-    of_action, of_objects = error(action, sample.action), error(objects, sample.objects)
+    action, objects = look(eyes, pictures, sample.numbers, precision())
+    of_action = squared_error(action, sample.action, sample.weight)
+    of_objects = squared_error(objects, sample.objects, sample.weight)
     loss = of_action + object_weight * of_objects
     return loss, {"action_error": of_action, "object_error": of_objects * OBJECT_SCALE**2}

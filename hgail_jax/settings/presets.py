@@ -2,10 +2,12 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
+from hgail_envs.validation import check_name
 from hgail_jax.config import Config, Hyperparameters
 from hgail_jax.learners import PPO, TD3
+from hgail_jax.learners.asymmetric import AsymmetricTD3
 from hgail_jax.learners.student import Student
 
 
@@ -175,3 +177,28 @@ def student(rounds: int) -> dict[str, Preset]:
         platform: Preset(config.replace(num_envs=envs), hyperparameters, "camera", OBJECT_SUBSTEPS, evaluate_every=5)
         for platform, envs in (("cpu", 16), ("gpu", 512))
     }
+
+
+# Two pictures of 64 x 64 are 24.6 kB, 4,096 episodes of 50 steps 5 GB a seed. The states are donated, but XLA copies
+# the buffer in the branch of the update that writes to it, and one seed's once more in the loop over seeds: four seeds
+# take 45 GB. On a GPU each step is used twenty times.
+_ASYMMETRIC_SIZES: dict[str, dict[str, Any]] = {
+    "gpu": {"batch": 512, "buffer_episodes": 4096},
+    "cpu": {"num_envs": 16, "rollouts": 5, "updates": 64, "batch": 64, "buffer_episodes": 512},
+}
+_ASYMMETRIC_METHODS = ("hgail", "her", "hgail-no")  # others keep episodes to learn from, without their pictures
+_ASYMMETRIC_ROUNDS = 3  # times those of a policy that observes positions; not measured
+
+
+def asymmetric(positions: Preset, platform: str) -> Preset:
+    """Returns the settings of TD3 from pictures, made of those from `positions` on a platform.
+
+    Raises:
+      ValueError: pictures are not for this learner or method.
+    """
+    config = positions.config
+    check_name("learner of pictures without a teacher", config.learner.name, [TD3.name])
+    check_name("method of pictures without a teacher", positions.method, _ASYMMETRIC_METHODS)
+    learner = AsymmetricTD3(**vars(cast(TD3, config.learner)))
+    config = config.replace(learner=learner, rounds=_ASYMMETRIC_ROUNDS * config.rounds)
+    return dataclasses.replace(positions, config=config.replace(**_ASYMMETRIC_SIZES[platform]))

@@ -26,10 +26,15 @@ class MissingTeacherError(ValueError):
     """All is well with the options of a student's training but that no teacher is named."""
 
 
-def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEnv:
-    """Returns the task with the pictures that the options ask for, on so many devices, and with its teacher.
+def is_taught(options: "TrainOptions") -> bool:
+    """Returns whether the options train a student; with a learner that is named a policy of pictures has no teacher."""
+    return options.observe == "camera" and options.learner is None
 
-    Where they name none, its teacher raises a MissingTeacherError once it is asked.
+
+def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEnv:
+    """Returns the task with the pictures that the options ask for, on so many devices.
+
+    A student's has its teacher; where they name none, one that raises a MissingTeacherError once it is asked.
 
     Raises:
       ValueError: the scene, the renderer or the teacher is not as the options ask for.
@@ -44,6 +49,8 @@ def with_camera(env: GoalEnv, options: "TrainOptions", devices: int) -> CameraEn
         )
     if pictures.renderer == "warp" and devices > 1:
         raise ValueError("the renderer 'warp' runs on one device so far; leave out --devices")
+    if not is_taught(options):
+        return CameraEnv(env, pictures)
     if options.teacher is None:
         return CameraEnv(env, pictures, cast(Controller, refuse_missing_teacher))
     policy = load_policy(options.teacher)

@@ -27,11 +27,11 @@ from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.lerobot import find_demonstrations
 from hgail_jax.seeds import check_seeds
-from hgail_jax.settings.camera import CAMERA, camera_preset
+from hgail_jax.settings.camera import camera_preset, method_of
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
-from hgail_jax.settings.methods import METHODS, Method
-from hgail_jax.settings.presets import PRESETS, Preset
-from hgail_jax.trainer.camera import kept_teacher, refuse_camera_options, refuse_missing_teacher, with_camera
+from hgail_jax.settings.methods import METHODS
+from hgail_jax.settings.presets import PRESETS, Preset, asymmetric
+from hgail_jax.trainer.camera import is_taught, kept_teacher, refuse_camera_options, refuse_missing_teacher, with_camera
 from hgail_jax.trainer.folder import resumed_folder
 from hgail_jax.trainer.loggers import LOGGERS, check_loggers
 from hgail_jax.trainer.run import Run
@@ -63,7 +63,8 @@ class TrainOptions:
     method: Annotated[str | None, unless_given("the task's", f"{{{','.join(METHODS)}}}")] = None
     """Method to train."""
     learner: Annotated[str | None, unless_given("the task's", f"{{{','.join(LEARNERS)}}}")] = None
-    """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer."""
+    """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer. With --observe camera
+    td3 learns without a teacher."""
     demos: Annotated[Path | None, unless_given("none", "FILE|FOLDER")] = None
     """Demonstrations of the task, from the command demos, or a LeRobotDataset's folder; gail-demo needs them."""
     seeds: int = 8
@@ -156,7 +157,7 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
     config, hyperparameters, physics = chosen.config, chosen.hyperparameters, chosen.task_options
     values = {
         "method": chosen.method,
-        "learner": config.learner.name,
+        **({"learner": config.learner.name} if config.learner.name in LEARNERS else {}),
         "num_envs": config.num_envs,
         "rounds": config.rounds,
         **({"substeps": physics["substeps"]} if "substeps" in physics else {}),
@@ -165,7 +166,7 @@ def task_defaults(platform: str, **options: Any) -> dict[str, Any]:
         "bc_weight": hyperparameters.bc_weight if getattr(config.learner, "bc_batch", 1) else 0,
         "exploration_noise": " ".join(map(str, np.ravel(hyperparameters.exploration_noise))),
     }
-    method = _method(chosen)
+    method = method_of(chosen)
     refused = method.without_effect + method.decides
     return {name: value for name, value in values.items() if name not in refused}
 
@@ -181,7 +182,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
     _check(options)
     chosen = _choose(options, platform)
     _refuse_without_effect(options, chosen)
-    if options.observe == "camera" and options.teacher is None:
+    if is_taught(options) and options.teacher is None:
         resumed = resumed_folder(options.task, chosen.method, options.resume)
         options = dataclasses.replace(options, teacher=resumed and kept_teacher(resumed))
     preset = _with_options(options, chosen)
@@ -222,21 +223,17 @@ def plan(options: TrainOptions, platform: str) -> Run:
         options=dataclasses.asdict(options),
         started=started,
     )
-    if options.observe == "camera" and options.teacher is None:  # all else is checked
+    if is_taught(options) and options.teacher is None:  # all else is checked
         refuse_missing_teacher()
     return run
 
 
 def _choose(options: TrainOptions, platform: str) -> Preset:
-    if options.observe == "camera":
+    if is_taught(options):
         with _one_error(f"cannot load task {options.task!r}"):
-            hgail_envs.find_class(options.task)
-        return camera_preset(options.task, platform)
-    return choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
-
-
-def _method(preset: Preset) -> Method:
-    return (METHODS | {"camera": CAMERA})[preset.method]
+            return camera_preset(options.task, platform)
+    preset = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
+    return asymmetric(preset, platform) if options.observe == "camera" else preset
 
 
 def _check(options: TrainOptions) -> None:
@@ -257,7 +254,7 @@ def _check(options: TrainOptions) -> None:
 
 
 def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
-    name, learner, method = preset.method, preset.config.learner, _method(preset)
+    name, learner, method = preset.method, preset.config.learner, method_of(preset)
     others = "" if options.method else ", the task's default; name another by --method"
     for names, why in (
         (method.without_effect, f"changes nothing for the method {name}"),
@@ -268,6 +265,8 @@ def _refuse_without_effect(options: TrainOptions, preset: Preset) -> None:
             if (value := getattr(options, option)) != getattr(TrainOptions, option):
                 flag = ("no-" if value is False else "") + option.replace("_", "-")
                 raise ValueError(f"--{flag} {why}")
+    if options.resume is not None and not learner.resumes:
+        raise ValueError(f"--resume: a run of the learner {learner.name} keeps no checkpoint")
 
 
 def _with_options(options: TrainOptions, preset: Preset) -> Preset:

@@ -184,7 +184,8 @@ def train_rounds(run: Run, folder: RunFolder, step: SeedsStep, progress: Progres
     folder.in_rounds.set()
     try:
         with folder.checkpoints as checkpoints:
-            train(run, step, progress, checkpoints, saving, stop, after_round=log)
+            kept = checkpoints if run.config.learner.resumes else None
+            train(run, step, progress, kept, saving, stop, after_round=log)
     finally:
         folder.in_rounds.clear()
 

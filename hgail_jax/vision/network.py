@@ -10,12 +10,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from hgail_envs.validation import check_count
 from hgail_jax.policy import NORM_EPSILON
 
 KERNELS = (5, 3, 3, 3)
 """Edges of the convolutions' kernels, pixels."""
 STRIDES = (2, 2, 1, 1)
 """Their strides."""
+CHANNELS = (32, 64, 64, 64)
+"""Their features, unless others are given."""
 
 
 class Eyes(NamedTuple):
@@ -30,6 +33,14 @@ class Eyes(NamedTuple):
     """Weights and biases of the action before tanh."""
     objects: Any
     """Weights and biases of the objects' positions."""
+
+
+def check_channels(channels: Any) -> None:
+    """Raises a ValueError unless `channels` is a tuple of counts, one for each convolution."""
+    if not isinstance(channels, tuple) or len(channels) != len(KERNELS):
+        raise ValueError(f"channels is {channels!r}; it must be {len(KERNELS)} numbers of features")
+    for features in channels:
+        check_count("a number of features in channels", features)
 
 
 def init_eyes(
@@ -69,6 +80,14 @@ def look(eyes: Eyes, pictures: jax.Array, numbers: jax.Array, dtype: Any = jnp.f
     The pictures are `[B, cameras, H, W, colours]` in [0, 1], the numbers `[B, numbers]` normalised. Convolutions are
     computed in `dtype`.
     """
+    preactivation, objects = look_before_tanh(eyes, pictures, numbers, dtype)
+    return jnp.tanh(preactivation), objects
+
+
+def look_before_tanh(
+    eyes: Eyes, pictures: jax.Array, numbers: jax.Array, dtype: Any = jnp.float32
+) -> tuple[jax.Array, jax.Array]:
+    """Returns what `look` does, but the actions before tanh."""
     batch, cameras, height, width, colours = pictures.shape
     seen = jnp.moveaxis(pictures, 1, 3).reshape(batch, height, width, cameras * colours).astype(dtype) - 0.5
     for (kernel, biases), stride in zip(eyes.convolutions, STRIDES, strict=True):
@@ -83,7 +102,7 @@ def look(eyes: Eyes, pictures: jax.Array, numbers: jax.Array, dtype: Any = jnp.f
         variance = jnp.square(centred).mean(axis=-1, keepdims=True)
         hidden = jax.nn.relu(centred / jnp.sqrt(variance + NORM_EPSILON) * scale + offset)
     action, objects = (hidden @ weights + biases for weights, biases in (eyes.action, eyes.objects))
-    return jnp.tanh(action), objects
+    return action, objects
 
 
 def _places(features: jax.Array) -> jax.Array:

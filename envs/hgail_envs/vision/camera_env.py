@@ -53,6 +53,10 @@ class CameraEnv(Wrapper):
     def observation_size(self) -> int:
         return self.task.observation_size + self.pictures.joints + self.pictures.draws
 
+    @property
+    def goal_observation_size(self) -> int:
+        return self.task.observation_size
+
     def see(self, observation: jax.Array) -> jax.Array:
         """Returns what the cameras see in a batch of states, `[..., *pictures.shape]`, uint8."""
         first = self.task.observation_size

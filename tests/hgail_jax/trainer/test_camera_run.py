@@ -248,7 +248,10 @@ def test_a_damaged_file_is_refused(trained, tmp_path, fault):
         (["--task", "push", "--observe", "smell"], "smell"),
         ([*TAUGHT, "--settings", "channels=[4,4]"], "channels is (4, 4); it must be 4 numbers of features"),
         ([*TAUGHT, "--settings", "channels=[4,4,0,4]"], "a number of features in channels is 0"),
-        ([*TAUGHT, "--settings", "policy_hidden=[]"], "policy_hidden is empty; a student needs a hidden layer"),
+        (
+            [*TAUGHT, "--settings", "policy_hidden=[]"],
+            "policy_hidden is empty; a network of pictures needs a hidden layer",
+        ),
         (
             [*TAUGHT, "--settings", "discriminator_batch=64"],
             "discriminator_batch changes nothing for the method camera, which has no discriminator",
