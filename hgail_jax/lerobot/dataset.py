@@ -1,6 +1,10 @@
 """Episodes as a `LeRobotDataset`, and one of a task's shape as demonstrations."""
 
+import contextlib
+import io
+import tempfile
 from collections.abc import Callable
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -9,22 +13,24 @@ import datasets
 import jax.numpy as jnp
 import numpy as np
 from lerobot.configs.video import RGBEncoderConfig
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, aggregate_datasets
 from lerobot.datasets.utils import CompatibilityError
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 from hgail_envs import GoalEnv
 from hgail_envs.layout import Layout
 from hgail_envs.vision.camera_env import CameraEnv
-from hgail_envs.vision.parallel import render
+from hgail_envs.vision.parallel import use_pictures
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.files import replace_path, write_json
 from hgail_jax.lerobot.environment import OBSERVATION, sentence, state_numbers
 from hgail_jax.rollout import Trajectory
 
-# LeRobot's default, AV1, is slow to start, once for each short episode; a low crf, for small pictures lose much.
-_FILM = RGBEncoderConfig(vcodec="h264", crf=18)
+# LeRobot's default, AV1, is slow to start, once for each short episode. A low crf, for small pictures lose much; with
+# it the fastest preset loses no more than the others do, and its files are up to twice as large.
+_FILM = RGBEncoderConfig(vcodec="h264", crf=18, preset="ultrafast")
 _FILM_FILE = 1  # MB: for each episode that LeRobot appends to a file, it copies all of it
+_PART = 10  # episodes that one process writes at a time
 _DECODER = "pyav"  # LeRobot's default, torchcodec, is reported in fifty lines where FFmpeg is missing
 _REWARD, _SUCCESS, _DONE = "next.reward", "next.success", "next.done"
 
@@ -45,57 +51,87 @@ def write_dataset(
     from what the roll-out noted, see `hgail_jax.play.recording.successes`. The provenance `made_by` becomes
     `meta/made_by.json`. The folder gets its name once it is whole. How many episodes are written is reported.
     """
-    datasets.disable_progress_bars()
-    av.logging.set_libav_level(av.logging.ERROR)
+    made: dict[str, Any] = {
+        "repo_id": f"hgail/{folder.name}",
+        "fps": round(1 / env.control_period),
+        "features": _features(env),
+        "robot_type": None if env.robot is None else Path(env.robot.name).stem,  # a name, or a description's file
+    }
+    columns = _columns(env, trajectory, episodes)
     with replace_path(folder) as partial:
-        _write(partial, f"hgail/{folder.name}", task, env, trajectory, episodes, report)
+        if isinstance(env, CameraEnv):
+            noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]
+            _write_films(partial, made, sentence(task), columns, env, noted, report)
+        else:
+            _write_episodes(None, partial, made, sentence(task), columns)
+            report(len(episodes))
         write_json(partial / "meta" / "made_by.json", made_by)
 
 
-def _write(
+def _columns(env: GoalEnv, trajectory: Trajectory, episodes: np.ndarray) -> list[dict[str, np.ndarray]]:
+    """Returns the numbers of each episode by the names of their features, `[steps, numbers]` each."""
+    seen = np.asarray(trajectory.observation(env)[:-1], np.float32)[:, episodes]
+    reward = np.asarray(trajectory.reward)[:, episodes, None]
+    columns = {
+        OBS_STATE: seen[..., state_numbers(env)],
+        ACTION: np.clip(np.asarray(trajectory.action)[:, episodes], -1.0, 1.0),
+        _REWARD: reward,
+        _SUCCESS: reward == 0.0,
+        _DONE: np.broadcast_to(np.arange(len(seen))[:, None, None] == len(seen) - 1, reward.shape),
+    }
+    columns |= {} if isinstance(env, CameraEnv) else {OBS_ENV_STATE: seen}
+    return [{name: values[:, place] for name, values in columns.items()} for place in range(len(episodes))]
+
+
+def _write_films(
     folder: Path,
-    repository: str,
-    task: str,
-    env: GoalEnv,
-    trajectory: Trajectory,
-    episodes: np.ndarray,
+    made: dict[str, Any],
+    words: str,
+    columns: list[dict[str, np.ndarray]],
+    env: CameraEnv,
+    noted: np.ndarray,
     report: Callable[[int], None],
 ) -> None:
-    observation = np.asarray(trajectory.observation(env)[:-1], np.float32)
-    action, reward = np.clip(np.asarray(trajectory.action), -1.0, 1.0), np.asarray(trajectory.reward)
-    camera = env if isinstance(env, CameraEnv) else None
+    """Writes a dataset with pictures: processes write parts of it, for LeRobot writes one episode after another."""
+    places = [slice(first, first + _PART) for first in range(0, len(columns), _PART)]
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
+        parts = [Path(temporary) / str(part) for part in range(len(places))]
+        arguments = parts, repeat(made, len(parts)), repeat(words, len(parts)), [columns[place] for place in places]
+        written = 0
+        for episodes in use_pictures(env.pictures, [noted[place] for place in places], _write_episodes, *arguments):
+            written += episodes
+            report(written)
+        with contextlib.redirect_stderr(io.StringIO()):  # its progress bars
+            aggregate_datasets([made["repo_id"]] * len(parts), made["repo_id"], parts, folder, concatenate_videos=False)
+
+
+def _write_episodes(
+    pictures: np.ndarray | None, folder: Path, made: dict[str, Any], words: str, columns: list[dict[str, np.ndarray]]
+) -> int:
+    """Writes episodes, with their pictures `[episodes, steps, cameras, size, size, 3]`, and returns how many."""
+    datasets.disable_progress_bars()
+    av.logging.set_libav_level(av.logging.ERROR)
+    steps = len(columns[0][ACTION])
     dataset = LeRobotDataset.create(
-        repo_id=repository,
-        fps=round(1 / env.control_period),
-        features=_features(env),
         root=folder,
-        robot_type=None if env.robot is None else env.robot.name,
+        **made,
         rgb_encoder=_FILM,
         video_files_size_in_mb=_FILM_FILE,
-        streaming_encoding=camera is not None,
-        encoder_queue_maxsize=len(observation) + 1,  # an episode and its end: from a full queue LeRobot drops frames
+        streaming_encoding=pictures is not None,
+        encoder_queue_maxsize=steps + 1,  # an episode and its end: from a full queue LeRobot drops frames
+        encoder_threads=1,
         video_backend=_DECODER,
     )
     try:
-        noted = np.moveaxis(np.asarray(trajectory.noted), 0, 1)[episodes]
-        pictures = render(camera.pictures, noted) if camera else [None] * len(episodes)
-        said = sentence(task)
-        for episode, shown in zip(episodes, pictures, strict=True):
-            seen, rewards = observation[:, episode], reward[:, episode, None]
-            columns = {OBS_STATE: seen[:, state_numbers(env)], ACTION: action[:, episode]}
-            columns |= {
-                _REWARD: rewards,
-                _SUCCESS: rewards == 0.0,
-                _DONE: np.arange(len(seen))[:, None] == len(seen) - 1,
-            }
-            columns |= {OBS_ENV_STATE: seen} if shown is None else {}
-            columns |= {} if shown is None else dict(zip(_images(env), np.moveaxis(shown, 1, 0), strict=True))
-            for step in range(len(seen)):
-                dataset.add_frame({name: values[step] for name, values in columns.items()} | {"task": said})
+        images = [name for name in made["features"] if name.startswith(OBS_IMAGES)]
+        for episode, numbers in enumerate(columns):
+            shown = {} if pictures is None else dict(zip(images, np.moveaxis(pictures[episode], 1, 0), strict=True))
+            for step in range(steps):
+                dataset.add_frame({name: values[step] for name, values in (numbers | shown).items()} | {"task": words})
             dataset.save_episode()
-            report(dataset.num_episodes)
     finally:  # LeRobot would do it whenever the object is collected, in a folder that is removed by then
         dataset.finalize()
+    return len(columns)
 
 
 def _images(env: Any) -> list[str]:

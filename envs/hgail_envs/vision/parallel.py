@@ -1,36 +1,44 @@
-"""Renders many scenes in several processes."""
+"""Renders many scenes, and uses their pictures, in several processes."""
 
 import multiprocessing
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
 from hgail_envs.vision.pictures import Pictures
 
+T = TypeVar("T")
 
-def render(pictures: Pictures, batches: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yields the pictures of batches of scenes, uint8 `[N, cameras, size, size, 3]`, one batch after another.
 
-    A batch, `[N, joints + draws]`, has the joint positions and the draws of the look of each scene. OpenGL renders in
-    as many processes as there are cores, for one of them hardly fills one; few batches wait, for pictures are large.
+def use_pictures(
+    pictures: Pictures, batches: Iterable[np.ndarray], use: Callable[..., T], *arguments: Iterable[Any]
+) -> Iterator[T]:
+    """Yields what `use` returns of the pictures of batches of episodes, called in as many processes as there are cores.
+
+    A batch, `[M, N, joints + draws]`, has the joint positions and the draws of the look of each of `N` scenes of `M`
+    episodes. `use` is called with its pictures, uint8 `[M, N, cameras, size, size, 3]`, and one of each of the
+    `arguments`; it must be importable. OpenGL renders in these processes too, for one of them hardly fills a core; a
+    GPU renders in this one. Few batches wait, for pictures are large.
     """
-    if pictures.renderer != "opengl":
+    opengl = pictures.renderer == "opengl"
+    if not opengl:
         _keep(pictures)
-        yield from map(_render, batches)
-        return
     spawn = multiprocessing.get_context("spawn")  # a process in which JAX runs must not fork
     cores = os.cpu_count() or 1
-    submitted: deque[Future[np.ndarray]] = deque()
-    with ProcessPoolExecutor(cores, spawn, _keep, (pictures,)) as pool:
-        for batch in batches:
+    submitted: deque[Future[T]] = deque()
+    with ProcessPoolExecutor(cores, spawn, *((_keep, (pictures,)) if opengl else ())) as pool:
+        for batch, *others in zip(batches, *arguments, strict=True):
             if len(submitted) == 2 * cores:
                 yield submitted.popleft().result()
-            submitted.append(pool.submit(_render, batch))
+            if opengl:
+                submitted.append(pool.submit(_render_and_use, use, batch, *others))
+            else:
+                submitted.append(pool.submit(use, _render(batch), *others))
         while submitted:
             yield submitted.popleft().result()
 
@@ -43,5 +51,10 @@ def _keep(pictures: Pictures) -> None:
     _kept.update(joints=pictures.joints, see=see)
 
 
-def _render(scenes: np.ndarray) -> np.ndarray:
-    return np.asarray(_kept["see"](*np.split(scenes, [_kept["joints"]], axis=-1)))
+def _render(episodes: np.ndarray) -> np.ndarray:
+    """Returns the pictures of a batch; an episode at a time, so that there is one shape to compile for."""
+    return np.stack([np.asarray(_kept["see"](*np.split(scenes, [_kept["joints"]], axis=-1))) for scenes in episodes])
+
+
+def _render_and_use(use: Callable[..., T], episodes: np.ndarray, *arguments: Any) -> T:
+    return use(_render(episodes), *arguments)

@@ -29,16 +29,18 @@ from hgail_jax.rollout import rollout
 
 POLICY = ROOT / "assets" / "policies" / "reach.npz"
 EPISODES = 3
-RENDER = "hgail_jax.lerobot.dataset.render"
+USE_PICTURES = "hgail_jax.lerobot.dataset.use_pictures"
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """A dataset of each kind, by its cameras."""
+    """A dataset of each kind, by its cameras; that with pictures is joined of a part of two episodes and one of one."""
     folder = tmp_path_factory.mktemp("datasets")
     words = ["--task", "reach", "--policy", str(POLICY), "--episodes", str(EPISODES), "--format", "lerobot"]
     demos.main([*words, "--out", str(folder / "numbers")])
-    demos.main([*words, "--out", str(folder / "pictures"), "--camera", "side,front", "--picture-size", "32"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hgail_jax.lerobot.dataset._PART", 2)
+        demos.main([*words, "--out", str(folder / "pictures"), "--camera", "side,front", "--picture-size", "32"])
     return folder
 
 
@@ -55,6 +57,15 @@ def expected():
     trajectory = jax.jit(lambda rng: rollout(camera, act, rng, attempts))(jax.random.key(0))
     assert np.asarray(trajectory.outcome.success)[:EPISODES].all()
     return camera, jax.tree.map(np.asarray, trajectory)
+
+
+def here(env):
+    """Returns `use_pictures` in this process, for episodes whose whole observation was noted."""
+
+    def use_pictures(pictures, batches, use, *arguments):
+        return map(use, (np.asarray(env.see(batch)) for batch in batches), *arguments)
+
+    return use_pictures
 
 
 def columns(dataset, name):
@@ -87,6 +98,11 @@ def test_pictures_are_those_of_the_roll_out(written, expected):
     dataset = LeRobotDataset("local/pictures", root=written / "pictures")
     assert len(dataset) == EPISODES * 50
     assert "observation.environment_state" not in dataset.features
+    np.testing.assert_array_equal(columns(dataset, "index"), np.arange(EPISODES * 50).reshape(EPISODES, 50))
+    np.testing.assert_array_equal(columns(dataset, "episode_index"), [[episode] * 50 for episode in range(EPISODES)])
+    for name in ("action", "reward"):
+        values = getattr(trajectory, name).swapaxes(0, 1)[:EPISODES]
+        np.testing.assert_allclose(columns(dataset, name if name == "action" else "next.reward"), values, atol=1e-6)
     seen = np.asarray(env.see(trajectory.noted[::7, :EPISODES])) / 255.0  # [steps, episodes, cameras, 32, 32, 3]
     for index, camera in enumerate(("side", "front")):
         read = [
@@ -97,6 +113,10 @@ def test_pictures_are_those_of_the_roll_out(written, expected):
         assert error.mean() < 0.02
         others = np.abs(np.array(read).transpose(1, 0, 3, 4, 2) - seen[:, :, 1 - index])
         assert error.mean() < 0.2 * others.mean()
+        of_all = np.asarray(env.see(trajectory.noted[:50, :EPISODES]))[:, :, index] / 255.0
+        stats = dataset.meta.stats[f"observation.images.{camera}"]
+        np.testing.assert_allclose(stats["mean"].ravel(), of_all.mean(axis=(0, 1, 2, 3)), atol=1e-4)
+        np.testing.assert_allclose(stats["std"].ravel(), of_all.std(axis=(0, 1, 2, 3)), atol=1e-3)
 
 
 def test_a_dataset_has_what_the_environment_shows(written):
@@ -121,7 +141,7 @@ def test_a_dataset_demonstrates(written, expected):
 
 def test_pictures_are_those_of_the_episodes_that_are_chosen(tmp_path, monkeypatch, expected):
     env, trajectory = expected
-    monkeypatch.setattr(RENDER, lambda pictures, noted: map(np.asarray, map(env.see, noted)))  # without processes
+    monkeypatch.setattr(USE_PICTURES, here(env))
     write_dataset(tmp_path / "chosen", "reach", env, trajectory, np.array([2, 0]), {}, print)
     read = LeRobotDataset("local/chosen", root=tmp_path / "chosen")
     for place, episode in enumerate((2, 0)):
@@ -135,7 +155,7 @@ def test_pictures_are_those_of_the_episodes_that_are_chosen(tmp_path, monkeypatc
 def test_a_slow_encoder_loses_no_picture(tmp_path, monkeypatch, expected):
     """LeRobot drops a picture that waits for a tenth of a second."""
     env, trajectory = expected
-    monkeypatch.setattr(RENDER, lambda pictures, noted: map(np.asarray, map(env.see, noted)))
+    monkeypatch.setattr(USE_PICTURES, here(env))
     begun = set()
 
     def slow(picture):
@@ -156,11 +176,12 @@ def test_a_slow_encoder_loses_no_picture(tmp_path, monkeypatch, expected):
 def test_what_fails_half_way_leaves_nothing(tmp_path, monkeypatch, expected):
     env, trajectory = expected
 
-    def render(pictures, noted):
-        yield np.asarray(env.see(noted[0]))
+    def use_pictures(pictures, batches, use, *arguments):
+        yield from here(env)(pictures, batches[:1], use, *arguments)
         raise OSError("no space is left")
 
-    monkeypatch.setattr(RENDER, render)
+    monkeypatch.setattr("hgail_jax.lerobot.dataset._PART", 1)
+    monkeypatch.setattr(USE_PICTURES, use_pictures)
     with pytest.raises(OSError, match="no space is left"):
         write_dataset(tmp_path / "half", "reach", env, trajectory, np.array([0, 1]), {}, print)
     assert not list(tmp_path.iterdir())
