@@ -109,6 +109,10 @@ class Robot(abc.ABC):
     def gap(self, qpos: jax.Array) -> jax.Array:
         """Returns the distance between the pads, `[]`, metres."""
 
+    def narrowest_gap(self, qpos: jax.Array) -> jax.Array:
+        """Returns the width of the room between the pads, `[]`, metres: less than the gap where they have turned."""
+        return self.gap(qpos)
+
     @abc.abstractmethod
     def widest_gap(self, factors: ModelFactors | None = None) -> jax.Array | float:
         """Returns the widest distance between the pads, `[]`, metres; None is the scene's own model."""

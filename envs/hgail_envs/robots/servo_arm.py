@@ -59,6 +59,8 @@ class ServoArm(Robot):
         self._pads = [Chain(model, pad, PREFIX + tool.body) for pad in PADS]
         self._closing = np.asarray(rotation(tool.quat)[:, 1], np.float32)
         self._thickness = scale * (self._arm.right_pad.size[1] + self._arm.left_pad.size[1])
+        pads = [getattr(self._arm, pad) for pad in PADS]
+        self._faces = [(scale * np.asarray(pad.size) * rotation(pad.quat)).astype(np.float32) for pad in pads]
         self._downward = np.asarray(_quaternion(_DOWNWARD @ rotation(tool.quat).T), np.float32)
         self._step = functools.partial(damped_step, tilt_weight=self._arm.tilt_weight)
         self._home = np.asarray(self._posture(np.array(self._arm.home)), np.float32)
@@ -177,9 +179,15 @@ class ServoArm(Robot):
         return qpos.at[self._hand_joints].set(jnp.stack(joints))
 
     def gap(self, qpos: jax.Array) -> jax.Array:
-        """Returns the distance between the pads' faces by the kinematics of both; see `Robot`."""
+        """Returns the distance between the middles of the pads' faces by the kinematics of both; see `Robot`."""
         right, left = (pad.site(qpos) for pad in self._pads)
         return ((right - left) * self._closing).sum() - self._thickness
+
+    def narrowest_gap(self, qpos: jax.Array) -> jax.Array:
+        (right, _, right_turn), (left, _, left_turn) = (pad.follow(qpos) for pad in self._pads)
+        turned = zip(self._faces, (right_turn, left_turn), strict=True)
+        thickness = sum(_extent(faces, self._closing, turn) for faces, turn in turned)
+        return ((right - left) * self._closing).sum() - thickness
 
     def widest_gap(self, factors: ModelFactors | None = None) -> jax.Array | float:
         return self._gaps[-1] if factors is None else self._gaps[-1] * factors.hand_width
@@ -194,6 +202,17 @@ class ServoArm(Robot):
         rates = jnp.zeros_like(physics.qpos).at[self._hand_joints].set(physics.qvel[self._hand_dofs])
         gap, rate = jax.jvp(self.gap, (physics.qpos,), (rates,))
         return jnp.full(2, gap / 2), jnp.full(2, rate / 2)
+
+
+def _extent(half_edges: np.ndarray, direction: np.ndarray, quaternion: jax.Array) -> jax.Array:
+    """Returns how far a box extends from its middle along a direction, `[]`.
+
+    The columns of `half_edges`, `[3, 3]`, are in the frame of a body that is turned by the `quaternion`, `[4]`.
+    """
+    real, imaginary = quaternion[0], quaternion[1:]
+    twice = 2.0 * jnp.cross(imaginary, direction)
+    in_body = direction - real * twice + jnp.cross(imaginary, twice)
+    return jnp.abs((in_body[:, None] * half_edges).sum(axis=0)).sum()
 
 
 def _quaternion(axes: np.ndarray) -> np.ndarray:

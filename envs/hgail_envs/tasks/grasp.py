@@ -32,9 +32,14 @@ _GAP_TOLERANCE = 0.008  # metres; C MuJoCo squeezes the pads 2 to 5 mm into the 
 _CUBE_HEIGHT = 0.425  # metres, on the table
 
 
-def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH) -> Any:
-    """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres."""
-    return touching & (abs(gap - width) <= _GAP_TOLERANCE)
+def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH, narrowest: Any = None) -> Any:
+    """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres.
+
+    Pads that have turned in their fingers have the gap at their middles and are as close as `narrowest` elsewhere; the
+    width may be anywhere between the two.
+    """
+    least = gap if narrowest is None else narrowest
+    return touching & (gap - width >= -_GAP_TOLERANCE) & (least - width <= _GAP_TOLERANCE)
 
 
 class Grasp(ArmEnv):
@@ -82,7 +87,8 @@ class Grasp(ArmEnv):
     def holding(self, physics: ArmPhysics) -> jax.Array:
         """Returns whether the hand holds the cube, a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width)
+        narrowest = self.robot.narrowest_gap(physics.qpos)
+        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width, narrowest)
 
     def cube_position(self, physics: ArmPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""

@@ -57,7 +57,8 @@ class PickAndPlace(ObjectEnv):
     def holding(self, physics: ObjectPhysics) -> jax.Array:
         """Returns whether the hand holds the cube, see `is_held`: a boolean `[]`."""
         width = CUBE_WIDTH * self.object_factor(physics)
-        return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width)
+        narrowest = self.robot.narrowest_gap(physics.qpos)
+        return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width, narrowest)
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])

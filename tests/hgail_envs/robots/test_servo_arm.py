@@ -92,6 +92,29 @@ def test_the_gap_is_the_distance_between_the_pads(robot):
 
 
 @pytest.mark.parametrize("robot", ARMS)
+def test_the_narrowest_gap_is_the_room_between_pads_that_have_turned(robot):
+    """Against the corners of both boxes, as C MuJoCo has them, with the joints of the hand anywhere."""
+    env, rng = made("grasp", robot), np.random.default_rng(0)
+    data, corners = mujoco.MjData(env.model), np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8)
+    for _ in range(20):
+        data.qpos[:] = env._start_qpos
+        data.qpos[env.robot._hand_joints] += rng.uniform(-0.5, 0.5, len(env.robot._hand_joints))
+        mujoco.mj_kinematics(env.model, data)
+        closing = data.site("grip").xmat.reshape(3, 3)[:, 1]
+        right, left = (
+            closing @ (data.geom(pad).xpos[:, None] + data.geom(pad).xmat.reshape(3, 3) @ (corners.T * size).T)
+            for pad, size in ((pad, env.model.geom(pad).size) for pad in PADS)
+        )
+        assert env.robot.narrowest_gap(jnp.float32(data.qpos)) == pytest.approx(right.min() - left.max(), abs=1e-5)
+
+
+def test_a_cube_that_turns_a_pad_of_a_linkage_is_held():
+    """It lies aslant between them and rises with the hand; the middles of the pads are up to 61 mm apart."""
+    outcome = run_controller(made("grasp", "ur5e", substeps=8, worlds=32), "straight", 32, seed=0).outcome
+    assert outcome.achieved.mean() > 0.95
+
+
+@pytest.mark.parametrize("robot", ARMS)
 def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
     for axis in np.eye(3):
         ends = acted(made("reach", robot), [[*axis, 0.0]] * 4).gripper_position
