@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hgail_envs
-from hgail_jax import Hyperparameters, phase_table
+from hgail_jax import phase_table
 from hgail_jax.devices.sharding import check_replicas, make_mesh, shard
 from hgail_jax.learners import TD3
 from hgail_jax.seeds import compile_train_step, init_seeds, trace_evaluation
@@ -24,7 +24,7 @@ def train(task, groups, devices, final=True, learner="ppo"):
     phases, mesh = phase_table(config), make_mesh(len(groups[0]), config.num_envs, jax.devices()[:devices])
     step, evaluate, results = None, None, []
     for seeds in groups:
-        states = init_seeds(env, config, Hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
+        states = init_seeds(env, config, config.learner.hyperparameters(), jax.vmap(jax.random.key)(jnp.array(seeds)))
         step = step or compile_train_step(env, config, states, phases[0], mesh)
         if final:
             evaluate = evaluate or trace_evaluation(env, config, states, 8, mesh)()

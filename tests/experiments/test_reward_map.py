@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments import reward_map
 from hgail_envs.tasks.push import Push
-from hgail_jax.config import Config, Hyperparameters
+from hgail_jax.config import Config
 from hgail_jax.discriminator import discriminate
 from hgail_jax.learners import TD3
 from hgail_jax.trainer.loop import Program
@@ -14,7 +14,7 @@ def test_each_step_is_rewarded_under_the_goal_nearest_to_the_middle():
     """Beside a loop over the steps of the episodes that stayed finite."""
     env = Push()
     config = Config(TD3(buffer_episodes=4), num_envs=1, discriminator_hidden=(8,))
-    program = Program(env, config, (Hyperparameters(),), seeds=1)
+    program = Program(env, config, (config.learner.hyperparameters(),), seeds=1)
     state = jax.jit(lambda states: jax.tree.map(lambda leaf: leaf[0], states))(program.init())
     rng = np.random.default_rng(0)
     drawn = jax.tree.map(lambda leaf: jnp.asarray(rng.uniform(size=leaf.shape), leaf.dtype), state.buffer)

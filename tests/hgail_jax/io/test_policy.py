@@ -14,7 +14,6 @@ from hgail_jax import (
     PPO,
     TD3,
     Config,
-    Hyperparameters,
     MeanPolicy,
     export_policy,
     init_state,
@@ -36,7 +35,7 @@ def start(env, config, seen):
 
     @jax.jit
     def counted(rng, seen):
-        return init_state(env, config, Hyperparameters(), rng).count(Samples(seen, None, jnp.ones(100)))
+        return init_state(env, config, config.learner.hyperparameters(), rng).count(Samples(seen, None, jnp.ones(100)))
 
     return counted(jax.random.key(0), seen.astype(np.float32))
 
