@@ -61,7 +61,7 @@ class Learner(abc.ABC):
     convolves: ClassVar[bool] = False
     """Whether its networks have convolutions, for which a GPU's compiler must try several algorithms."""
     resumes: ClassVar[bool] = True
-    """Whether its runs keep checkpoints, to be resumed."""
+    """Whether its runs save checkpoints, from which they can be resumed."""
     squashes: ClassVar[bool] = False
     """Whether tanh brings its actions into [-1, 1]; else they are clipped."""
 

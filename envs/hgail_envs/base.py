@@ -92,7 +92,7 @@ class GoalEnv(HasLayouts, Env):
     robot: Any = None
     """The `hgail_envs.robots.base.Robot` in its scene; None for a task without a scene."""
     instruction: str = ""
-    """What is to be done, as one sentence, for policies that read words."""
+    """The task as one sentence, for policies that read instructions in language."""
     target_body: str | None = None
     """Name of the scene's body that is the target itself; None if the target is drawn as a marker."""
     shows_goal: bool = False

@@ -20,6 +20,7 @@ from hgail_envs import TASKS, find_class
 from hgail_envs.engines import ENGINES
 from hgail_envs.tasks.base import ArmEnv
 from hgail_envs.validation import check_count, check_name
+from hgail_envs.vision.look import LOOKS
 from hgail_jax.cli.command_line import fail, one_line_errors, parse
 from hgail_jax.io.provenance import provenance
 from hgail_jax.settings.defaults import platform_name
@@ -57,7 +58,7 @@ class Options:
     picture_size: tuple[int, ...] = (64,)
     """Edges of pictures, one row for each."""
     look: str = "plain"
-    """How the look of the pictures' scenes varies."""
+    """Look of the scenes in the pictures, as in hgail train."""
     run: tuple[str, ...] = ()
     """Further options of hgail train for compile and time-to-success, as one word each: --run=--num-envs=64."""
     quick: bool = False
@@ -98,7 +99,8 @@ def _check(options: Options) -> None:
         check_name("task", task, [name for name in TASKS if issubclass(find_class(name), ArmEnv)])
     for impl in options.impl:
         check_name("impl", impl, _IMPLS)
-    for name in ("seeds", "num_envs", "substeps"):
+    check_name("look", options.look, LOOKS)
+    for name in ("seeds", "num_envs", "substeps", "picture_size"):
         for count in getattr(options, name) or ():
             check_count(name, count)
     if options.seeds[0] != 1:

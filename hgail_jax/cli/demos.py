@@ -47,7 +47,7 @@ class Options:
     picture_size: int = 96
     """Edge of the square pictures, pixels."""
     target: str = "given"
-    """Whether the target's numbers are `given` in the observation, or it is `seen` as a ball in the pictures."""
+    """Target by its numbers in the observation, `given`, or as a ball in the pictures, `seen`."""
     out: Annotated[Path | None, unless_given("demonstrations/<task>.npz, or <task>", "FILE|FOLDER")] = None
     """File or folder to write, which must not exist."""
 

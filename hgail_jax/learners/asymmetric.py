@@ -47,7 +47,7 @@ class AsymmetricState(TD3State):
 
 
 class PictureInput(NamedTuple):
-    """What the actor observes of samples, and what its second head is to predict."""
+    """Inputs of the actor for `B` samples, and the labels of its second head."""
 
     pictures: jax.Array
     """`[B, cameras, H, W, colours]` in [0, 1]."""

@@ -53,9 +53,9 @@ class Batch(NamedTuple):
     noise: jax.Array
     """Standard normal, for the target actions."""
     actor_input: Any
-    """What the actor observes, leaves `[B, ...]`."""
+    """Inputs of the actor, leaves `[B, ...]`."""
     next_actor_input: Any
-    """The same in the next state, under the same goal."""
+    """Its inputs in the next state, under the same goal."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

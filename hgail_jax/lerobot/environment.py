@@ -115,7 +115,7 @@ class HgailEnvConfig(EnvConfig):
     picture_size: int = 96
     """Edge of the square pictures, pixels."""
     target: str = "given"
-    """Whether the target's numbers are `given` in the state, or it is `seen` as a ball in the pictures."""
+    """Target by its numbers in the state, `given`, or as a ball in the pictures, `seen`."""
 
     def __post_init__(self) -> None:
         try:

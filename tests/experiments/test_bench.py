@@ -1,15 +1,18 @@
 """The speed's measurements: command line and, slowly, its sections; its file; rates; calls timed in turn."""
 
+import itertools
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from experiments.bench import __main__ as bench
-from experiments.bench import results, whole_runs
+from experiments.bench import pictures, results, whole_runs
 from experiments.bench import workload as timing
 from experiments.bench.results import Results, table
 from experiments.bench.speed import Stepping
@@ -59,6 +62,8 @@ def test_rows_go_to_a_file_under_runs_unless_another_is_named(tmp_path, monkeypa
         (["--task", "reach", "point"], "bench: task is 'point'; choose from "),
         (["--section", "everything"], "bench: invalid choice 'everything' for argument '--section'"),
         (["--num-envs"], "bench: --num-envs names nothing"),
+        (["--section", "pictures", "--look", "dark"], "bench: look is 'dark'; choose from plain, "),
+        (["--section", "pictures", "--picture-size", "0"], "bench: picture_size is 0; it must be at least 1"),
         (["--section", "physics", "--run=--seeds=1"], "bench: --run is for --section compile and time-to-success"),
     ],
 )
@@ -86,6 +91,24 @@ def test_what_made_a_row_has_the_commit_of_the_checkout():
     found = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True)
     commit = provenance()["commit"]
     assert commit is None if found.returncode else found.stdout.startswith(commit.removesuffix("-dirty"))
+
+
+def test_pictures_a_second_are_those_of_all_steps_environments_and_cameras(monkeypatch):
+    """Of 5 steps of 3 environments with 2 cameras, in 2 s alone and in 4 s with the physics."""
+    monkeypatch.setattr(
+        pictures, "Pictures", lambda env, **made: SimpleNamespace(renderer="warp", cameras=("front", "side"), **made)
+    )
+    monkeypatch.setattr(pictures, "CameraEnv", lambda env, shown: SimpleNamespace(reset=lambda key: key))
+    monkeypatch.setattr(pictures, "compile_timed", lambda function, *arguments: (function, 0.0))
+    taken = {"pictures": 2.0, "pictures_with_physics": 4.0}
+    monkeypatch.setattr(pictures, "seconds_side_by_side", lambda calls: {name: taken[name] for name in calls})
+    workload = SimpleNamespace(
+        task="push", env=SimpleNamespace(impl="warp"), num_envs=3, substeps=8, actions=lambda: np.zeros((5, 3, 4))
+    )
+    rows = list(pictures.measure_pictures(workload, (16, 32), "plain"))
+    assert [(row["kind"], row["size"]) for row in rows] == list(itertools.product(("colour", "depth"), (16, 32)))
+    assert {row["pictures_per_second"] for row in rows} == {15.0}
+    assert {row["pictures_with_physics_per_second"] for row in rows} == {7.5}
 
 
 def test_reading_options_starts_no_backend(forks):

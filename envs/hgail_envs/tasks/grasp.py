@@ -42,6 +42,12 @@ def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH, narrowest: Any = N
     return touching & (gap - width >= -_GAP_TOLERANCE) & (least - width <= _GAP_TOLERANCE)
 
 
+def holds(env: ArmEnv, physics: ArmPhysics, touching: jax.Array) -> jax.Array:
+    """Returns whether the hand holds a cube that both of its pads are `touching`, see `is_held`: a boolean `[]`."""
+    width = CUBE_WIDTH * env.object_factor(physics)
+    return is_held(touching, env.gap(physics), width, env.robot.narrowest_gap(physics.qpos))
+
+
 class Grasp(ArmEnv):
     """Grasping the cube of FetchPickAndPlace; a goal is a position and whether the cube is held there.
 
@@ -86,9 +92,7 @@ class Grasp(ArmEnv):
 
     def holding(self, physics: ArmPhysics) -> jax.Array:
         """Returns whether the hand holds the cube, a boolean `[]`."""
-        width = CUBE_WIDTH * self.object_factor(physics)
-        narrowest = self.robot.narrowest_gap(physics.qpos)
-        return is_held(jnp.all(physics.sensordata > 0), self.gap(physics), width, narrowest)
+        return holds(self, physics, jnp.all(physics.sensordata > 0))
 
     def cube_position(self, physics: ArmPhysics) -> jax.Array:
         """Returns the cube's centre, `[3]`, metres, world frame."""

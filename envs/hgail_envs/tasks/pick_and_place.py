@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from hgail_envs.tasks import controllers
-from hgail_envs.tasks.grasp import CUBE_WIDTH, is_held
+from hgail_envs.tasks.grasp import holds
 from hgail_envs.tasks.layouts import GRIPPER, HAND, of_object
 from hgail_envs.tasks.objects import GOAL, ObjectEnv, ObjectPhysics, gripper_goal
 
@@ -55,10 +55,8 @@ class PickAndPlace(ObjectEnv):
     controllers = (features_layout + goal_layout).readers({"from-above": controllers.pick_and_place})
 
     def holding(self, physics: ObjectPhysics) -> jax.Array:
-        """Returns whether the hand holds the cube, see `is_held`: a boolean `[]`."""
-        width = CUBE_WIDTH * self.object_factor(physics)
-        narrowest = self.robot.narrowest_gap(physics.qpos)
-        return is_held(jnp.all(physics.sensordata[:_PADS] > 0), self.gap(physics), width, narrowest)
+        """Returns whether the hand holds the cube, see `hgail_envs.tasks.grasp.is_held`: a boolean `[]`."""
+        return holds(self, physics, jnp.all(physics.sensordata[:_PADS] > 0))
 
     def step_physics(self, physics: ObjectPhysics, action: jax.Array) -> ObjectPhysics:
         return self._move(physics, action[:3], action[3])

@@ -11,7 +11,7 @@ from hgail_envs.layout import Layout, flag
 from hgail_envs.tasks import controllers
 from hgail_envs.tasks.base import CONTROL_PERIOD, ArmPhysics
 from hgail_envs.tasks.cubes import OF_GRIPPER, CubeGoals, is_in_place
-from hgail_envs.tasks.grasp import CUBE_WIDTH, is_held
+from hgail_envs.tasks.grasp import CUBE_WIDTH, holds
 from hgail_envs.tasks.layouts import GAP, GRIPPER, TARGET, gripper_values, of_object, target_of
 from hgail_envs.tasks.objects import MOVED
 from hgail_envs.tasks.pick_and_place import draw_kind
@@ -117,7 +117,7 @@ class Tower(CubeGoals):
     def holding(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether both pads touch one of the cubes and stand as far apart as it is wide, a boolean `[]`."""
         touching = (physics.sensordata[:_PADS].reshape(CUBES, 2) > 0).all(axis=1).any()
-        return is_held(touching, self.gap(physics), CUBE_WIDTH * self.object_factor(physics))
+        return holds(self, physics, touching)
 
     def touching(self, physics: TowerPhysics) -> jax.Array:
         """Returns whether the top cube touches the middle, and the middle the base: booleans `[2]`."""

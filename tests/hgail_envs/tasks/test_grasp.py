@@ -214,3 +214,15 @@ def test_the_reference_shows_where_a_tracked_cube_is():
 def test_a_cube_that_is_seen_otherwise_is_refused():
     with pytest.raises(ValueError, match="'seen'; choose from at-start, tracked"):
         hgail_envs.make("grasp", cube="seen")
+
+
+@pytest.mark.parametrize("task", ["grasp", "pick-and-place", "stack", "tower"])
+def test_a_cube_as_wide_as_the_room_between_turned_pads_is_held(task, monkeypatch):
+    """The gap is at the middles of the pads, 6 cm; elsewhere they are as close as the cube is wide, or 6 cm as well."""
+    env = hgail_envs.make(task, impl="c")
+    physics = env.reset(jax.random.key(0)).pipeline_state
+    physics = physics.replace(sensordata=jnp.ones_like(physics.sensordata))
+    monkeypatch.setattr(env.robot, "gap", lambda qpos: 0.06)
+    for narrowest, held in ((0.05, True), (0.06, False)):
+        monkeypatch.setattr(env.robot, "narrowest_gap", lambda qpos, narrowest=narrowest: narrowest)
+        assert bool(env.holding(physics)) == held
