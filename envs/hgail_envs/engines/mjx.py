@@ -13,9 +13,9 @@ import numpy as np
 from mujoco import mjx
 
 from hgail_envs.engines.base import Control, Engine, StateT
+from hgail_envs.engines.warp_kernels import MUJOCO_WARP, build_kernels, take_step
 from hgail_envs.workarounds import keep_registered, promotion
 
-_MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp builds it all the same
 
 
@@ -104,23 +104,18 @@ class WarpEngine(MjxEngine):
         super().__init__(model, period, substeps, worlds)
         keep_registered(importlib.import_module("warp").Stream)
         self.max_worlds = worlds
-        overflows = importlib.import_module(_MUJOCO_WARP).OverflowType
+        overflows = importlib.import_module(MUJOCO_WARP).OverflowType
         # Flags of full buffers. The solver stops at its limit of iterations by intent, which is flagged, and printed.
         self._buffer_flags = int(overflows.ALL & ~(overflows.ITERATIONS | overflows.LS_ITERATIONS))
         self.mjx_model = self.mjx_model.tree_replace({"opt._impl.warn_overflow": self._buffer_flags})
 
     def prepare(self) -> None:
-        """Builds Warp's kernels, or finds them in its cache, by a step of one world outside of any program.
-
-        One thread builds them one after another. Warp 1.18 allows several, but is no faster so: for push five threads,
-        each with a part of the step, took 23 to 31 s on four cores, and one took 27 s.
-        """
-        warp, mujoco_warp = importlib.import_module("warp"), importlib.import_module(_MUJOCO_WARP)
-        with warp.ScopedDevice(warp.device_from_jax(jax.local_devices()[0])) as device:
-            data = mujoco_warp.make_data(self.model, nworld=1, **buffer_sizes(self.model, worlds=1))
-            model = mujoco_warp.put_model(self.model)
-            model.opt.warn_overflow = self._buffer_flags  # compiled into the kernels
-            mujoco_warp.step(model, data)
+        """Builds Warp's kernels, or finds them in its cache, and takes a step of one world outside of any program."""
+        warp, sizes = importlib.import_module("warp"), buffer_sizes(self.model, worlds=1)
+        device = warp.device_from_jax(jax.local_devices()[0])
+        build_kernels(self.model, sizes, self._buffer_flags, device.alias)
+        with warp.ScopedDevice(device):
+            take_step(self.model, sizes, self._buffer_flags)
             warp.load_module(warp.get_module(_CALLED_BY_JAX), device)
             warp.synchronize_device(device)
 
