@@ -27,6 +27,7 @@ class Evaluation:
 
     def __init__(self, env: GoalEnv, seed: int, num_episodes: int) -> None:
         self._env, self._rng = env.reference_physics(), jax.random.key(seed)
+        self._env.prepare()
         self._rollouts = whole_rollouts(num_episodes, min(_MOST_AT_ONCE, env.max_worlds or _MOST_AT_ONCE))
         self._num_envs = whole_rollouts(num_episodes, self._rollouts)
         self.episodes = self._rollouts * self._num_envs

@@ -35,6 +35,7 @@ def _run(env: hgail_envs.GoalEnv, act: Callable[[jax.Array], jax.Array], episode
         del rng
         return act(observation[:, :size]), observation[:, size:]
 
+    env.prepare()
     return jax.jit(lambda rng: rollout(env, policy, rng, episodes, lift_test=True))(jax.random.key(seed))
 
 
