@@ -23,6 +23,8 @@ _CAMERA_RISE = 0.06  # metres from a scene's centre to the picture's, for the el
 _SIZE = (480, 640)  # height, width
 VISUAL_GROUP = 2
 """Group of geoms that collide with nothing."""
+HAND = ("palm", "right_pad", "left_pad")
+"""Geoms of every robot, with which it touches a scene."""
 _PARTS = ("room.xml", "cube.xml")  # parts of scenes, which are none themselves
 
 
@@ -70,12 +72,40 @@ def _folder_of(owner: type) -> Path:
 def read_scene(scene: str, parts: Mapping[str, bytes]) -> mujoco.MjSpec:
     """Reads a scene, see `find_scene`, with the files of a robot that it includes, by their names there.
 
-    A user's file may include the package's `room.xml` and `cube.xml`, unless files of these names lie beside it.
+    A user's file may include the package's `room.xml` and `cube.xml`, unless files of these names lie beside it. Geoms
+    that collide by `contype` or `conaffinity`, as in an MJCF that was made for another robot, get pairs with the hand.
     """
     path = _scene_file(scene)
     shared = {name: _scene_file(name[:-4]).read_bytes() for name in _PARTS if not (path.parent / name).exists()}
     with explained(scene):
-        return mujoco.MjSpec.from_file(str(path), include={**shared, **parts})
+        spec = mujoco.MjSpec.from_file(str(path), include={**shared, **parts})
+    _pair_with_hand(spec)
+    return spec
+
+
+def _pair_with_hand(spec: mujoco.MjSpec) -> None:
+    """Adds the pairs with the hand that a scene's colliding geoms lack; parts on joints then touch it alone."""
+    there = {frozenset((pair.geomname1, pair.geomname2)) for pair in spec.pairs}
+    for number, geom in enumerate(spec.geoms):
+        if geom.group == VISUAL_GROUP or not (geom.contype or geom.conaffinity):
+            continue
+        geom.name = geom.name or f"geom-{number}"
+        if not _is_on_free_joint(geom):  # what free bodies would touch without a pair stays an error
+            geom.contype, geom.conaffinity = 0, geom.contype | geom.conaffinity
+        for part in HAND:
+            if frozenset((geom.name, part)) not in there:
+                # No margin, which MJX-Warp refuses between boxes.
+                slide, spin, roll = geom.friction
+                contact = {"condim": geom.condim, "solref": geom.solref, "solimp": geom.solimp}
+                friction = [slide, slide, spin, roll, roll]
+                spec.add_pair(geomname1=geom.name, geomname2=part, friction=friction, **contact)
+
+
+def _is_on_free_joint(geom: mujoco.MjsGeom) -> bool:
+    root = geom.parent
+    while root.name != "world" and root.parent.name != "world":
+        root = root.parent
+    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in root.joints)
 
 
 @contextlib.contextmanager

@@ -133,14 +133,15 @@ def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
     """Returns `make_data`'s bounds: the contacts of all worlds together and the constraint rows of one.
 
     A sphere touches anything in one point, a plane a box in at most four, two boxes touch in eight. A contact takes two
-    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit. A quarter of the
-    rows is spare: a hand pressed into the cube has exceeded the count.
+    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit and a joint with
+    friction one. A quarter of the rows is spare: a hand pressed into the cube has exceeded the count.
     """
     kinds = model.geom_type[np.stack([model.pair_geom1, model.pair_geom2])]
     spheres = (kinds == mujoco.mjtGeom.mjGEOM_SPHERE).any(axis=0)
     planes = (kinds == mujoco.mjtGeom.mjGEOM_PLANE).any(axis=0)
     points = np.where(spheres, 1, np.where(planes, 4, 8))
-    rows = 6 * model.neq + 2 * int(model.jnt_limited.sum()) + int(np.sum(points * 2 * (model.pair_dim - 1)))
+    rows = 6 * model.neq + 2 * int(model.jnt_limited.sum()) + int(np.count_nonzero(model.dof_frictionloss))
+    rows += int(np.sum(points * 2 * (model.pair_dim - 1)))
     return {"naconmax": int(points.sum()) * worlds, "njmax": rows + rows // 4}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hgail_envs.engines import Control, Engine, EngineState
 from hgail_envs.robots.kinematics import Chain, Pose
-from hgail_envs.scenes import check_names, explained, without_visuals
+from hgail_envs.scenes import HAND, check_names, explained, without_visuals
 from hgail_envs.variation import ModelFactors
 
 CONTROL_PERIOD = 0.04
@@ -61,7 +61,7 @@ class Robot(abc.ABC):
         self.scene, self.base_x, self.start_height = scene, base_x, start_height
         self.model = self.load()
         check_names(self.model, scene, "site", "grip", "target")
-        check_names(self.model, scene, "geom", "palm", "right_pad", "left_pad")
+        check_names(self.model, scene, "geom", *HAND)
         self._chain = Chain(self.model, "grip")  # since MJX-Warp exposes no velocities
 
     def load(self, visual: bool = False) -> mujoco.MjModel:

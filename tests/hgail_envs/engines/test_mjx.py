@@ -1,6 +1,7 @@
 """MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_reach_parity`."""
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -29,6 +30,15 @@ def test_buffers_hold_what_mjx_jax_allots():
         data = jax.eval_shape(lambda one, env=env: env.engine.data(one, env.control(one, np.zeros(3))), physics)
         assert sizes["njmax"] >= data._impl.efc_J.shape[0]
         assert sizes["naconmax"] % 3 == 0
+
+
+def test_buffers_have_a_row_for_each_joint_with_friction():
+    body = '<body pos="{0} 0 0"><joint frictionloss="1"/><geom size=".1"/></body>'
+    bodies = "".join(body.format(place) for place in range(3))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert buffer_sizes(model, worlds=1)["njmax"] == data.nefc == 3
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import importlib
 
 import mujoco
+import numpy as np
 import pytest
 
 from hgail_envs.scenes import assets_directory, open_scene
@@ -103,6 +104,32 @@ def test_geoms_that_touch_by_themselves_are_named(task_in):
     touching = POST.replace(' contype="0" conaffinity="0"', "")
     with pytest.raises(ValueError, match="the geoms post and ball would touch without a <pair>"):
         task_in(scene(ROBOT, ROOM, touching, moving))()
+
+
+def pairs_of(model):
+    pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
+    return sorted(tuple(sorted((model.geom(one).name, model.geom(other).name))) for one, other in pairs)
+
+
+def test_colliding_geoms_touch_the_hand_without_a_pair_and_each_other_do_not(task_in):
+    wall = '<geom size=".02 .02 .1" type="box" pos="1.4 .75 .5" friction=".3 .02 .001" condim="4" {}/>'
+    door = '<body pos="1.5 .9 .5"><joint name="door"/><geom name="door" size=".2" {}/></body>'
+    shown = '<geom name="shown" size=".1" group="2"/><geom name="no" size=".1" contype="0" conaffinity="0"/>'
+    paired = '<contact><pair geom1="door" geom2="palm" friction=".7 .7 .1 .1 .1"/></contact>'
+    expected = [("door", "left_pad"), ("door", "palm"), ("door", "right_pad")]
+    for masks in ("", 'contype="0"', 'conaffinity="0"'):
+        own = task_in(scene(ROBOT, ROOM, f"<worldbody>{wall}{door}{shown}</worldbody>".format(masks, masks), paired))
+        model = own().model
+        (name,) = {name for pair in pairs_of(model) for name in pair} - {"door", "palm", "left_pad", "right_pad"}
+        of_wall = [tuple(sorted((name, part))) for part in ("palm", "left_pad", "right_pad")]
+        assert pairs_of(model) == sorted(expected + of_wall)
+        frictions = {
+            tuple(np.round(model.pair_friction[number], 9)): int(model.pair_dim[number])
+            for number, geom in enumerate(model.pair_geom1)
+            if model.geom(geom).name == name
+        }
+        assert frictions == {(0.3, 0.3, 0.02, 0.001, 0.001): 4}
+        assert np.count_nonzero(model.pair_friction[:, 0] == 0.7) == 1
 
 
 def test_a_file_that_changes_gives_another_start(task_in, tmp_path):
