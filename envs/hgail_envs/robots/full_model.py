@@ -25,12 +25,16 @@ def touch_with_bodies(scene: mujoco.MjSpec, bodies: Mapping[str, str], prefix: s
     `bodies` are the robot's that carry those geoms, by their names. Sensors of contacts are then of these bodies.
     """
     own = [geom for body in scene.bodies if body.name.startswith(prefix) for geom in body.geoms]
-    bits = int(np.bitwise_or.reduce([geom.contype | geom.conaffinity for geom in own], initial=1))
+    own = [geom for geom in own if geom.contype or geom.conaffinity]
+    used = int(np.bitwise_or.reduce([geom.contype | geom.conaffinity for geom in own], initial=1))
+    of_scene = 1 << used.bit_length()  # a bit of its own: things of the scene touch each other by pairs alone
+    for geom in own:
+        geom.conaffinity |= of_scene
     for pair in list(scene.pairs):
         others = {pair.geomname1, pair.geomname2} - set(bodies)
         if len(others) < 2:
             for name in others:
-                scene.geom(name).contype = scene.geom(name).conaffinity = bits
+                scene.geom(name).contype, scene.geom(name).conaffinity = of_scene, 0
             scene.delete(pair)
     for sensor in scene.sensors:
         if sensor.objname in bodies:

@@ -74,6 +74,14 @@ def test_the_hand_touches_all_that_collides_in_the_kitchen_and_nothing_else_does
     assert not model.geom_contype.any()
 
 
+def test_a_door_does_not_touch_its_frame_in_the_arm_s_full_model(env):
+    model = env.robot.full_model()
+    data = mujoco.MjData(model)
+    data.qpos[:] = env.robot.settle().qpos
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
 def led(env, way, steps, state):
     """Returns the state after steps towards `way(physics)`, `[3]`, less the gripper's position."""
 
