@@ -19,7 +19,8 @@ PREFIX = "arm/"
 HAND_PREFIX = "hand/"
 """Of those in the model of a hand that is attached."""
 
-_HIDDEN = 4  # group that pictures leave out
+HIDDEN = 4
+"""Group of geoms that pictures leave out."""
 _POSES = 50  # random ones, over which a joint's largest inertia is sought
 
 
@@ -30,10 +31,11 @@ def attach_arm(
 
     In a scene in which the hand `stays_closed` the gripper is where the pads meet.
 
-    It touches nothing but with the geoms `palm`, `right_pad` and `left_pad`. They, sites on the pads of the same names
-    and the site `grip` are added to its model, whose own names get a prefix. A `full` model keeps the maker's position
-    servos, joints and colliding geoms, and touches with these, see `hgail_envs.robots.full_model`. A ValueError says
-    that the package with the model is not installed, or that its model is none.
+    It touches with the geoms `palm`, `right_pad` and `left_pad`, and with those of `hgail_envs.robots.hand_boxes`. The
+    first three, sites on the pads of the same names and the site `grip` are added to its model, whose own names get a
+    prefix. A `full` model keeps the maker's position servos, joints and colliding geoms, and touches with these, see
+    `hgail_envs.robots.full_model`. A ValueError says that the package with the model is not installed, or that its
+    model is none.
     """
     arm, spec = read_description(name), read_model(name, full)
     compiled = _compiled(name, text_of(name))
@@ -43,7 +45,7 @@ def attach_arm(
         if not (geom.contype or geom.conaffinity):
             geom.group = VISUAL_GROUP
         elif full:
-            geom.group = _HIDDEN
+            geom.group = HIDDEN
         else:
             spec.delete(geom)
     if arm.scale != 1.0:
@@ -64,7 +66,7 @@ def attach_arm(
 
 def _add_part(scene: mujoco.MjSpec, title: str, part: Part, scale: float) -> dict[str, Any]:
     """Adds a part's site; returns its place."""
-    place = {"name": title, "pos": scale * np.asarray(part.pos), "quat": part.quat, "group": _HIDDEN}
+    place = {"name": title, "pos": scale * np.asarray(part.pos), "quat": part.quat, "group": HIDDEN}
     scene.body(PREFIX + part.body).add_site(**place)
     return place
 

@@ -1,4 +1,4 @@
-"""An arm as its maker has it, on C MuJoCo: the reference of policies that were trained in a scene of its pads alone.
+"""An arm as its maker has it, on C MuJoCo: the reference of policies that were trained in a scene of simpler shapes.
 
 All of the maker's colliding geoms touch, links and meshes too, by the contact parameters of their files, and the
 joints keep the maker's position servos, damping and friction.

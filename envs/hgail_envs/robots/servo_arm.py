@@ -15,6 +15,7 @@ from hgail_envs.robots.description import read_description
 from hgail_envs.robots.full_model import FullModel, touch_with_bodies
 from hgail_envs.robots.grip import tabulate_hand, without_weight_beyond_grip
 from hgail_envs.robots.hand import PADS, finger_fields, pad_fields, rotation
+from hgail_envs.robots.hand_boxes import add_hand_boxes
 from hgail_envs.robots.inverse_kinematics import damped_step
 from hgail_envs.robots.kinematics import Chain, Pose
 from hgail_envs.scenes import TABLE_HEIGHT, VISUAL_GROUP, read_scene, without_visuals
@@ -81,6 +82,8 @@ class ServoArm(Robot):
         if full:
             bodies = {part: PREFIX + getattr(self._arm, part).body for part in ("palm", *PADS)}
             touch_with_bodies(spec, bodies, PREFIX)
+        else:
+            add_hand_boxes(spec, self.name)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
         pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
