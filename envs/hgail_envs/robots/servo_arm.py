@@ -27,6 +27,8 @@ _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
 _ITERATIONS = 10  # of the solver, at least: fingers that are coupled need more than the Fetch's
 _AT_START = 0.01  # metres of the robot, within which the search ends where the start is in reach
+_STRETCH = 0.97  # of the reach: an arm that is stretched shakes, and tilts its hand
+_BISECTIONS, _BEYOND = 6, 0.6  # of the search for it, which begins so far beyond the start, metres
 _LONGEST = 0.05  # metres of a step in the search for a posture
 _SEARCH_STEPS, _SETTLE_STEPS = 300, 400
 _HAND = "hand"  # text in the model of a scene whose hand opens
@@ -68,6 +70,8 @@ class ServoArm(Robot):
         self.lowest_height = TABLE_HEIGHT + table.depth + scale * self._arm.clearance
         self._start[2] = max(self._start[2], self.lowest_height)
         self._check_start()
+        self._base = self._start[:2] - scale * np.asarray(self._arm.reach)
+        self._farthest = _STRETCH * self._reach()
 
     def spec(self) -> mujoco.MjSpec:
         return self._scene(full=False)
@@ -140,15 +144,30 @@ class ServoArm(Robot):
 
     def _check_start(self) -> None:
         """Raises a ValueError if the gripper does not come to its start."""
-        data = mujoco.MjData(self.model)
-        data.qpos[self._joints] = self._posture(self._home)
-        mujoco.mj_kinematics(self.model, data)
-        away = float(np.linalg.norm(data.site("grip").xpos - self._start)) / self.scale
+        away = self._short_of(np.zeros(3))
         if away > _AT_START:
             raise ValueError(
                 f"robot {self.name!r}: the gripper stays {1000 * away:.0f} mm away from its start above the table; look"
                 " at home, reach and [tool] of its description"
             )
+
+    def _short_of(self, offset: np.ndarray) -> float:
+        """Returns how far the gripper stays away from a place `offset`, `[3]`, from its start, metres of the robot."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self._joints] = self._posture(self._home, offset)
+        mujoco.mj_kinematics(self.model, data)
+        return float(np.linalg.norm(data.site("grip").xpos - self._start - offset)) / self.scale
+
+    def _reach(self) -> float:
+        """Returns how far from the base's axis the gripper comes at the height of its start, metres, by bisection."""
+        start = self._start[:2] - self._base
+        distance = float(np.linalg.norm(start))
+        outward = np.append(start / distance, 0.0)
+        near, far = 0.0, _BEYOND
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (near + far)
+            near, far = (middle, far) if self._short_of(middle * outward) < _AT_START else (near, middle)
+        return distance + near
 
     def control(self, physics: ArmPhysics, displacement: jax.Array, grip: jax.Array | None) -> Control:
         """Returns what the servos are led to: joints for the displacement, and fingers by `grip` metres each."""
@@ -157,9 +176,10 @@ class ServoArm(Robot):
         turn = math.quat_mul(self._downward, math.quat_inv(quaternion))
         rotation = 2.0 * jnp.sign(turn[0]) * turn[1:]
         way = self._arm.lead * displacement
-        way = way.at[2].max(
-            _RAISE * (self.lowest_height - physics.gripper_position[2])
-        )  # servos would press on the table
+        lowest = _RAISE * (self.lowest_height - physics.gripper_position[2])  # servos would press on the table
+        aside = physics.gripper_position[:2] + way[:2] - self._base
+        beyond = aside * jnp.minimum(self._farthest / jnp.linalg.norm(aside) - 1.0, 0.0)
+        way = jnp.append(way[:2] + beyond, jnp.maximum(way[2], lowest))
         step = self._step(way, rotation, jacobian, self._home - joints, self._limits - joints)
         step /= jnp.maximum(1.0, jnp.max(jnp.abs(step) / self._most))
         return Control(

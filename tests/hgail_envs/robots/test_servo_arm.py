@@ -142,6 +142,22 @@ def test_the_hand_does_not_press_on_the_table(robot):
         assert 0.4005 < lowest < 0.4015 + arm.scale * arm.clearance
 
 
+@pytest.mark.parametrize("robot", ["franka", "ur5e"])  # the SO-101 tilts its hand long before
+def test_led_outward_the_hand_comes_to_rest_upright_and_rises_from_there(robot):
+    """A stretched arm shook by 6 to 10 mm an action and tilted its hand by 12 to 26 degrees."""
+    env = made("reach", robot)
+    data, outward = mujoco.MjData(env.model), [[1.0, 0.0, 0.0, 0.0]] * 40
+    physics = acted(env, outward + [[0.0, 0.0, 1.0, 0.0]] * 10)
+    ends = physics.gripper_position
+    assert ends[39, 0] - ends[0, 0] > 0.22  # farther than any goal
+    for qpos in physics.qpos[30:40]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(env.model, data)
+        assert data.site("grip").xmat[6] < -np.cos(np.radians(2.0))
+    assert np.abs(np.diff(ends[30:40], axis=0)).max() < 5e-4
+    assert ends[-1, 2] - ends[39, 2] > 0.12
+
+
 @pytest.mark.parametrize("robot", ARMS)
 def test_a_script_grasps_every_cube(robot):
     outcome = run_controller(made("grasp", robot, substeps=8, worlds=16), "from-above", 16, seed=0).outcome
