@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 
 MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
-_PROCESSES = 4  # each holds some hundred megabytes of the GPU's memory for its context
+_PROCESSES = 8  # each holds some hundred megabytes of the GPU's memory for its context
 _MODEL, _SETTINGS = "model.mjb", "settings.json"
 
 
@@ -68,7 +68,18 @@ def _build_share(folder: Path) -> None:
             return
         load(module, device, block_dim)
 
+    suggested = warp.get_suggested_block_size
+
+    def suggest(kernel: Any, device: Any) -> Any:
+        """Returns a kernel's block size, for which it must be there; another process may have taken it."""
+        module_type.load = load
+        try:
+            return suggested(kernel, device)
+        finally:
+            module_type.load = load_if_free
+
     module_type.load = load_if_free
+    warp.get_suggested_block_size = suggest
     warp.capture_while = lambda condition, while_body, **arguments: while_body(**arguments)  # nothing is computed
     model = mujoco.MjModel.from_binary_path(str(folder / _MODEL))
     with warp.ScopedDevice(settings["device"]):
