@@ -8,6 +8,7 @@ from hgail_envs import GoalEnv
 from hgail_envs.robots import ROBOTS, check_robot
 from hgail_envs.validation import MOST_SEED, check_count, counted
 from hgail_envs.vision.camera_env import CameraEnv
+from hgail_envs.vision.parallel import start_server
 from hgail_envs.vision.pictures import Pictures
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli.command_line import fail, parse
@@ -63,6 +64,8 @@ def main(arguments: list[str] | None = None) -> None:
         if options.robot is not None:
             check_robot(options.robot)
         _check_pictures(options)
+        if options.camera:
+            start_server("hgail_jax.lerobot.dataset")
         policy = _policy(options)
         env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
         if options.camera or options.target != "given":

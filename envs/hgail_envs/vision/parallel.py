@@ -1,18 +1,29 @@
 """Renders many scenes, and uses their pictures, in several processes."""
 
 import multiprocessing
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import forkserver
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
+from hgail_envs.engines.c import usable_cores
 from hgail_envs.vision.pictures import Pictures
 
 T = TypeVar("T")
+
+
+def start_server(module: str) -> None:
+    """Starts the process that those of `use_pictures` are forked from; it imports a module whose functions they use.
+
+    Imports take as long as the rest, so that it is worth while to start them early. A process in which JAX runs must
+    not fork, and in this one it does not.
+    """
+    multiprocessing.set_forkserver_preload([module])
+    forkserver.ensure_running()
 
 
 def use_pictures(
@@ -22,16 +33,16 @@ def use_pictures(
 
     A batch, `[M, N, joints + draws]`, has the joint positions and the draws of the look of each of `N` scenes of `M`
     episodes. `use` is called with its pictures, uint8 `[M, N, cameras, size, size, 3]`, and one of each of the
-    `arguments`; it must be importable. OpenGL renders in these processes too, for one of them hardly fills a core; a
+    `arguments`; it must be importable, see `start_server`. OpenGL renders in these processes too, for one of them hardly fills a core; a
     GPU renders in this one. Few batches wait, for pictures are large.
     """
     opengl = pictures.renderer == "opengl"
     if not opengl:
         _keep(pictures)
-    spawn = multiprocessing.get_context("spawn")  # a process in which JAX runs must not fork
-    cores = os.cpu_count() or 1
+    start_server(use.__module__)
+    context, cores = multiprocessing.get_context("forkserver"), usable_cores()
     submitted: deque[Future[T]] = deque()
-    with ProcessPoolExecutor(cores, spawn, *((_keep, (pictures,)) if opengl else ())) as pool:
+    with ProcessPoolExecutor(cores, context, *((_keep, (pictures,)) if opengl else ())) as pool:
         for batch, *others in zip(batches, *arguments, strict=True):
             if len(submitted) == 2 * cores:
                 yield submitted.popleft().result()
