@@ -33,8 +33,8 @@ def use_pictures(
 
     A batch, `[M, N, joints + draws]`, has the joint positions and the draws of the look of each of `N` scenes of `M`
     episodes. `use` is called with its pictures, uint8 `[M, N, cameras, size, size, 3]`, and one of each of the
-    `arguments`; it must be importable, see `start_server`. OpenGL renders in these processes too, for one of them hardly fills a core; a
-    GPU renders in this one. Few batches wait, for pictures are large.
+    `arguments`; it must be importable, see `start_server`. OpenGL renders in these processes too, for one of them
+    hardly fills a core; a GPU renders in this one. Few batches wait, for pictures are large.
     """
     opengl = pictures.renderer == "opengl"
     if not opengl:
