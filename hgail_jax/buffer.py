@@ -171,6 +171,17 @@ def draw(
     )
 
 
+def draw_future(buffer: EpisodeBuffer, drawn: Transitions, discount: jax.Array | float, rng: jax.Array) -> jax.Array:
+    """Draws goals, `[B, goal_size]`, that the episodes of samples achieve later: n steps ahead as often as discount^n.
+
+    The distribution ends with the episode; a discount of 0 takes the next state's. It must be below 1.
+    """
+    uniform = jax.random.uniform(rng, drawn.step.shape)
+    ahead = buffer.action.shape[1] - drawn.step  # steps to the last state
+    beyond = jnp.log1p(-uniform * (1.0 - discount**ahead)) / jnp.log(discount)
+    return buffer.achieved[drawn.episode, drawn.step + jnp.minimum(1 + beyond.astype(jnp.int32), ahead)]
+
+
 def draw_achieved(env: GoalEnv, buffer: EpisodeBuffer, rng: jax.Array, count: int) -> jax.Array:
     """Draws goals, `[count, goal_size]`, that steps of sound episodes achieved, each kind of goal as often.
 

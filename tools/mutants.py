@@ -31,7 +31,7 @@ SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("sa
 ROLLOUT, ROUNDS, TRAIN, DISCRIMINATOR = (
     f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "rounds", "train", "discriminator")
 )
-PPO, TD3 = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "td3"))
+PPO, TD3, CRL = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "td3", "crl"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
 EVALUATE, GOALS = "tests/hgail_jax/cli/test_evaluate.py", "tests/hgail_envs/test_goals.py"
 LAYOUT = "tests/hgail_envs/test_layout.py"
@@ -42,7 +42,7 @@ MODEL, GRASP, OBJECTS, OBJECT_PARITY, CUBES, STACK, TOWER = (
 
 TESTS = {
     "hgail_jax/hindsight": [BUFFER, SAMPLES, HINDSIGHT],
-    "hgail_jax/buffer": [BUFFER, TD3],
+    "hgail_jax/buffer": [BUFFER, TD3, CRL],
     "hgail_jax/samples": [SAMPLES, PPO],
     "hgail_jax/experts": [EXPERTS],
     "hgail_jax/discriminator": [DISCRIMINATOR, PPO],
@@ -52,6 +52,7 @@ TESTS = {
     "hgail_jax/learners/ppo": [PPO, ROUNDS, TRAIN, LEARNING],
     "hgail_jax/learners/td3": [TD3],
     "hgail_jax/learners/td3_step": [TD3],
+    "hgail_jax/learners/crl": [CRL],
     "hgail_jax/train": [ROUNDS, TRAIN, LEARNING],
     "hgail_jax/rollout": [ROLLOUT, ROUNDS],
     "hgail_jax/evaluate": [ROLLOUT, ROUNDS, TRAIN, EVALUATE],

@@ -5,6 +5,7 @@ computed for that goal. Below, `U` is the gradient steps after a roll-out and `B
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any, ClassVar, cast
 
@@ -123,14 +124,17 @@ class TD3(Learner):
 
     def init(self, env: GoalEnv, config: Config, rngs: jax.Array) -> TD3State:
         """See `Learner`."""
-        observation, both = jnp.zeros(env.goal_observation_size), jnp.zeros(env.goal_observation_size + env.action_size)
-        rngs_of_critics = jax.random.split(rngs[1], self.critics)
+        init_critic = functools.partial(self.init_critic, env, config)
         networks = Networks(
-            actor=actor_network(config, env.action_size).init(rngs[0], observation),
-            critics=jax.vmap(lambda rng: critic_network(config).init(rng, both))(rngs_of_critics),
+            actor=actor_network(config, env.action_size).init(rngs[0], jnp.zeros(env.goal_observation_size)),
+            critics=jax.vmap(init_critic)(jax.random.split(rngs[1], self.critics)),
         )
         optimizer = Networks(*(optax.scale_by_adam().init(params) for params in networks))
         return TD3State(networks, networks, optimizer, jnp.zeros((), jnp.int32))
+
+    def init_critic(self, env: GoalEnv, config: Config, rng: jax.Array) -> Any:
+        """Returns the untrained parameters of one critic of the ensemble."""
+        return critic_network(config).init(rng, jnp.zeros(env.goal_observation_size + env.action_size))
 
     def init_buffer(self, env: GoalEnv) -> EpisodeBuffer:
         """See `Learner`."""

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from hgail_jax.learners.td3 import TD3, TD3Hyperparameters
 
 _NOISE_CLIP = 2.5  # in deviations of the target noise, as .5 is to .2 in TD3
-_PREACTIVATION_WEIGHT = 0.01  # keeps tanh from saturating, where its gradient vanishes
+PREACTIVATION_WEIGHT = 0.01
+"""Weight of the squared action before tanh, which keeps tanh from saturating, where its gradient vanishes."""
 
 Metrics = dict[str, jax.Array]
 
@@ -43,18 +44,21 @@ class TD3State(struct.PyTreeNode):
 
 
 class Batch(NamedTuple):
-    """Samples as the networks take them, `[B, ...]`; those of all `U` steps after a roll-out are `[U, B, ...]`."""
+    """Samples as the networks take them, `[B, ...]`; those of all `U` steps after a roll-out are `[U, B, ...]`.
+
+    Those with a default are of critics that bootstrap.
+    """
 
     observation: jax.Array
     action: jax.Array
-    next_observation: jax.Array
-    reward: jax.Array
     weight: jax.Array
-    noise: jax.Array
-    """Standard normal, for the target actions."""
     actor_input: Any
     """Inputs of the actor, leaves `[B, ...]`."""
-    next_actor_input: Any
+    next_observation: Any = None
+    reward: Any = None
+    noise: Any = None
+    """Standard normal, for the target actions."""
+    next_actor_input: Any = None
     """Its inputs in the next state, under the same goal."""
 
 
@@ -69,10 +73,9 @@ class GradientStep:
         """Returns the new state and the step's metrics."""
         hyper, final = self.hyper, cast("TD3", self.config.learner).final_learning_rate
         rate = hyper.policy_learning_rate * (1.0 + (final - 1.0) * progress(self.config, state.steps))
-        target = self.target_value(state.target, batch)
         adam, online, optimizer = optax.scale_by_adam(), state.online, state.optimizer
         (value_loss, value), gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
-            online.critics, batch, target
+            online.critics, state.target, batch
         )
         critics, critics_optimizer = gradient_step(adam, online.critics, optimizer.critics, gradient, rate)
         (policy_loss, metrics), gradient = jax.value_and_grad(self.actor_loss, has_aux=True)(
@@ -110,10 +113,10 @@ class GradientStep:
         network = critic_network(self.config)
         return jax.vmap(lambda params: apply(network, params, inputs)[..., 0])(critics)
 
-    def critic_loss(self, critics: Any, batch: Batch, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def critic_loss(self, critics: Any, target: Networks, batch: Batch) -> tuple[jax.Array, jax.Array]:
         """Returns the critics' squared error, `[]`, and their values, `[critics, B]`."""
-        value = self.values(critics, batch.observation, batch.action)
-        return jnp.mean(batch.weight[None] * jnp.square(value - target[None]), axis=-1).sum(), value
+        value, expected = self.values(critics, batch.observation, batch.action), self.target_value(target, batch)
+        return jnp.mean(batch.weight[None] * jnp.square(value - expected[None]), axis=-1).sum(), value
 
     def actor_loss(self, params: Any, critics: Any, batch: Batch, value: jax.Array) -> tuple[jax.Array, Metrics]:
         """Returns the actor's loss, `[]`, and metrics.
@@ -127,7 +130,7 @@ class GradientStep:
         loss = -jnp.mean(batch.weight * gained) / jnp.maximum(jax.lax.stop_gradient(jnp.abs(gained).mean()), 1e-3)
         better = jnp.where(value.mean(axis=0) > jax.lax.stop_gradient(gained), batch.weight, 0.0)
         cloning = jnp.mean(better * jnp.square(action - batch.action).sum(axis=-1))
-        loss = loss + self.hyper.bc_weight * cloning + _PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
+        loss = loss + self.hyper.bc_weight * cloning + PREACTIVATION_WEIGHT * jnp.square(preactivation).mean()
         return loss + auxiliary, metrics
 
 

@@ -10,9 +10,18 @@ from hgail_envs import TASKS, GoalEnv
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.validation import check_name
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.learners import LEARNERS, PPO, TD3
+from hgail_jax.learners import CRL, LEARNERS, PPO, TD3
 from hgail_jax.settings.methods import METHODS
-from hgail_jax.settings.presets import OBJECT_SUBSTEPS, PRESETS, Preset, ppo_with_object, student, td3, wide
+from hgail_jax.settings.presets import (
+    OBJECT_SUBSTEPS,
+    PRESETS,
+    Preset,
+    contrastive,
+    ppo_with_object,
+    student,
+    td3,
+    wide,
+)
 
 EVALUATION_EPISODES = {"cpu": 128, "gpu": 512}
 """Least number of episodes per seed in a final evaluation, by platform."""
@@ -277,6 +286,9 @@ def task_preset(
     check_name("preset", preset, PRESETS)
     if preset != "parallel" and learner != PPO.name:
         raise ValueError(f"the preset {preset} is of the learner {PPO.name}")
+    if learner == CRL.name:
+        usual_td3 = task_preset(task_class, platform, preset, TD3.name, randomized)
+        return _changed(contrastive(usual_td3), task_class, learner, platform)
     name = _name(task_class)
     if name is None:
         shared = SHARED if task_class.scene is None else SHARED_WITH_SCENE

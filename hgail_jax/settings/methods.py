@@ -4,7 +4,6 @@ import dataclasses
 from typing import Any
 
 from hgail_jax.config import BEST, DEMONSTRATIONS
-from hgail_jax.learners import LEARNERS
 from hgail_jax.learners.ppo import BC_BATCH
 from hgail_jax.settings.presets import Preset
 
@@ -22,7 +21,7 @@ class Method:
     """Options of `hgail train` that change nothing for its policy, and are refused."""
     decides: tuple[str, ...] = ()
     """Options that the method itself decides, and that are refused."""
-    learners: tuple[str, ...] = tuple(LEARNERS)
+    learners: tuple[str, ...] = ("ppo", "td3")
     """Learners that it makes sense with."""
     with_learner: dict[str, dict] = dataclasses.field(default_factory=dict)
     """Further changes to the hyperparameters, by learner."""
@@ -100,6 +99,11 @@ METHODS = {
         {"environment_reward": 1.0},
         decides=("environment_reward",),
         learners=("td3",),
+    ),
+    "crl": Method(
+        "contrastive RL: the critic tells which goals are achieved later; no reward (Eysenbach et al. 2022)",
+        {"discriminator_minibatches": 0},
+        learners=("crl",),
     ),
 }
 """Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is

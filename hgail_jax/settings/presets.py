@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from hgail_envs.validation import check_name
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.learners import PPO, TD3
+from hgail_jax.learners import CRL, PPO, TD3
 from hgail_jax.learners.asymmetric import AsymmetricTD3
 from hgail_jax.learners.student import Student
 
@@ -164,6 +164,12 @@ def td3(
             task_options or {},
         )
     return presets
+
+
+def contrastive(preset: Preset) -> Preset:
+    """Returns the settings of contrastive RL, made of those of TD3: the same networks, roll-outs and gradient steps."""
+    config = preset.config.replace(learner=CRL(**vars(preset.config.learner)))
+    return dataclasses.replace(preset, config=config, method="crl")
 
 
 def student(rounds: int) -> dict[str, Preset]:

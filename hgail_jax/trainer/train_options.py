@@ -63,8 +63,8 @@ class TrainOptions:
     method: Annotated[str | None, unless_given("the task's", f"{{{','.join(METHODS)}}}")] = None
     """Method to train."""
     learner: Annotated[str | None, unless_given("the task's", f"{{{','.join(LEARNERS)}}}")] = None
-    """How roll-outs change the networks: ppo uses each once, td3 keeps them in a replay buffer. With --observe camera
-    td3 learns without a teacher."""
+    """How roll-outs change the networks: ppo uses each once, td3 and crl keep them in a replay buffer. With --observe
+    camera td3 learns without a teacher."""
     demos: Annotated[Path | None, unless_given("none", "FILE|FOLDER")] = None
     """Demonstrations of the task, from the command demos, or a LeRobotDataset's folder; gail-demo needs them."""
     seeds: int = 8

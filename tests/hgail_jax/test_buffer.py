@@ -16,6 +16,7 @@ from hgail_jax.buffer import (
     add_episodes,
     draw,
     draw_achieved,
+    draw_future,
     draw_negatives,
     draw_positives,
     init_buffer,
@@ -387,3 +388,22 @@ def test_achieved_goals_are_drawn_of_sound_episodes_each_kind_as_often():
 def test_where_nothing_sound_was_achieved_a_goal_is_drawn_all_the_same():
     for buffer in (init_buffer(ENV, HELD), full([False] * HELD)):
         assert np.isfinite(draw_achieved(ENV, buffer, jax.random.key(0), 3)).all()
+
+
+@pytest.mark.parametrize("discount", [0.0, 0.6, 0.99])
+def test_later_goals_are_as_many_steps_ahead_as_a_discount_says(discount):
+    buffer, rng = full(), jax.random.key(8)
+    samples = drawn(buffer, jax.random.key(9), 0.0)
+    goal = np.asarray(jax.jit(draw_future)(buffer, samples, discount, rng))
+    place = np.rint(goal[:, 0]).astype(int)
+    np.testing.assert_array_equal(place // 100, samples.episode)
+    np.testing.assert_array_equal(goal[:, 1], KINDS[place // 100, place % 100])
+    ahead = place % 100 - np.asarray(samples.step)
+    for step in range(LENGTH):
+        chance = np.array([discount**count for count in range(LENGTH - step)])
+        counts = np.bincount(ahead[samples.step == step], minlength=LENGTH - step + 1)
+        assert counts[0] == 0 and len(counts) == LENGTH - step + 1
+        possible = chance > 0
+        assert counts[1:][~possible].sum() == 0
+        expected = chance[possible] / chance.sum() * counts.sum()
+        assert possible.sum() == 1 or chisquare(counts[1:][possible], expected).pvalue > UNLIKELY

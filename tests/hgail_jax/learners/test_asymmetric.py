@@ -82,7 +82,7 @@ def drawn(p_ht=1.0):
         puck(), state.hyperparameters, state.buffer, jax.random.key(3), 512, p_ht
     )
     inputs = LEARNER.actor_inputs(puck(), state, samples)
-    batch = Batch(*[samples.weight] * 6, *inputs)
+    batch = Batch(*[samples.weight] * 3, inputs[0], *[samples.weight] * 3, inputs[1])
     shown = with_pictures(
         puck(), state.buffer.noted, state.learner.centre, batch, jax.random.key_data(jax.random.key(4))
     )
