@@ -13,7 +13,8 @@ import numpy as np
 from mujoco import mjx
 
 from hgail_envs.engines.base import Control, Engine, StateT
-from hgail_envs.engines.warp_kernels import MUJOCO_WARP, build_kernels, take_step
+from hgail_envs.engines.c import digest, usable_cores
+from hgail_envs.engines.warp_kernels import MUJOCO_WARP, load_kernels
 from hgail_envs.workarounds import keep_registered, promotion
 
 _CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp builds it all the same
@@ -113,9 +114,8 @@ class WarpEngine(MjxEngine):
         """Builds Warp's kernels, or finds them in its cache, and takes a step of one world outside of any program."""
         warp, sizes = importlib.import_module("warp"), buffer_sizes(self.model, worlds=1)
         device = warp.device_from_jax(jax.local_devices()[0])
-        build_kernels(self.model, sizes, self._buffer_flags, device.alias)
+        load_kernels(self.model, sizes, self._buffer_flags, device, digest(self.model), usable_cores())
         with warp.ScopedDevice(device):
-            take_step(self.model, sizes, self._buffer_flags)
             warp.load_module(warp.get_module(_CALLED_BY_JAX), device)
             warp.synchronize_device(device)
 

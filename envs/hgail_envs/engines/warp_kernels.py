@@ -1,13 +1,12 @@
 """Builds MuJoCo Warp's kernels, some forty modules, in several processes at once.
 
 NVIDIA's compiler builds one module after another within a process, whatever the threads. Run as a script this file is
-one of the processes.
+one of the processes, which replaces functions of Warp, 1.18 at least, that have no option for it.
 """
 
-import hashlib
+import contextlib
 import importlib
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -29,26 +28,40 @@ def take_step(model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: int) -
     mujoco_warp.step(warp_model, data)
 
 
-def build_kernels(model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: int, device: str) -> None:
-    """Builds the kernels of `take_step` into Warp's cache, once for a model; one that fails is left to `take_step`."""
+def load_kernels(
+    model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: int, device: Any, name: str, processes: int
+) -> None:
+    """Loads the kernels of `take_step` on a device of Warp; `processes`, eight at most, first build what is missing.
+
+    A kernel that they fail to build is built here. When all are there, a folder in Warp's cache says so by the model's
+    `name`, and the next start needs no process. `warp.clear_kernel_cache` removes it too, as all that begin with "wp_".
+    """
     warp = importlib.import_module("warp")
-    warp.init()
-    cache = Path(warp.config.kernel_cache_dir)
-    processes = min(_PROCESSES, len(os.sched_getaffinity(0)))
+    done = Path(warp.config.kernel_cache_dir, f"wp_hgail_envs_{name}_{device.arch}")
+    if processes > 1 and not done.exists():
+        with contextlib.suppress(OSError):  # e.g. no room for the model, or memory for processes
+            build_kernels(model, sizes, buffer_flags, device.alias, processes)
+    with warp.ScopedDevice(device):
+        take_step(model, sizes, buffer_flags)
+    with contextlib.suppress(OSError):  # a cache that was filled before may be read-only
+        done.mkdir(exist_ok=True)
+
+
+def build_kernels(model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: int, device: str, processes: int) -> None:
+    """Builds the kernels of `take_step` into Warp's cache by several processes; those of one that fails are left."""
+    warp = importlib.import_module("warp")
+    settings = {"sizes": sizes, "buffer_flags": buffer_flags, "device": device, "cache": warp.config.kernel_cache_dir}
     with tempfile.TemporaryDirectory() as folder:
         mujoco.mj_saveModel(model, str(Path(folder, _MODEL)))
-        built = cache / f"hgail_envs-{hashlib.sha256(Path(folder, _MODEL).read_bytes()).hexdigest()[:16]}"
-        if built.exists() or processes == 1:
-            return
-        settings = {"sizes": sizes, "buffer_flags": buffer_flags, "device": device, "cache": str(cache)}
         Path(folder, _SETTINGS).write_text(json.dumps(settings))
         # -P: this file's neighbours are no top-level modules.
         command = [sys.executable, "-P", __file__, folder]
         null = subprocess.DEVNULL
-        for process in [subprocess.Popen(command, stdin=null, stdout=null, stderr=null) for _ in range(processes)]:
+        started = [
+            subprocess.Popen(command, stdin=null, stdout=null, stderr=null) for _ in range(min(_PROCESSES, processes))
+        ]
+        for process in started:
             process.wait()
-    built.parent.mkdir(parents=True, exist_ok=True)
-    built.touch()
 
 
 def _build_share(folder: Path) -> None:
