@@ -90,10 +90,18 @@ def trajectory(numbers, valid=None):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, bool if np.asarray(leaf).dtype == bool else jnp.float32), leaves)
 
 
-@functools.partial(jax.jit, static_argnames="count")
-def drawn(buffer, rng, p_ht, strategy=FUTURE, most_ahead=2**30, solved_weight=1.0, current=False, count=DRAWS):
+@functools.partial(jax.jit, static_argnums=7)
+def draw_by(buffer, rng, p_ht, strategy, most_ahead, solved_weight, current, count):
     hyper = Hyperparameters(strategy=strategy, solved_weight=solved_weight, include_current=current)
     return draw(ENV, hyper, buffer, rng, count, p_ht, most_ahead)
+
+
+def drawn(buffer, rng, p_ht, strategy=FUTURE, most_ahead=2**30, solved_weight=1.0, current=False, count=DRAWS):
+    """Draws by one program, whichever of the arguments are given."""
+    return draw_by(buffer, rng, p_ht, strategy, most_ahead, solved_weight, current, count)
+
+
+goals_of = jax.jit(draw_achieved, static_argnums=(0, 3))
 
 
 def full(valid=None):
@@ -370,9 +378,7 @@ def test_shuffling_pairs_no_sample_with_its_own_goal():
 
 
 def test_achieved_goals_are_drawn_of_sound_episodes_each_kind_as_often():
-    goals = np.asarray(
-        jax.jit(draw_achieved, static_argnums=(0, 3))(ENV, full([True, False, True, True]), jax.random.key(0), 2000)
-    )
+    goals = np.asarray(goals_of(ENV, full([True, False, True, True]), jax.random.key(0), 2000))
     place, kind = goals[:, 0].astype(int), goals[:, 1]
     episode, step = place // 100, place % 100
     assert set(episode) == {0, 2, 3} and set(step) == set(range(1, LENGTH + 1))
@@ -387,7 +393,7 @@ def test_achieved_goals_are_drawn_of_sound_episodes_each_kind_as_often():
 
 def test_where_nothing_sound_was_achieved_a_goal_is_drawn_all_the_same():
     for buffer in (init_buffer(ENV, HELD), full([False] * HELD)):
-        assert np.isfinite(draw_achieved(ENV, buffer, jax.random.key(0), 3)).all()
+        assert np.isfinite(goals_of(ENV, buffer, jax.random.key(0), 2000)).all()
 
 
 @pytest.mark.parametrize("discount", [0.0, 0.6, 0.99])
