@@ -27,9 +27,14 @@ def derived(folder, *args, **kwargs):
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    """The description of the arm as it is; its model is `arm.xml`."""
-    return derived(tmp_path_factory.mktemp("arm"))[0]
+def found_and_said(tmp_path_factory):
+    """The description of the arm as it is, whose model is `arm.xml`, and the lines about it."""
+    return derived(tmp_path_factory.mktemp("arm"), top_speed=(2.0,))
+
+
+@pytest.fixture
+def found(found_and_said):
+    return found_and_said[0]
 
 
 def written(folder, description, model="arm.xml"):
@@ -51,8 +56,8 @@ def package(name):
     return Path(importlib.util.find_spec(name).submodule_search_locations[0])
 
 
-def test_parts_axes_and_servos_are_those_of_the_arm(tmp_path):
-    found, notes = derived(tmp_path, top_speed=(2.0,))
+def test_parts_axes_and_servos_are_those_of_the_arm(found_and_said):
+    found, notes = found_and_said
     assert found.joints == [f"j{n}" for n in range(1, 7)] and found.hand.joints == ["left", "right"]
     assert (found.tool.body, found.right_pad.body, found.left_pad.body) == ("palm", "right_finger", "left_finger")
     assert found.torque == [120.0] * 3 + [40.0] * 3 and found.top_speed == [2.0] * 6 and found.hand.force == 30.0
@@ -105,11 +110,13 @@ def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path
     np.testing.assert_allclose(ranges[:6, 1], [3.0] * 5 + [2 * np.pi], atol=1e-5)
 
 
+@pytest.mark.slow  # its workspace is sought for one scale after another
 def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path, fewer_places):
     found, _ = derived(tmp_path, length=0.22)
     assert found.scale > 1.2 and 0.1 < found.reach[0] < 0.5
 
 
+@pytest.mark.slow
 def test_the_franka_is_the_one_that_comes_with_the_package(tmp_path):
     folder = package("gymnasium_robotics") / "envs/assets/kitchen_franka/franka_assets"
     shipped = read_description("franka")
@@ -195,6 +202,7 @@ def test_an_unknown_flange_is_refused_with_those_that_there_are(tmp_path):
         derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="wrist_3")
 
 
+@pytest.mark.slow  # as the UR5e's is, above
 def test_a_hand_in_a_file_of_its_own_is_attached(tmp_path):
     fingers = FINGERS.replace("0.13", "0.05")  # from the flange, which is 8 cm from the palm
     hand = f"<mujoco><worldbody><body name='hand'>{fingers}</body></worldbody><actuator>{SERVOS}</actuator></mujoco>"
@@ -204,6 +212,7 @@ def test_a_hand_in_a_file_of_its_own_is_attached(tmp_path):
     np.testing.assert_allclose(found.tool.pos, [0, 0, 0.08 - 0.0185], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
     found, _ = derived(tmp_path, fingers=FINGERS + THIRD, pads=("left_finger", "right_finger"))
     assert (found.right_pad.body, found.left_pad.body) == ("right_finger", "left_finger")

