@@ -134,7 +134,7 @@ def test_a_mistake_is_named(env, message):
     assert re.fullmatch(".+", str(raised.value))  # one line
 
 
-@pytest.mark.parametrize("task", ["point", "grasp", "tower"])
+@pytest.mark.parametrize("task", ["point", "grasp", pytest.param("tower", marks=pytest.mark.slow)])
 def test_tasks_of_the_package_have_no_mistake(task):
     hgail_envs.check_task(hgail_envs.make(task))
 

@@ -177,6 +177,7 @@ def test_a_tracked_cube_is_observed_whatever_the_goal_is(start):
     assert tracked.observation_size == ENV.observation_size + 3
 
 
+@pytest.mark.slow
 def test_a_hand_that_tracks_the_cube_tries_again(start):
     """The scripted hand goes where the goal is: to the place where the cube was, or to the cube."""
     tracked = hgail_envs.make("grasp", substeps=8, cube="tracked")

@@ -91,11 +91,13 @@ def pulled(env):
     return np.linalg.norm(env.object_position(state.pipeline_state) - handle), state
 
 
+@pytest.mark.parametrize("env", ["drawer:Drawer", pytest.param("door:Door", marks=pytest.mark.slow)], indirect=True)
 def test_a_hand_behind_the_handle_opens_the_part(env):
     moved, state = pulled(env)
     assert moved > 0.08 and state.info["achieved_goal"][3] == 1.0
 
 
+@pytest.mark.slow
 def test_another_arm_opens_the_drawer(folder):
     pytest.importorskip("gymnasium_robotics")
     assert pulled(hgail_envs.make("drawer:Drawer", substeps=8, robot="franka"))[0] > 0.08
@@ -109,6 +111,7 @@ def test_starts_are_drawn_and_are_no_movement(drawer):
     assert (jax.vmap(ajar.achieved_goal)(physics)[:, 3] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_randomised_postures_leave_an_opened_drawer_open(drawer):
     ajar = type("Ajar", (type(drawer),), {"joint_starts": (0.1, 0.1)})(substeps=8)
     states = jax.jit(jax.vmap(randomize(ajar, POSTURE).reset))(jax.random.split(jax.random.key(0), 8))

@@ -96,7 +96,9 @@ def step_by_hand(model, qpos, qvel, control, substeps):
     return data.qpos, data.qvel
 
 
-@pytest.mark.parametrize("scene", ["grasp", "stack", "tower"])
+@pytest.mark.parametrize(
+    "scene", ["grasp", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stack", "tower"))]
+)
 def test_what_derives_from_masses_is_what_mujoco_derives(scene):
     """All of the model's numbers, changed or not; the fingers' part in the arm's inverse weights is left out."""
     robot = Fetch(scene)
@@ -245,8 +247,8 @@ def opened(task):
         pytest.param("push", 0.7, 1.4, 0.08, marks=pytest.mark.slow),
         ("reach", 0.7, 1.4, 0.07),
         pytest.param("stack", 0.7, 1.0, 0.085, marks=pytest.mark.slow),
-        ("tower", 0.7, 1.0, 0.085),  # else it would never count as open
-        ("tower", 0.9, 1.0, 0.09),
+        pytest.param("tower", 0.7, 1.0, 0.085, marks=pytest.mark.slow),  # else it would never count as open
+        pytest.param("tower", 0.9, 1.0, 0.09, marks=pytest.mark.slow),
     ],
 )
 def test_a_narrow_hand_has_room_for_the_object(task, width, size, widest):
@@ -318,10 +320,10 @@ def test_a_scripted_hand_of_the_full_level_grasps(sizes):
     assert np.asarray(success).mean() > 0.95
 
 
-SLOW_STACK = pytest.param("stack", marks=pytest.mark.slow)  # a tower is that and more
+MORE_CUBES = [pytest.param(task, marks=pytest.mark.slow) for task in ("stack", "tower")]
 
 
-@pytest.mark.parametrize("task", ["grasp", "push", SLOW_STACK, "tower"])
+@pytest.mark.parametrize("task", ["grasp", "push", *MORE_CUBES])
 def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     env = compiled(task).env
 
@@ -344,7 +346,7 @@ def test_the_robot_starts_elsewhere_but_not_at_the_object(task):
     assert gaps.max() < 0.01 if task == "push" else (gaps.min() < 0.01 and gaps.max() > 0.09)
 
 
-@pytest.mark.parametrize("task", ["pick-and-place", SLOW_STACK, "tower"])
+@pytest.mark.parametrize("task", ["pick-and-place", *MORE_CUBES])
 def test_sensors_err_by_the_sizes_given(task):
     env = compiled(task).env
     randomised = RandomizedEnv(env, Randomization(robot_offset=0.01, object_offset=0.02, robot_noise=0.003))
@@ -364,10 +366,10 @@ def test_sensors_err_by_the_sizes_given(task):
     assert np.abs(errors.robot_motion).max() > 1e-4
 
 
-SLOW_TASKS = [pytest.param(task, marks=pytest.mark.slow) for task in ("push", "pick-and-place", "slide", "stack")]
+SLOW_TASKS = [pytest.param(task, marks=pytest.mark.slow) for task in ("push", "pick-and-place", "slide")]
 
 
-@pytest.mark.parametrize("task", ["reach", "grasp", *SLOW_TASKS, "tower"])
+@pytest.mark.parametrize("task", ["reach", "grasp", *SLOW_TASKS, *MORE_CUBES])
 def test_the_full_level_suits_all_fetch_tasks(task):
     env = RandomizedEnv(hgail_envs.make(task, impl="c", substeps=4), LEVELS["full-history"])
 

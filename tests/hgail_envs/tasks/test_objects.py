@@ -266,7 +266,9 @@ def test_objects_start_around_the_gripper_and_not_too_near(name, tasks, starts):
     np.testing.assert_array_equal(state.pipeline_state.object_start, thing)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize(
+    "name", ["push", *(pytest.param(name, marks=pytest.mark.slow) for name in TASKS if name != "push")]
+)
 def test_the_object_at_rest_stays(name, tasks, starts):
     env, state = tasks[name], jax.tree.map(lambda leaf: leaf[:16], starts[name][0])
     scan = jax.jit(

@@ -507,6 +507,7 @@ def test_moving_the_target_moves_the_base_and_what_was_left_on_it(placed, order)
     np.testing.assert_allclose(moved.pipeline_state.starts[BASE], [1.35, 0.8, 0.425])
 
 
+@pytest.mark.slow
 def test_the_scripted_hand_builds_towers():
     env = hgail_envs.make("tower", impl="c")
     assert env.substeps == 20
