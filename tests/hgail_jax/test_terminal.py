@@ -4,6 +4,7 @@ Those run in processes of their own, and end at points that are the same each ti
 """
 
 import dataclasses
+import functools
 import io
 import itertools
 import os
@@ -333,44 +334,48 @@ SCRIPTS = {
 
 @pytest.fixture(scope="module")
 def ended(forks):
-    return {name: forks.run(BEGIN + code) for name, code in SCRIPTS.items()}
+    @functools.cache
+    def of(name):
+        return forks.run(BEGIN + SCRIPTS[name])
+
+    return of
 
 
 @pytest.mark.parametrize("name", ["writing", "terminated", "callback", "complaint", "end"])
 def test_a_signal_is_one_line_and_leaves_no_file(ended, name):
     signalled = "SIGTERM" if name == "terminated" else "SIGINT"
-    assert ended[name].returncode == 128 + getattr(signal, signalled)
-    assert ended[name].stderr == f"it: stopped by {signalled}\n"
-    assert ended[name].stdout == ("before\n" if name == "end" else "")
-    assert not list(ended[name].folder.iterdir())
+    assert ended(name).returncode == 128 + getattr(signal, signalled)
+    assert ended(name).stderr == f"it: stopped by {signalled}\n"
+    assert ended(name).stdout == ("before\n" if name == "end" else "")
+    assert not list(ended(name).folder.iterdir())
 
 
 def test_signals_that_come_together_are_one(ended):
-    assert ended["timeout"].returncode == 0
-    assert ended["timeout"].stdout == "saved\n"
-    assert ended["timeout"].stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
+    assert ended("timeout").returncode == 0
+    assert ended("timeout").stdout == "saved\n"
+    assert ended("timeout").stderr == "\nSIGTERM: stopping after this round; once more stops at once\n"
 
 
 def test_a_closed_terminal_stops_a_training_which_writes_nothing_more_to_it(ended):
-    assert (ended["hangup"].returncode, ended["hangup"].stdout, ended["hangup"].stderr) == (0, "", "")
+    assert (ended("hangup").returncode, ended("hangup").stdout, ended("hangup").stderr) == (0, "", "")
 
 
 def test_a_training_under_nohup_outlives_its_terminal(ended):
-    assert (ended["nohup"].returncode, ended["nohup"].stdout, ended["nohup"].stderr) == (0, "False\n", "")
+    assert (ended("nohup").returncode, ended("nohup").stdout, ended("nohup").stderr) == (0, "False\n", "")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_second_signal_exits_at_once(ended, name):
-    assert ended[name].returncode == 128 + getattr(signal, name)
-    assert ended[name].stdout == "once\n"
-    assert [line for line in ended[name].stderr.splitlines() if line] == [
+    assert ended(name).returncode == 128 + getattr(signal, name)
+    assert ended(name).stdout == "once\n"
+    assert [line for line in ended(name).stderr.splitlines() if line] == [
         "SIGINT: stopping after this round; once more stops at once",
         f"{name}: stopped at once; the rounds since the last checkpoint are lost",
     ]
 
 
 def test_an_interrupt_while_the_program_compiles_ends_the_run_at_once(ended):
-    ended = ended["compiling"]
+    ended = ended("compiling")
     assert ended.returncode == 130
     begun, _, command = ended.stderr.splitlines()[-1].partition("; resume with: ")
     assert begun == "hgail train: stopped before round 0"
@@ -380,22 +385,27 @@ def test_an_interrupt_while_the_program_compiles_ends_the_run_at_once(ended):
 
 
 def test_an_interruption_leaves_no_film(ended):
-    assert (ended["play"].returncode, ended["play"].stderr.splitlines()[-1]) == (130, "hgail play: stopped by SIGINT")
-    assert not list(ended["play"].folder.iterdir())
+    assert (ended("play").returncode, ended("play").stderr.splitlines()[-1]) == (130, "hgail play: stopped by SIGINT")
+    assert not list(ended("play").folder.iterdir())
 
 
 @pytest.mark.parametrize("name", ["help", "options"])
 def test_a_reader_who_leaves_ends_a_command_that_prints_its_results_silently(ended, name):
-    assert (ended[name].returncode, ended[name].stderr) == (1, "")
+    assert (ended(name).returncode, ended(name).stderr) == (1, "")
 
 
 @pytest.mark.parametrize(
     ("name", "code", "written"),
-    [("training", 0, "run/summary.json"), ("stopping", 0, None), ("export", 0, "reach.npz"), ("mistake", 2, None)],
+    [
+        pytest.param("training", 0, "run/summary.json", marks=pytest.mark.slow),
+        ("stopping", 0, None),
+        ("export", 0, "reach.npz"),
+        ("mistake", 2, None),
+    ],
 )
 def test_a_command_that_writes_files_needs_no_reader(ended, name, code, written):
-    assert (ended[name].returncode, ended[name].stderr) == (code, "")
-    assert written is None or (ended[name].folder / written).stat().st_size
+    assert (ended(name).returncode, ended(name).stderr) == (code, "")
+    assert written is None or (ended(name).folder / written).stat().st_size
 
 
 def test_a_lack_of_memory_is_one_line(capsys):

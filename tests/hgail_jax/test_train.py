@@ -399,8 +399,8 @@ def test_what_is_in_an_episode_that_is_not_valid_does_not_matter(update, source)
     "options",
     [
         {"task": "point", "learner": "ppo"},
-        {"task": "point", "learner": "ppo", "method": "gasil"},
         {"task": "point", "learner": "td3", "environment_reward": 0.5},
+        pytest.param({"task": "point", "learner": "ppo", "method": "gasil"}, marks=pytest.mark.slow),
         pytest.param({"task": "slide", "impl": "c"}, marks=pytest.mark.slow),
         pytest.param({"task": "grasp", "impl": "c", "randomize": "full-history"}, marks=pytest.mark.slow),
     ],

@@ -95,15 +95,26 @@ def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_p
     assert 0.0 <= shown["mean"]["low"] < shown["mean"]["success"] < shown["mean"]["high"] == 1.0  # Student's is beyond
 
 
-def test_a_policy_acts_on_the_robot_of_its_training_unless_another_is_named(tmp_path, capsys, shipped_policy):
+@pytest.fixture
+def policy_of_franka(shipped_policy, tmp_path):
     pytest.importorskip("gymnasium_robotics")
     policy = dataclasses.replace(load_policy(shipped_policy), task_options={"robot": "franka"})
     save_policy(tmp_path / "p.npz", policy)
+    return policy
+
+
+def test_a_task_has_the_robot_of_its_policy_s_training_unless_another_is_named(tmp_path, policy_of_franka):
     env = make_task(load_policy(tmp_path / "p.npz"), "reach", None)
     assert env.robot.name == randomize(env, "mild").robot.name == "franka"
+    named = make_task(load_policy(tmp_path / "p.npz"), "reach", None, robot="fetch")
+    assert named.robot.name == "fetch"
+
+
+@pytest.mark.slow
+def test_a_policy_acts_on_the_robot_of_its_training_unless_another_is_named(tmp_path, capsys, policy_of_franka):
     for robot, named in (("franka", []), ("fetch", ["--robot", "fetch"])):
         (row,) = report(["--policy", str(tmp_path / "p.npz"), "--episodes", "4", *named], capsys)["policies"]
-        expected = Evaluation(hgail_envs.make("reach", robot=robot), 0, 4)(policy)
+        expected = Evaluation(hgail_envs.make("reach", robot=robot), 0, 4)(policy_of_franka)
         assert row["distance_l2"] == pytest.approx(float(expected.distance_l2), abs=1e-6)
 
 
@@ -114,7 +125,10 @@ def test_distances_that_no_episode_has_are_null():
     assert evaluate._text(row) == "success 0.000 [0.000, 0.434] in 5 episodes"
 
 
-@pytest.mark.parametrize(("task", "name"), [("push", "push"), ("grasp", "grasp"), ("grasp", "grasp-robust")])
+@pytest.mark.parametrize(
+    ("task", "name"),
+    [("push", "push"), ("grasp", "grasp-robust"), pytest.param("grasp", "grasp", marks=pytest.mark.slow)],
+)
 def test_the_reference_s_episodes_are_those_of_the_transfer_study(task, name, capsys):
     pytest.importorskip("gymnasium_robotics")
     path = hgail_envs.scenes.assets_directory() / "policies" / f"{name}.npz"
@@ -207,6 +221,7 @@ def blind_policy(goal_size, kind="colour"):
     return CameraPolicy("push", goal_size, ("side",), 16, ones, ones, centre, eyes, kind=kind)
 
 
+@pytest.mark.slow
 def test_the_reference_of_an_arm_is_its_full_model(tmp_path, capsys, shipped_policy):
     """With --robot of a policy of the Fetch, without it of one that was trained on the arm."""
     pytest.importorskip("gymnasium_robotics")

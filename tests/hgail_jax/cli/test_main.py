@@ -159,7 +159,7 @@ for one in filter(None, (sys.stdout, sys.stderr)):
     ("closed", "out", "err"),
     [
         ((2,), "ppo on point, 3 seeds x 4 envs ->", ""),
-        ((0, 1, 2), "", ""),
+        pytest.param((0, 1, 2), "", "", marks=pytest.mark.slow),
         pytest.param((1,), "", "compiling ", marks=pytest.mark.slow),
     ],
 )

@@ -72,7 +72,9 @@ def test_the_edge_of_the_last_pose_shows_the_success(monkeypatch, shipped_policy
     assert not any((picture[8:-8, 8:-8] == colour).all(axis=-1).any() for picture in pictures)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", ["depth", *(pytest.param(kind, marks=pytest.mark.slow) for kind in {*KINDS} - {"depth"})]
+)
 def test_a_film_shows_what_the_policy_sees(kind, monkeypatch, tmp_path, rendering):
     env = hgail_envs.make("push")
     env = CameraEnv(env, Pictures(env, ["front", "side"], 64, target="seen", kind=kind))
@@ -227,7 +229,12 @@ def test_a_policy_that_is_no_regular_file_is_refused(in_folder, capsys):
             "cannot render",
             marks=pytest.mark.slow,
         ),
-        ({"DISPLAY": ":97"}, ["--out", "x.mp4"], "cannot render on DISPLAY=:97; set MUJOCO_GL=egl or"),
+        pytest.param(
+            {"DISPLAY": ":97"},
+            ["--out", "x.mp4"],
+            "cannot render on DISPLAY=:97; set MUJOCO_GL=egl or",
+            marks=pytest.mark.slow,
+        ),
         ({"DISPLAY": ":97"}, [], "no window opens on DISPLAY=:97; --out writes a film, --web serves a page"),
     ],
 )
@@ -250,6 +257,7 @@ class Near(Reach):
 """
 
 
+@pytest.mark.slow
 def test_a_user_s_task_is_played(in_folder, shipped_policy, capsys, monkeypatch, rendering):
     monkeypatch.syspath_prepend(in_folder)
     monkeypatch.setattr("hgail_jax.play.playback._SIZE", (48, 64))

@@ -209,6 +209,7 @@ def test_a_policy_that_is_shipped_follows_a_target_that_is_moved(task):
     assert reached >= 2
 
 
+@pytest.mark.slow
 def test_the_tower_is_built_where_its_lowest_cube_is_put():
     """Of three towers two stand at least, by where MuJoCo has the cubes."""
     session = Session(hgail_envs.make("tower", impl="c"), load_policy(assets_directory() / "policies" / "tower.npz"))

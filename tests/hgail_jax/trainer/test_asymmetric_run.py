@@ -33,7 +33,8 @@ def untrained(env, config, states, phases, mesh):
     return step
 
 
-@pytest.mark.parametrize("trains", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("trains", [False, True])
 def test_a_whole_run_is_trained_evaluated_and_exported(trains, tmp_path, monkeypatch, capsys, rendering):
     """Through OpenGL, in episodes of three steps."""
     monkeypatch.setattr(hgail_envs.find_class("push"), "episode_length", 3)

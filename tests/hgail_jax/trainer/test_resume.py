@@ -421,6 +421,7 @@ def test_twenty_kills_at_random_moments_lose_nothing(tmp_path, task):
     assert not list(folder.rglob("*.partial")) + list(folder.rglob("*tmp*"))
 
 
+@pytest.mark.slow
 def test_a_run_on_an_arm_whose_description_was_changed_is_another_one(monkeypatch):
     pytest.importorskip("gymnasium_robotics")  # it has the model
     description = Path("arm.toml")
