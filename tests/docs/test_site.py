@@ -92,8 +92,8 @@ def test_public_names_are_documented():
             assert re.search(rf"\b(hgail_jax|hgail_envs)\.{name}\b", written), name
 
 
-QUICK = ["concepts", "add-a-task", "add-a-method", "run-folder", "robust", "real-robot", "tasks", "add-a-robot"]
-TRAINING = ["README", "index", "getting-started", "sweeps", "off-policy"]
+QUICK = ["add-a-task", "add-a-method", "run-folder", "robust", "real-robot", "tasks", "add-a-robot"]
+TRAINING = ["README", "concepts", "index", "getting-started", "sweeps", "off-policy"]
 
 
 def blocks(page):

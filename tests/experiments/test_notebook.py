@@ -19,6 +19,7 @@ make_runs_tiny()
 """
 
 
+@pytest.mark.slow
 def test_its_cells_train_and_draw(monkeypatch, capsys):
     make_runs_tiny(monkeypatch)
     updates, names = [], {}

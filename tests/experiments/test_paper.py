@@ -109,6 +109,7 @@ def table3(made_once, tmp_path):
     return shutil.copytree(made_once, tmp_path / "paper")
 
 
+@pytest.mark.slow  # real training; what is trained has stand-ins elsewhere
 def test_a_study_by_real_training_resumes_where_it_was_stopped(tmp_path, monkeypatch):
     study, prepared, compiled = BY_NAME["rewards"], [], []
     settings = tuple(dataclasses.replace(setting, steps=1) for setting in study.settings[:4])  # one program
@@ -144,6 +145,7 @@ def test_a_study_by_real_training_resumes_where_it_was_stopped(tmp_path, monkeyp
     assert len(prepared) == 3
 
 
+@pytest.mark.slow  # as those of tables 2 and 3 below, for all studies
 def test_every_study_writes_its_files_and_figures_are_drawn_from_them(tmp_path, trained, monkeypatch):
     drawn = []
     monkeypatch.setattr(tables, "draw_figure", lambda folder, number: drawn.append(number))

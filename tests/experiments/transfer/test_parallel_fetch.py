@@ -45,6 +45,7 @@ def test_points_are_measured_as_each_alone_and_policies_take_turns(shipped_polic
     np.testing.assert_allclose(np.asarray(alone.distance_l1)[::2], np.asarray(point.distance_l1)[::2], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_grasp_is_a_success_by_its_lift_test(grasp_policy):
     plain = ParallelFetch("grasp", [load_policy(grasp_policy)], episodes=4, seed=0).outcomes()
     assert plain.success.mean() >= 0.75  # a cube that is not lifted is none
