@@ -64,13 +64,12 @@ def main(arguments: list[str] | None = None) -> None:
         if options.robot is not None:
             check_robot(options.robot)
         _check_pictures(options)
-        if options.camera:
-            start_server("hgail_jax.lerobot.dataset")
         policy = _policy(options)
         env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
         if options.camera or options.target != "given":
             cameras = [name.strip() for name in options.camera.split(",") if name]
             env = CameraEnv(env, Pictures(env, cameras, options.picture_size, target=options.target))
+            start_server("hgail_jax.lerobot.dataset")
         with StatusLine(f"compiling and running {counted(options.episodes, 'episode')} of {options.task}") as line:
             if options.format:
                 _write_dataset(path, env, options, policy, line)
