@@ -18,7 +18,7 @@ import optax
 from hgail_envs import GoalEnv
 from hgail_jax.buffer import draw, draw_future
 from hgail_jax.config import Config, Hyperparameters
-from hgail_jax.learners.td3 import TD3, TD3Hyperparameters, _fill
+from hgail_jax.learners.td3 import TD3, TD3Hyperparameters, fill_buffer
 from hgail_jax.learners.td3_step import PREACTIVATION_WEIGHT, Batch, GradientStep, Metrics, Networks
 from hgail_jax.networks import MLP, apply
 from hgail_jax.rollout import Trajectory
@@ -86,7 +86,7 @@ class CRL(TD3):
         """
         draw_rng, future_rng, chosen_rng = jax.random.split(rng, 3)
         hyper = cast(TD3Hyperparameters, state.hyperparameters)
-        state = _fill(env, state, trajectory)
+        state = fill_buffer(env, state, trajectory)
         drawn = draw(env, hyper, state.buffer, draw_rng, self.updates * self.batch, 0.0)
         future = draw_future(state.buffer, drawn, hyper.discount, future_rng)
         sought = jnp.where(jax.random.bernoulli(chosen_rng, hyper.p_ht, (len(future), 1)), future, drawn.goal)

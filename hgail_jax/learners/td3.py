@@ -196,7 +196,7 @@ class TD3(Learner):
         self, env: GoalEnv, config: Config, state: TrainState, trajectory: Trajectory, rng: jax.Array
     ) -> tuple[TrainState, Metrics]:
         """Adds the first roll-out to the buffer, and to the expert samples where those are kept."""
-        state = _fill(env, state, trajectory)
+        state = fill_buffer(env, state, trajectory)
         if config.expert_source != RELABELLED:
             expert, _ = expert_samples(env, config, state.hyperparameters, state.expert, trajectory, rng)
             state = state.replace(expert=expert)
@@ -208,7 +208,7 @@ class TD3(Learner):
         """Adds a roll-out to the buffer, then trains discriminator, critics and actor on samples of all of it."""
         discriminator_rng, draw_rng, noise_rng = jax.random.split(rng, 3)
         hyper = cast(TD3Hyperparameters, state.hyperparameters)
-        state = _fill(env, state, trajectory)
+        state = fill_buffer(env, state, trajectory)
         state, metrics = _update_discriminator(env, config, state, trajectory, discriminator_rng)
         drawn = draw(env, hyper, state.buffer, draw_rng, self.updates * self.batch, hyper.p_ht)
         actor_input, next_actor_input = self.actor_inputs(env, state, drawn)
@@ -243,7 +243,7 @@ class TD3(Learner):
         return jax.lax.scan(step, state.learner, minibatches)
 
 
-def _fill(env: GoalEnv, state: TrainState, trajectory: Trajectory) -> TrainState:
+def fill_buffer(env: GoalEnv, state: TrainState, trajectory: Trajectory) -> TrainState:
     """Adds a roll-out to the buffer and to the statistics of observations."""
     state = state.count(policy_samples(env, trajectory))
     return state.replace(buffer=add_episodes(state.buffer, trajectory))

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from hgail_jax import Config, init_state, phase_table
 from hgail_jax.buffer import draw, draw_future
 from hgail_jax.learners.crl import CRL, contrastive_loss
-from hgail_jax.learners.td3 import _fill
+from hgail_jax.learners.td3 import fill_buffer
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer.train_options import TrainOptions, plan
@@ -104,14 +104,14 @@ def make_state(**changes):
         for each in state.learner.optimizer
     ]
     learner = state.learner.replace(online=networks, optimizer=type(state.learner.optimizer)(*moments), steps=count)
-    return _fill(ENV, state.replace(learner=learner), trajectory(1))
+    return fill_buffer(ENV, state.replace(learner=learner), trajectory(1))
 
 
 def learnt_by_hand(state, given, rng):
     """Returns the learner after an update, and its metrics."""
     draw_rng, future_rng, chosen_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, CONFIG.learner
-    state, measured = _fill(ENV, state, given), []
+    state, measured = fill_buffer(ENV, state, given), []
     drawn = draw(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, 0.0)
     future = np.asarray(draw_future(state.buffer, drawn, hyper.discount, future_rng))
     chosen = np.asarray(jax.random.bernoulli(chosen_rng, hyper.p_ht, (len(future), 1)))

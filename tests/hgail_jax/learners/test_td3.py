@@ -26,7 +26,7 @@ from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN
 from hgail_jax.discriminator import fit_discriminator
 from hgail_jax.experts import expert_samples
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP
-from hgail_jax.learners.td3 import _fill
+from hgail_jax.learners.td3 import fill_buffer
 from hgail_jax.samples import Samples, relabelled_samples
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.settings.defaults import DEFAULTS
@@ -81,7 +81,7 @@ init = jax.jit(functools.partial(init_state, ENV), static_argnums=0)
 assert_close = functools.partial(track.assert_close, rtol=2e-4)
 learn = jax.jit(CONFIG.learner.update, static_argnums=(0, 1))
 round_of = jax.jit(train_step, static_argnums=(0, 1))
-filled = jax.jit(functools.partial(_fill, ENV))
+filled = jax.jit(functools.partial(fill_buffer, ENV))
 add = jax.jit(add_episodes)
 sampled = jax.jit(draw, static_argnums=(0, 4))
 keep = jax.jit(expert_samples, static_argnums=(0, 1))
