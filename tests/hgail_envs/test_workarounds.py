@@ -11,16 +11,15 @@ from hgail_envs import workarounds
 @pytest.mark.parametrize(
     ("version", "cores", "flags", "expected_flags", "threads"),
     [
-        ("0.7.2", 2, "--a=1", "--a=1 --xla_cpu_use_fusion_emitters=false", "8"),
-        ("0.10.2", 16, "", "--xla_cpu_use_fusion_emitters=false", None),
-        ("0.10.2", 2, "--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true", "8"),
-        ("0.6.2", 2, "--a=1", "--a=1", None),
-        ("0.11.2", 2, "--a=1", "--a=1", None),
-        ("0.12.0.1", 2, "--a=1", "--a=1", None),
+        ((0, 11, 0), 2, "--a=1", "--a=1 --xla_cpu_use_fusion_emitters=false", "8"),
+        ((0, 10, 2), 16, "", "--xla_cpu_use_fusion_emitters=false", None),
+        ((0, 10, 2), 2, "--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true", "8"),
+        ((0, 11, 1), 2, "--a=1", "--a=1", None),
+        ((0, 12, 0, 1), 2, "--a=1", "--a=1", None),
     ],
 )
 def test_xla_is_configured_only_where_the_fault_is(monkeypatch, version, cores, flags, expected_flags, threads):
-    monkeypatch.setattr(workarounds.jaxlib.version, "__version__", version)
+    monkeypatch.setattr(workarounds.jaxlib.version, "__version_info__", version)
     monkeypatch.setattr(workarounds.os, "cpu_count", lambda: cores)
     monkeypatch.setenv("XLA_FLAGS", flags)
     monkeypatch.setenv("NPROC", "")  # so that it is there again after the test
@@ -43,7 +42,7 @@ def test_batched_cholesky_does_not_hang():
 
 
 def test_xla_is_configured_once_and_as_the_user_says(monkeypatch):
-    monkeypatch.setattr(workarounds.jaxlib.version, "__version__", "0.10.2")
+    monkeypatch.setattr(workarounds.jaxlib.version, "__version_info__", (0, 10, 2))
     monkeypatch.setattr(workarounds.os, "cpu_count", lambda: 2)
     monkeypatch.setenv("XLA_FLAGS", "--a=1")
     monkeypatch.setenv("NPROC", "3")
