@@ -2,9 +2,8 @@
 
 import copy
 import importlib
-import re
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from hgail_envs.engines.c import digest, usable_cores
 from hgail_envs.engines.warp_kernels import MUJOCO_WARP, load_kernels
 from hgail_envs.workarounds import keep_registered, promotion
 
-_CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp builds it all the same
+_CALLED_BY_JAX = "mujoco.mjx.warp.ffi"  # has no kernels, but Warp, to 1.19.0, builds it all the same
 
 
 @jax.jit  # traced once, whatever loops and batches it is then run in
@@ -37,7 +36,7 @@ class MjxEngine(Engine):
         self._check_pairs()
         # NumPy arrays: to make JAX's own constants of a program, JAX waits for the GPU, which may be loading kernels.
         self.mjx_model = jax.device_get(mjx.put_model(self.model, impl=self.name))
-        self._blank_data = _make_blank_data(self.model, self.name, self._buffer_sizes(worlds))
+        self._blank_data = jax.device_get(mjx.make_data(self.model, impl=self.name, **self._buffer_sizes(worlds)))
 
     def _check_pairs(self) -> None:
         kinds = self.model.geom_type[np.stack([self.model.pair_geom1, self.model.pair_geom2])]
@@ -126,7 +125,7 @@ class WarpEngine(MjxEngine):
         return buffer_sizes(self.model, worlds)
 
     def _has_overflown(self, data: mjx.Data) -> jax.Array | bool:
-        return data._impl.overflow & self._buffer_flags != 0  # MJX passes Warp's flags on in no public field
+        return data._impl.overflow & self._buffer_flags != 0  # to 3.17.0 MJX passes Warp's flags on in no public field
 
 
 def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
@@ -150,17 +149,3 @@ def _as_constant(values: np.ndarray) -> jax.Array:
     if values.size and (values == values.flat[0]).all():
         return jnp.full(values.shape, values.flat[0], values.dtype)
     return jnp.asarray(values)
-
-
-def _make_blank_data(model: mujoco.MjModel, impl: str, sizes: dict[str, int]) -> mjx.Data:
-    """Returns the engine's default data as NumPy arrays; `sizes` is from `buffer_sizes`.
-
-    MJX-Warp (to 3.17 at least) leaves its fields of islands, counts of the Hessian's blocks and numbers of contacts
-    uninitialised. Zeros there make two processes compile the same program, so that the second finds it in the cache.
-    """
-
-    def initialised(path: Any, values: Any) -> np.ndarray:
-        name = jax.tree_util.keystr(path[-1:], simple=True)
-        return np.zeros_like(values) if re.search("island|idof|iefc|jtdaj|geomcollision", name) else np.asarray(values)
-
-    return jax.tree_util.tree_map_with_path(initialised, mjx.make_data(model, impl=impl, **sizes))

@@ -1,9 +1,12 @@
 """MJX-JAX: its precision, its buffers, and that one can train on it. Its physics is compared in `test_reach_parity`."""
 
+import ctypes
+
 import jax
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
 import hgail_envs
 from hgail_envs.engines.mjx import buffer_sizes
@@ -30,6 +33,30 @@ def test_buffers_hold_what_mjx_jax_allots():
         data = jax.eval_shape(lambda one, env=env: env.engine.data(one, env.control(one, np.zeros(3))), physics)
         assert sizes["njmax"] >= data._impl.efc_J.shape[0]
         assert sizes["naconmax"] % 3 == 0
+
+
+def test_blank_data_of_warp_has_no_number_that_was_in_memory_before(monkeypatch):
+    """Such numbers would be constants of a program, which the next process would not find in the cache."""
+    pytest.importorskip("warp")
+    context = pytest.importorskip("warp._src.context")
+    allocate, before = context.CpuDefaultAllocator.allocate, [0]
+
+    def allocate_used(self, size):
+        address = allocate(self, size)
+        before[0] += size
+        ctypes.memset(address, before[1], size)
+        return address
+
+    monkeypatch.setattr(context.CpuDefaultAllocator, "allocate", allocate_used)
+    model = Fetch("push").model
+
+    def make(byte):
+        before[:] = 0, byte
+        data = jax.device_get(mjx.make_data(model, impl="warp", **buffer_sizes(model, worlds=3)))
+        assert before[0] > 1000
+        return data
+
+    jax.tree.map(np.testing.assert_array_equal, make(0x11), make(0x77))
 
 
 def test_buffers_have_a_row_for_each_joint_with_friction():
