@@ -1,4 +1,7 @@
-"""HTTP requests that a server of WebSockets does not know: any but GET, and any of HTTP 1.0."""
+"""HTTP requests that a server of WebSockets does not know: any but GET, and any of HTTP 1.0.
+
+websockets 17 reads them all, but viser, to 1.1.1, asks for an older one.
+"""
 
 import contextlib
 import functools
@@ -52,7 +55,10 @@ def answer(connection: ServerConnection, request: Request, response: Response) -
 
 @contextlib.contextmanager
 def any_request() -> Iterator[None]:
-    """Has a server of WebSockets that starts within the `with` block answer any HTTP request; viser has no option."""
+    """Has a server of WebSockets that starts within the `with` block answer any HTTP request.
+
+    viser, to 1.1.1, has no option for it.
+    """
     serve = websockets.asyncio.server.serve
     known = functools.partial(serve, create_connection=Connection, process_response=answer)
     websockets.asyncio.server.serve = known  # type: ignore[assignment, misc]

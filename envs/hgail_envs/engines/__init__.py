@@ -50,7 +50,8 @@ def check_impl(impl: str) -> None:
 
 def jax_has_started() -> bool:
     """Returns whether JAX has opened its devices; a process that is forked after that cannot use it."""
-    return xla_bridge.backends_are_initialized()  # JAX has no public function that asks without opening them
+    # To 0.12.0 JAX has no public function that asks without opening them, see jax-ml/jax#23320.
+    return xla_bridge.backends_are_initialized()
 
 
 def make_engine(impl: str, model: mujoco.MjModel, period: float, substeps: int, worlds: int) -> Engine:

@@ -1,7 +1,7 @@
 """Builds MuJoCo Warp's kernels, some forty modules, in several processes at once.
 
 NVIDIA's compiler builds one module after another within a process, whatever the threads. Run as a script this file is
-one of the processes, which replaces functions of Warp, 1.18 at least, that have no option for it.
+one of the processes, which replaces functions of Warp; to 1.19.0 they have no option for it (NVIDIA/warp#1977).
 """
 
 import contextlib
