@@ -10,6 +10,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import mujoco
 
 MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
 _PROCESSES = 8  # each holds some hundred megabytes of the GPU's memory for its context
+_PATIENCE = 300.0  # seconds; on an H200's server a single process needs 64 for all
 _MODEL, _SETTINGS = "model.mjb", "settings.json"
 
 
@@ -48,7 +50,10 @@ def load_kernels(
 
 
 def build_kernels(model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: int, device: str, processes: int) -> None:
-    """Builds the kernels of `take_step` into Warp's cache by several processes; those of one that fails are left."""
+    """Builds the kernels of `take_step` into Warp's cache by several processes; those of one that fails are left.
+
+    A process that is not done in time, perhaps as it hangs, is killed.
+    """
     warp = importlib.import_module("warp")
     settings = {"sizes": sizes, "buffer_flags": buffer_flags, "device": device, "cache": warp.config.kernel_cache_dir}
     with tempfile.TemporaryDirectory() as folder:
@@ -57,11 +62,18 @@ def build_kernels(model: mujoco.MjModel, sizes: dict[str, int], buffer_flags: in
         # -P: this file's neighbours are no top-level modules.
         command = [sys.executable, "-P", __file__, folder]
         null = subprocess.DEVNULL
-        started = [
-            subprocess.Popen(command, stdin=null, stdout=null, stderr=null) for _ in range(min(_PROCESSES, processes))
-        ]
-        for process in started:
-            process.wait()
+        started: list[subprocess.Popen[bytes]] = []
+        until = time.monotonic() + _PATIENCE
+        try:
+            for _ in range(min(_PROCESSES, processes)):
+                started.append(subprocess.Popen(command, stdin=null, stdout=null, stderr=null))
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                for process in started:
+                    process.wait(max(0.0, until - time.monotonic()))
+        finally:
+            for process in started:
+                process.kill()
+                process.wait()
 
 
 def _build_share(folder: Path) -> None:

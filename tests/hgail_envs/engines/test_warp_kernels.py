@@ -1,11 +1,14 @@
 """Kernels of MuJoCo Warp built by several processes, on a GPU or, by Warp's own compiler, on a CPU."""
 
 import contextlib
+import signal
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import jax
+import mujoco
 import pytest
 
 import hgail_envs
@@ -14,16 +17,19 @@ from hgail_envs.engines.mjx import buffer_sizes
 from hgail_envs.engines.warp_kernels import build_kernels, load_kernels
 
 
+def stand_in(cache):
+    return SimpleNamespace(
+        config=SimpleNamespace(kernel_cache_dir=str(cache)), ScopedDevice=lambda device: contextlib.nullcontext()
+    )
+
+
 @pytest.fixture
 def load(tmp_path, monkeypatch):
     """Loads kernels with stand-ins for Warp, the processes and the step; returns what was called of the last two."""
     called: list[str] = []
 
     def load(name="a", arch=90, processes=8, cache=tmp_path, build=lambda: None, step=lambda: None):
-        warp = SimpleNamespace(
-            config=SimpleNamespace(kernel_cache_dir=str(cache)), ScopedDevice=lambda device: contextlib.nullcontext()
-        )
-        monkeypatch.setitem(sys.modules, "warp", warp)
+        monkeypatch.setitem(sys.modules, "warp", stand_in(cache))
         monkeypatch.setattr(warp_kernels, "build_kernels", lambda *_: called.append("build") or build())
         monkeypatch.setattr(warp_kernels, "take_step", lambda *_: called.append("step") or step())
         called.clear()
@@ -61,6 +67,25 @@ def test_a_step_follows_where_the_cache_or_the_disk_takes_no_file(load, tmp_path
     (tmp_path / "file").touch()
     assert load(cache=tmp_path / "file") == ["build", "step"]
     assert load(build=fail_with(OSError("no space left on device"))) == ["build", "step"]
+
+
+def test_processes_that_hang_are_ended_and_a_step_follows(tmp_path, monkeypatch):
+    (tmp_path / "hang.py").write_text("import time; time.sleep(20)")
+    popen, started, steps = subprocess.Popen, [], []
+
+    def start(*arguments, **options):
+        started.append(popen(*arguments, **options))
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(warp_kernels, "__file__", str(tmp_path / "hang.py"))
+    monkeypatch.setattr(warp_kernels, "_PATIENCE", 0.1)
+    monkeypatch.setattr(warp_kernels, "take_step", lambda *given: steps.append(given))
+    monkeypatch.setitem(sys.modules, "warp", stand_in(tmp_path))
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    load_kernels(model, {}, 1, SimpleNamespace(arch=90, alias="cuda:0"), "a", 2)
+    assert [process.returncode for process in started] == [-signal.SIGKILL] * 2
+    assert steps == [(model, {}, 1)]
 
 
 @pytest.mark.slow
