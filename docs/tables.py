@@ -49,7 +49,7 @@ _OFF_POLICY = (
 )
 _CPU = (
     *(f"{task}-td3-cpu" for task in ("push", "pick-and-place", "grasp", "slide")),
-    *("stack-td3-cpu", "stack-td3-cpu-2", "grasp-hgail-cpu"),
+    *("stack-td3-cpu", *(f"stack-td3-cpu-{seed}" for seed in (1, 2, 3)), "grasp-hgail-cpu"),
 )
 _BESIDE_PUBLISHED = (  # a run, and the success looked for, or None for how it ended
     *((run, "0.95") for run in ("push-td3", "push-hgail", "pick-and-place-td3", "pick-and-place-hgail")),
