@@ -126,7 +126,11 @@ def read_model(name: str, actuators: bool = False) -> mujoco.MjSpec:
             attach_hand(spec, hand, arm.flange)
             spec.option.cone, spec.option.impratio = contacts  # what the hand holds depends on them
     others = [servo for servo in spec.actuators if not (actuators and servo.biasprm[1])]
-    for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *others):
+    # A mocap body that pulls the hand by a weld is another way to move the arm, which has servos here.
+    mocaps = [body for body in spec.bodies[1:] if body.mocap]
+    pulled = {body.name for body in mocaps}
+    welds = [equality for equality in spec.equalities if pulled & {equality.name1, equality.name2}]
+    for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *others, *welds, *mocaps):
         spec.delete(element)
     spec.nuser_actuator = -1  # MuJoCo would warn that there are none
     complete(spec)

@@ -35,13 +35,16 @@ class Pose(NamedTuple):
 class Chain:
     """The bodies to the one that carries the site of a name, joined by hinges and slides alone.
 
-    They begin at the world, or at the body named `base`, in whose frame poses then are.
+    Where no site has that name, it is the place of a geom. The bodies begin at the world, or at the one named `base`,
+    in whose frame poses then are.
     """
 
     def __init__(self, model: mujoco.MjModel, site: str, base: str = "world") -> None:
         self._model = model
-        self._site = model.site(site).id
-        body, first = int(model.site_bodyid[self._site]), model.body(base).id
+        is_site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site) >= 0
+        end = model.site(site) if is_site else model.geom(site)
+        self._offset = _numbers(end.pos)
+        body, first = int(end.bodyid[0]), model.body(base).id
         self._bodies: list[int] = []
         while body != first:
             self._bodies.insert(0, body)
@@ -104,7 +107,7 @@ class Chain:
                 turn = (jnp.cos(0.5 * value), *_scale(jnp.sin(0.5 * value), axis))
                 quaternion = _multiply(quaternion, turn)
                 position = tuple(map(_difference, anchor, _rotate(quaternion, offset)))
-        site = _add(position, _rotate(quaternion, _numbers(model.site_pos[self._site])))
+        site = _add(position, _rotate(quaternion, self._offset))
         return jnp.stack(site), jnp.stack(position), jnp.stack(quaternion)
 
 

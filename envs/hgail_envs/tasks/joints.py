@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from hgail_envs.layout import Layout
@@ -36,7 +37,7 @@ class JointEnv(ObjectEnv):
     """
 
     object_site: str
-    """Name of a site on the part that the joint moves."""
+    """Name of a site, or else of a geom, on the part that the joint moves."""
     joint_targets: tuple[float, float]
     """Least and largest position of the joint at a target, metres or radians."""
     joint_starts: tuple[float, float] = (0.0, 0.0)
@@ -62,7 +63,8 @@ class JointEnv(ObjectEnv):
 
     @functools.cached_property
     def _chain(self) -> Chain:
-        check_names(self.model, self.robot.scene, "site", self.object_site)
+        is_geom = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, self.object_site) >= 0
+        check_names(self.model, self.robot.scene, "geom" if is_geom else "site", self.object_site)
         return Chain(self.model, self.object_site)
 
     @functools.cached_property

@@ -110,6 +110,16 @@ def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path
     np.testing.assert_allclose(ranges[:6, 1], [3.0] * 5 + [2 * np.pi], atol=1e-5)
 
 
+def test_a_mocap_body_that_pulls_the_hand_is_left_out(tmp_path, found):
+    weld = '<equality><weld body1="mocap" body2="palm"/></equality></mujoco>'
+    pulled = arm(more='<body name="mocap" mocap="true"><geom size="0.01"/></body>').replace("</mujoco>", weld)
+    (tmp_path / "pulled.xml").write_text(pulled)
+    with_mocap, without = (
+        ServoArm(written(tmp_path, found, file), "reach").model for file in ("pulled.xml", "arm.xml")
+    )
+    assert (with_mocap.nmocap, with_mocap.neq, with_mocap.nbody) == (0, without.neq, without.nbody)
+
+
 @pytest.mark.slow  # its workspace is sought for one scale after another
 def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path, fewer_places):
     found, _ = derived(tmp_path, length=0.22)

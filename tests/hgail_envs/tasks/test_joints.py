@@ -71,6 +71,15 @@ def test_position_and_velocity_are_mujoco_s(env):
     assert env.joint_position(physics) == pytest.approx(0.15)
 
 
+def test_the_part_s_place_may_be_that_of_a_geom(drawer):
+    env = type("Front", (type(drawer),), {"object_site": "front"})(substeps=8)
+    for position in (0.0, 0.15):
+        data = mujoco.MjData(env.model)
+        data.joint(env.object_name).qpos = position
+        mujoco.mj_forward(env.model, data)
+        np.testing.assert_allclose(env.object_position(opened(env, position)), data.geom("front").xpos, atol=1e-6)
+
+
 def test_the_gripper_s_place_is_achieved_until_the_part_has_moved(drawer):
     closed, ajar = opened(drawer, 0.005), opened(drawer, 0.05)
     np.testing.assert_allclose(drawer.achieved_goal(closed), [*closed.gripper_position, 0.0])
