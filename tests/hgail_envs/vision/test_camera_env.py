@@ -45,6 +45,13 @@ def test_the_positions_of_cube_and_marker_are_in_the_observation():
     np.testing.assert_array_equal(made("push", "given").objects, env.objects[:3])
 
 
+def test_the_look_follows_from_the_key_of_the_reset():
+    keys = jnp.stack([jax.random.key(seed) for seed in (0, 0, 1)])
+    one, again, other = np.asarray(jax.jit(jax.vmap(made("push", "given").reset))(keys).info["look"])
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).all()
+
+
 def test_things_have_no_place_among_the_objects():
     task = hgail_envs.make("push")
     env = CameraEnv(task, Pictures(task, ["front"], 16, look="things", target="seen"))

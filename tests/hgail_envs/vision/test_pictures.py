@@ -12,6 +12,8 @@ import pytest
 
 import hgail_envs
 from hgail_envs.vision.cameras import camera_ids, describe_cameras
+from hgail_envs.vision.look import Look, draws_of, split_draws
+from hgail_envs.vision.opengl import OpenGLRenderer
 from hgail_envs.vision.pictures import Pictures, resolve_renderer
 from hgail_envs.vision.things import JOINTS
 from hgail_envs.vision.warp_renderer import as_one_batch
@@ -73,6 +75,32 @@ def test_a_cube_is_seen_where_a_pinhole_camera_has_it():
             middle, count = orange(seen[scene, camera])
             assert count >= 4
             np.testing.assert_allclose(middle, pixel(described, place), atol=2.0)
+
+
+@pytest.mark.parametrize(
+    ("turn", "zoom"), [([0.2, 0, 0], 0), ([0, 0.2, 0], 0), ([0, 0, 0.8], 0), ([0, 0, 0], 0.5), ([0, 0, 0], -0.3)]
+)
+def test_a_camera_turns_about_its_own_axes_and_zooms(turn, zoom):
+    model = made().model
+    draws = np.zeros((len(PLACES), draws_of(model)), np.float32)
+    parts = split_draws(model, draws)  # views
+    parts["turn"][:], parts["zoom"][:] = turn, zoom
+    render = OpenGLRenderer(model, [0, 1], SIZE, Look(camera_turn=1.0, zoom=1.0))
+    seen = np.asarray(render(poses(), jnp.asarray(draws))).reshape(len(PLACES), 2, SIZE, SIZE, 3)
+    quaternion, about, far = np.empty(4), np.empty(9), 0.0
+    mujoco.mju_axisAngle2Quat(quaternion, np.sign(turn), np.linalg.norm(turn))
+    mujoco.mju_quat2Mat(about, quaternion)
+    for camera, still in enumerate(describe_cameras(model, ("front", "side"), SIZE)):
+        focal = SIZE / 2 / np.tan(np.deg2rad(still["fovy"] * (1.0 + zoom)) / 2)
+        rotation = np.array(still["rotation"]) @ about.reshape(3, 3)
+        moved = still | {"rotation": rotation, "intrinsics": still["intrinsics"] | {"fx": focal, "fy": focal}}
+        for scene, place in enumerate(PLACES):
+            expected = pixel(moved, place)
+            if (expected < 3).any() or (expected > SIZE - 3).any():
+                continue  # out of the picture
+            far = max(far, np.abs(expected - pixel(still, place)).max())
+            np.testing.assert_allclose(orange(seen[scene, camera])[0], expected, atol=2.0)
+    assert far > 4.0  # twice the tolerance
 
 
 def test_the_marker_is_seen_at_the_goal_and_what_is_hidden_changes_nothing():
