@@ -97,20 +97,24 @@ class CameraPolicy:
 
         Pictures are uint8, `[..., cameras, size, size, 3]`, the upper row first and red first, or of depth `[...,
         cameras, size, size, 1]`. The numbers, `[..., numbers]`, are as they are. A ValueError says that they have
-        another shape, or another range.
+        another shape, or another range, or are not finite.
         """
-        if np.shape(pictures)[-4:] != self.pictures_shape:
+        pictures, numbers = np.asarray(pictures), np.asarray(numbers, np.float32)
+        if pictures.shape[-4:] != self.pictures_shape:
             raise ValueError(
-                f"pictures have the shape {np.shape(pictures)}; the policy sees {self.pictures_shape}:"
+                f"pictures have the shape {pictures.shape}; the policy sees {self.pictures_shape}:"
                 f" {', '.join(self.cameras)}, {self.size} x {self.size}, {_PIXEL[self.kind]}"
             )
         if pictures.dtype != np.uint8:
             raise ValueError(f"pictures are {pictures.dtype}; they must be uint8, from 0 to 255")
-        if np.shape(numbers)[-1:] != self.mean.shape:
+        if numbers.shape[-1:] != self.mean.shape:
             raise ValueError(f"the policy takes {self.mean.size} numbers beside the pictures")
-        flat = np.reshape(pictures, (-1, *self.pictures_shape)), np.reshape(numbers, (-1, self.mean.size))
-        action = act(self.parameters(), *flat)
-        return np.asarray(action).reshape(*np.shape(numbers)[:-1], self.action_size)
+        if pictures.shape[:-4] != numbers.shape[:-1]:
+            raise ValueError(f"a batch of pictures is {pictures.shape[:-4]}, and that of numbers {numbers.shape[:-1]}")
+        if not np.isfinite(numbers).all():
+            raise ValueError("not all of the numbers beside the pictures are finite")
+        flat = pictures.reshape(-1, *self.pictures_shape), numbers.reshape(-1, self.mean.size)
+        return np.asarray(act(self.parameters(), *flat)).reshape(*numbers.shape[:-1], self.action_size)
 
     def parameters(self) -> Any:
         """Returns the arrays of `act_in`."""

@@ -193,6 +193,7 @@ def test_a_policy_acts_on_pictures_and_numbers(trained):
     normal = jnp.asarray((numbers[1, 1] - policy.mean) / policy.std)[None]
     expected, _ = look(policy.eyes, jnp.asarray(pictures[1, 1], jnp.float32)[None] / 255.0, normal)
     np.testing.assert_allclose(action[1, 1], expected[0], atol=1e-5)
+    np.testing.assert_array_equal(policy([*pictures], numbers.tolist()), action)
 
 
 def test_other_pictures_and_numbers_are_refused(trained):
@@ -201,7 +202,11 @@ def test_other_pictures_and_numbers_are_refused(trained):
     for wrong, message in (
         ((pictures[:, :8], numbers), r"shape \(1, 8, 16, 3\); the policy sees \(1, 16, 16, 3\): above, 16 x 16"),
         ((pictures / 255.0, numbers), "pictures are float64; they must be uint8, from 0 to 255"),
+        ((pictures.tolist(), numbers), "pictures are int64; they must be uint8, from 0 to 255"),
         ((pictures, numbers[1:]), "the policy takes 10 numbers beside the pictures"),
+        (([pictures] * 3, [numbers] * 2), r"a batch of pictures is \(3,\), and that of numbers \(2,\)"),
+        (([pictures], numbers), r"a batch of pictures is \(1,\), and that of numbers \(\)"),
+        ((pictures, numbers + [*[0.0] * 9, np.nan]), "not all of the numbers beside the pictures are finite"),
     ):
         with pytest.raises(ValueError, match=message):
             policy(*wrong)
