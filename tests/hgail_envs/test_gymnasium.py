@@ -210,6 +210,8 @@ def test_other_observations_have_no_pictures_and_an_unknown_camera_is_refused():
     assert "pixels" not in gymnasium.make("hgail_envs/FetchPush-v0").observation_space.spaces
     with pytest.raises(ValueError, match="scene push has no camera 'nose'"):
         gymnasium.make("hgail_envs/FetchPush-v0", cameras=["nose"])
+    with pytest.raises(ValueError, match=r"cameras is 'front'; it must be a sequence of names, such as \['front'\]"):
+        gymnasium.make("hgail_envs/FetchPush-v0", cameras="front")
     for make in (gymnasium.make, gymnasium.make_vec):
         with pytest.raises(ValueError, match="picture_size is 32, and there are no cameras"):
             make("hgail_envs/FetchPush-v0", picture_size=32)

@@ -12,6 +12,8 @@ DEFAULT_CAMERAS = ("front", "side")
 
 def camera_ids(model: mujoco.MjModel, scene: str, names: Sequence[str]) -> list[int]:
     """Returns the numbers of cameras in a model; a ValueError if there are none, one is unknown or named twice."""
+    if isinstance(names, str):
+        raise ValueError(f"cameras is {names!r}; it must be a sequence of names, such as [{names!r}]")
     there = [model.camera(index).name for index in range(model.ncam)]
     if not there:
         raise ValueError(f"scene {scene} has no camera; give its MJCF a <camera> with a name, a pose and a fovy")

@@ -71,7 +71,7 @@ class Pictures:
         """Whether the target's marker is in the pictures."""
         self.model = _model_to_see(env.robot, self.marker, LOOKS[look].things)
         self.cameras, self.size, self.look, self.target, self.kind = tuple(cameras), size, look, target, kind
-        ids = camera_ids(self.model, env.robot.scene, self.cameras)
+        ids = camera_ids(self.model, env.robot.scene, cameras)
         of_things = JOINTS if LOOKS[look].things else 0
         self.joints = self.model.nq - of_things
         """Joint positions that it is given."""
