@@ -27,8 +27,7 @@ class Augmentation:
 
 
 # Three quarters of a stop under to half a stop over is what a camera that sets its own exposure leaves; .03 is a small
-# sensor's noise indoors. Three of 64 pixels are about two degrees: a camera that was nudged. With these a student saw
-# through another renderer where one without saw little: success .68 for .15 on push.
+# sensor's noise indoors. Three of 64 pixels are about two degrees: a camera that was nudged.
 _VARIED = Augmentation(gain=0.4, offset=0.2, noise=0.03, shift=3 / 64)
 # A tenth of a pixel of disparity is 5 mm at a metre, for a stereo camera whose lenses are 5 cm apart and whose focal
 # length is 430 pixels; neither exposure nor white balance is in a distance.
