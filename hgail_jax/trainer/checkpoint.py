@@ -335,7 +335,8 @@ def _difference(there: Any, here: Any, name: str = "") -> tuple[str, Any, Any] |
     if not (isinstance(there, dict) and isinstance(here, dict)):
         return None if there == here else (name, there, here)
     for key in sorted(here | there, key=lambda key: key in here and key in there):  # what one lacks decides the rest
-        if key == LOOK_SIZES and key not in there:
+        # An older version's run has no sizes of its look, or not the one of a kind of variation that came later.
+        if key not in there and (key == LOOK_SIZES or (LOOK_SIZES in name and not here[key])):
             continue
         found = _difference(there.get(key, "absent"), here.get(key, "absent"), f"{name}.{key}" if name else key)
         if found is not None:

@@ -56,7 +56,9 @@ LOOKS = {
     ),
     # A camera at 30 pictures a second shows the state of 30 to 70 ms ago, an action is 40 ms.
     "late": dataclasses.replace(_VARIED, late=0.5),
-    # The parts of "varied", each alone; the last is in `hgail_jax.vision.augmentation`.
+    # Its blur is of the images, and so is the last part of "varied": they are in `hgail_jax.vision.augmentation`.
+    "blurred": _VARIED,
+    # The parts of "varied", each alone.
     "colours": Look(colour=0.2),
     "light": Look(brightness=0.35, light_turn=0.4),
     "shadows": Look(shadows=0.5),

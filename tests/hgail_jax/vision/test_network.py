@@ -1,12 +1,17 @@
 """The network of pictures, and how pictures are varied."""
 
+import dataclasses
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from hgail_envs.vision.depth import FAR
-from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, augment
+from hgail_envs.vision.look import LOOKS
+from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation, _blurred, augment
 from hgail_jax.vision.network import _places, init_eyes, look
 
 
@@ -72,6 +77,41 @@ def test_gains_offsets_and_noise_are_within_their_sizes():
     assert means.max() - means.min() > 0.5  # of at most .8
     inside = (means > 0.2) & (means < 0.8)
     np.testing.assert_allclose(varied.std(axis=(2, 3))[inside], 0.03, rtol=0.3)
+
+
+def test_a_blur_is_scipys_gaussian_filter():
+    pictures = np.random.default_rng(0).uniform(size=(2, 3, 12, 9, 3)).astype(np.float32)
+    sigma = np.array([[0.0, 0.2, 0.5], [0.8, 1.0, 1.5]], np.float32)
+    blurred = np.asarray(jax.jit(_blurred, static_argnums=2)(pictures, sigma, 4))
+    for sample, camera in np.ndindex(2, 3):
+        expected = gaussian_filter(
+            pictures[sample, camera], sigma[sample, camera], mode="nearest", radius=4, axes=(0, 1)
+        )
+        np.testing.assert_allclose(blurred[sample, camera], expected, atol=1e-6)
+
+
+def test_the_look_blurred_alone_has_blur_beside_what_varied_has():
+    for kind, blurred in (("colour", ["blurred"]), ("depth", [])):
+        looks = AUGMENTATIONS[kind]
+        assert [look for look in looks if looks[look].blur] == blurred
+        assert dataclasses.replace(looks["blurred"], blur=0.0) == looks["varied"]
+    assert LOOKS["blurred"] == LOOKS["varied"]
+
+
+def test_each_picture_is_blurred_on_its_own_up_to_the_size():
+    point = jnp.zeros((64, 2, 15, 15, 3)).at[:, :, 7, 7].set(1.0)
+    blur = jax.jit(functools.partial(augment, Augmentation(blur=1.0)))
+    blurred = np.asarray(blur(jax.random.key(0), point))
+    np.testing.assert_allclose(blurred.sum(axis=(2, 3)), 1.0, atol=1e-5)
+    places = np.square(np.arange(15) - 7)
+    rows, columns = (np.sqrt(blurred.sum(axis=axis) @ np.ones(3) / 3.0 @ places) for axis in (3, 2))
+    np.testing.assert_allclose(rows, columns, atol=1e-4)
+    assert 0.9 < rows.max() < 1.0 and rows.min() < 0.1
+    assert np.abs(rows[:, 0] - rows[:, 1]).mean() > 0.1  # of a uniform distribution .33
+    keys = jax.random.split(jax.random.key(1), 2)
+    seeds = jax.vmap(blur)(keys, jnp.stack([point] * 2))
+    for seed, key in zip(seeds, keys, strict=True):
+        np.testing.assert_allclose(seed, blur(key, point), atol=1e-6)
 
 
 def test_depth_is_varied_by_a_depth_cameras_noise_and_aim_alone():
