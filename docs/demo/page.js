@@ -114,9 +114,8 @@ class Session {
       if (task.kind.liftSteps && task.achieved()) {
         this.phase = "lifting";
         this.clock = 0;
-        [, , this.before] = task.objectPosition();
       } else this.#conclude(!task.kind.liftSteps && task.achieved());
-    } else if (this.phase === "lifting" && this.clock === task.kind.liftSteps) this.#conclude(task.lifted(this.before));
+    } else if (this.phase === "lifting" && this.clock === task.kind.liftSteps) this.#conclude(task.lifted());
   }
 
   // Counts the episode, and stays at a target that was moved by hand, or rests.

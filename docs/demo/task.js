@@ -319,9 +319,9 @@ export class Task {
     return this.stacks ? [0, 0, 0, 1] : [0, 0, 1, action[3]];
   }
 
-  // Whether a lift test since `before`, the object's height then, has lifted the object; in stack whether it stands.
-  lifted(before) {
-    return this.stacks ? this.#stands : this.objectPosition()[2] - before > LEAST_RISE;
+  // Whether the object is up after the lift test; in stack whether it stands.
+  lifted() {
+    return this.stacks ? this.#stands : this.objectPosition()[2] - CUBE_HEIGHT > LEAST_RISE;
   }
 
   // Starts an episode from joint positions and velocities and a goal, as the tests give them.
@@ -337,8 +337,7 @@ export class Task {
     let action = null;
     for (let step = 0; step < this.kind.episode; step++) this.step((action = pilot.act()));
     if (!this.kind.liftSteps || !this.achieved()) return this.achieved();
-    const [, , before] = this.objectPosition();
     for (let step = 0; step < this.kind.liftSteps; step++) this.step((action = this.liftAction(action)));
-    return this.lifted(before);
+    return this.lifted();
   }
 }

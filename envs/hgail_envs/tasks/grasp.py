@@ -20,7 +20,7 @@ CUBE_WIDTH = 0.05
 CUBE_RANGE = 0.15
 """Metres around the gripper's start, along x and y, in which the cube starts."""
 LEAST_RISE = 0.05
-"""Least rise of a held cube in the lift test, metres."""
+"""Least height of a held cube above its start after the lift test, metres."""
 HOLD = "to hold the cube at the target"
 """Name of the flag in a goal."""
 GOAL = Layout(TARGET, flag(HOLD))
@@ -35,11 +35,11 @@ _CUBE_HEIGHT = 0.425  # metres, on the table
 def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH, narrowest: Any = None) -> Any:
     """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres.
 
-    Pads that have turned in their fingers have the gap at their middles and are as close as `narrowest` elsewhere; the
-    width may be anywhere between the two.
+    So is the `narrowest` room between pads that have turned in their fingers, whose gap is at their middles: a cube
+    that is wedged between pads far from parallel slips out when it is lifted.
     """
-    least = gap if narrowest is None else narrowest
-    return touching & (gap - width >= -_GAP_TOLERANCE) & (least - width <= _GAP_TOLERANCE)
+    narrowest = gap if narrowest is None else narrowest
+    return touching & (abs(gap - width) <= _GAP_TOLERANCE) & (abs(narrowest - width) <= _GAP_TOLERANCE)
 
 
 def holds(env: ArmEnv, physics: ArmPhysics, touching: jax.Array) -> jax.Array:
@@ -148,7 +148,7 @@ class Grasp(ArmEnv):
     def outcome(self, end: State, lifted: State) -> EpisodeMetrics:
         last, lifted = end.pipeline_state, lifted.pipeline_state
         held = self.holding(last)
-        # Contact and gap alone do not prove a grasp: only a cube that is held rises.
-        rise = self.cube_position(lifted)[2] - self.cube_position(last)[2]
-        success = held & (rise > LEAST_RISE)
+        # Contact and gap alone do not prove a grasp: only a cube that is held is above the table after it. One that is
+        # as high as the arm reaches rises no more.
+        success = held & (self.cube_position(lifted)[2] - _CUBE_HEIGHT > LEAST_RISE)
         return self.measure(last.gripper_position, self.cube_position(last), held, success)

@@ -40,7 +40,7 @@ def run_episode(
     `act` returns the next action, `[4]`; `watch` is called at the start and after each step. Returns the metrics of the
     last step, as `GoalEnv.outcome` of the task defines them, as plain numbers.
     """
-    task = find_class(robot.task)
+    task, start = find_class(robot.task), robot.target()
     watch()
     for _ in range(task.episode_length):
         action = act()
@@ -54,7 +54,7 @@ def run_episode(
     for _ in range(task.lift_test_steps):
         robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.lift_test_action`
         watch()
-    rise = robot.target()[2] - target[2] if task.lift_test_steps else np.inf
+    rise = robot.target()[2] - start[2] if task.lift_test_steps else np.inf
     l1 = float(np.abs(position - target).sum())
     return EpisodeMetrics(
         success=float(achieved and rise > LEAST_RISE),
