@@ -220,7 +220,7 @@ def test_a_cube_that_is_seen_otherwise_is_refused():
 
 @pytest.mark.parametrize("task", ["grasp", "pick-and-place", "stack", "tower"])
 def test_a_cube_between_pads_that_have_turned_far_is_not_held(task, monkeypatch):
-    """The gap is at the middles of the pads; elsewhere they are closer, and both are to be as wide as the cube, 5 cm."""
+    """The gap is at the middles of the pads; elsewhere they are closer, and both are to be the cube's width, 5 cm."""
     env = hgail_envs.make(task, impl="c")
     physics = env.reset(jax.random.key(0)).pipeline_state
     physics = physics.replace(sensordata=jnp.ones_like(physics.sensordata))
