@@ -35,11 +35,13 @@ _CUBE_HEIGHT = 0.425  # metres, on the table
 def is_held(touching: Any, gap: Any, width: Any = CUBE_WIDTH, narrowest: Any = None) -> Any:
     """Returns whether a hand holds the cube: both pads touch it, and their `gap` is its `width` within 8 mm, metres.
 
-    So is the `narrowest` room between pads that have turned in their fingers, whose gap is at their middles: a cube
-    that is wedged between pads far from parallel slips out when it is lifted.
+    Pads that have turned in their fingers have the gap at their middles and are as close as `narrowest` elsewhere; the
+    width may be anywhere between the two, which differ by 16 mm at most: a cube that is wedged between pads which have
+    turned further slips out when it is lifted.
     """
     narrowest = gap if narrowest is None else narrowest
-    return touching & (abs(gap - width) <= _GAP_TOLERANCE) & (abs(narrowest - width) <= _GAP_TOLERANCE)
+    is_between = (gap - width >= -_GAP_TOLERANCE) & (narrowest - width <= _GAP_TOLERANCE)
+    return touching & is_between & (gap - narrowest <= 2 * _GAP_TOLERANCE)
 
 
 def holds(env: ArmEnv, physics: ArmPhysics, touching: jax.Array) -> jax.Array:
