@@ -7,9 +7,7 @@ import contextlib
 import io
 import warnings
 
-from hgail_envs.workarounds import mujoco_without_renderer
-
-with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(), mujoco_without_renderer():
+with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
     # brax imports MJX, which prints that Warp is missing, and jaxopt, which warns that it is old
     warnings.simplefilter("ignore", DeprecationWarning)
     from brax.envs.base import State

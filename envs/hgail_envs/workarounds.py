@@ -1,9 +1,8 @@
-"""Works around faults of the installed JAX, MuJoCo, MJX and Warp."""
+"""Works around faults of the installed JAX, MJX and Warp."""
 
 import contextlib
 import functools
 import os
-import platform
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,29 +19,6 @@ import jaxlib.version
 _ENDED = (0, 11, 1)
 _NO_FUSION_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _ENOUGH_THREADS = 8
-
-
-# What MuJoCo 3.17.0 accepts in MUJOCO_GL, in `mujoco/rendering/classic/gl_context.py`.
-_SWITCHES = ("", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0", "glfw")
-_OF_SYSTEM = {"Linux": ("glx", "egl", "osmesa"), "Windows": ("wgl",), "Darwin": ("cgl",)}
-
-
-@contextlib.contextmanager
-def mujoco_without_renderer() -> Iterator[None]:
-    """Lets MuJoCo be imported, without a renderer, where it does not know the value of `MUJOCO_GL`.
-
-    MuJoCo 3.17.0 cannot be imported then, and no command could say so in one line. What renders says it, see
-    `hgail_envs.vision.rendering.open_renderer`.
-    """
-    chosen = os.environ.get("MUJOCO_GL", "")
-    if chosen.lower().strip() in (*_SWITCHES, *_OF_SYSTEM.get(platform.system(), ())):
-        yield
-        return
-    os.environ["MUJOCO_GL"] = "disable"
-    try:
-        yield
-    finally:
-        os.environ["MUJOCO_GL"] = chosen
 
 
 def configure_xla() -> None:

@@ -66,23 +66,6 @@ def test_the_package_is_imported_where_mujoco_finds_no_renderer():
     assert run(hidden) == ["False"]
 
 
-REFUSED = """
-import os; os.environ["MUJOCO_GL"] = "foo"
-from hgail_jax.cli import main
-print(os.environ["MUJOCO_GL"], flush=True)
-os.dup2(1, 2)
-try:
-    main(["evaluate", "--policy", "push-camera", "--episodes", "1"])
-except SystemExit as ended:
-    print(ended.code)
-"""
-
-
-def test_a_renderer_that_mujoco_does_not_know_is_refused_in_one_line_where_something_is_rendered():
-    reason = "hgail evaluate: MuJoCo cannot render: MUJOCO_GL is 'foo'; choose from egl, osmesa, glfw"
-    assert run(REFUSED) == ["foo", reason, "2"]
-
-
 def test_making_a_task_starts_no_jax_and_finds_its_engine_at_first_use():
     missing = "impl 'warp' needs warp-lang and an NVIDIA GPU; use 'jax', 'c' or 'auto'"
     unknown = "unknown impl 'bullet'; choose from auto, warp, c, jax"
