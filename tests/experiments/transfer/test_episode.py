@@ -135,6 +135,15 @@ def test_grasping_takes_a_lift():
     assert (outcome.achieved, outcome.success) == (1.0, 0.0)
 
 
+def test_a_cube_that_was_lifted_before_the_test_need_not_rise_in_it():
+    """It is as high as the robot reaches: the test moves it no more."""
+    robot = Dot("grasp")
+    rise = robot.step
+    robot.step = lambda action: rise(action) if len(robot.commands) < 10 else robot.commands.append(action)
+    outcome = run(robot, lambda observation: np.array([0.0, 0.0, 1.0, 0.0]))
+    assert outcome.achieved == outcome.success == 1.0
+
+
 def observations(policy=lambda observation: np.zeros(4), task="reach", **conditions):
     """Returns what a policy is shown in an episode in which it stands still."""
     seen = []

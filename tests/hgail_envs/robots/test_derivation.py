@@ -28,7 +28,7 @@ def derived(folder, *args, **kwargs):
 
 @pytest.fixture(scope="module")
 def found_and_said(tmp_path_factory):
-    """The description of the arm as it is, whose model is `arm.xml`, and the lines about it."""
+    """The description that is derived of `arm.xml`, and the lines that are said about it."""
     return derived(tmp_path_factory.mktemp("arm"), top_speed=(2.0,))
 
 
