@@ -170,8 +170,14 @@ class Hyperparameters(struct.PyTreeNode):
     """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's."""
 
     def as_arrays(self) -> Self:
-        """Returns itself with arrays for leaves."""
-        return type(self)(**{name: jnp.asarray(value) for name, value in vars(self).items()})
+        """Returns itself with arrays for leaves, of floats also where whole numbers stand for them."""
+
+        def array(field: dataclasses.Field) -> jax.Array:
+            value = getattr(self, field.name)
+            whole = isinstance(value, int) and isinstance(field.default, float)
+            return jnp.asarray(float(value) if whole else value)
+
+        return type(self)(**{field.name: array(field) for field in dataclasses.fields(self)})
 
     def as_dict(self) -> dict[str, Any]:
         """Returns the fields as JSON has them."""

@@ -137,6 +137,17 @@ def test_hyperparameters_may_be_arrays_and_tracers():
     np.testing.assert_array_equal(swept, [0.0, 1.0])
 
 
+@pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS)
+def test_whole_numbers_stand_for_floats(learner):
+    usual = learner.hyperparameters()
+    floats = [field.name for field in dataclasses.fields(usual) if isinstance(field.default, float)]
+    arrays = usual.replace(**dict.fromkeys(floats, 1)).as_arrays()
+
+    assert {name: getattr(arrays, name).dtype for name in floats} == dict.fromkeys(floats, jnp.float32)
+    assert all(getattr(arrays, name) == 1 for name in floats)
+    assert arrays.strategy.dtype == jnp.int32 and arrays.include_current.dtype == bool
+
+
 def test_minibatches_must_not_outnumber_samples():
     env = hgail_envs.make("point")
     Config(num_envs=2, learner=PPO(minibatches=100)).validate(env)
