@@ -39,7 +39,8 @@ def damped_step(
         remaining = error - (rows * xp.where(free, bias, step)).sum(axis=1)
         # Sums of products, which XLA fuses: products and LAPACK take a hundred times as long for matrices of this size.
         normal = (movable[:, None] * movable).sum(axis=2) + _DAMPING * np.eye(6)
-        solved = bias + (movable * _solve(normal, remaining, xp)[:, None]).sum(axis=0)
+        multipliers = _solve(normal, remaining) if xp is jnp else np.linalg.solve(normal, remaining)
+        solved = bias + (movable * multipliers[:, None]).sum(axis=0)
         wanted = xp.where(free, solved, step)
         limited = xp.clip(wanted, *limits)
         return free & (limited == wanted), limited
@@ -53,10 +54,12 @@ def damped_step(
 def _loop(first: int, last: int, body: Any, state: Any) -> Any:
     for index in range(first, last):
         state = body(index, state)
+        if state[0].all():  # no joint came to its limit, so another attempt would step alike
+            break
     return state
 
 
-def _solve(matrix: Any, right: Any, xp: Any) -> Any:
+def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     """Solves a small system, `[n, n]` and `[n]`, whose matrix is symmetric and positive, by Cholesky's method."""
     size = len(right)
     lower: list[list[Any]] = []
@@ -65,9 +68,9 @@ def _solve(matrix: Any, right: Any, xp: Any) -> Any:
         row: list[Any] = []
         for j in range(i):
             row.append((matrix[i, j] - sum(row[k] * lower[j][k] for k in range(j))) / lower[j][j])
-        row.append(xp.sqrt(matrix[i, i] - sum(value**2 for value in row)))
+        row.append(jnp.sqrt(matrix[i, i] - sum(value**2 for value in row)))
         lower.append(row)
         solution.append((right[i] - sum(row[k] * solution[k] for k in range(i))) / row[i])
     for i in reversed(range(size)):
         solution[i] = (solution[i] - sum(lower[k][i] * solution[k] for k in range(i + 1, size))) / lower[i][i]
-    return xp.stack(solution)
+    return jnp.stack(solution)

@@ -139,7 +139,10 @@ class ServoArm(Robot):
             way = self._start + offset - data.site_xpos[site]
             turn = 0.5 * np.cross(data.site_xmat[site].reshape(3, 3), _DOWNWARD, axis=0).sum(axis=1)
             way *= _LONGEST / max(_LONGEST, float(np.linalg.norm(way)))
-            posture += self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
+            step = self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
+            before, posture = posture, (posture + step).astype(posture.dtype)
+            if np.array_equal(posture, before):
+                break  # as all further steps would
         return posture
 
     def _check_start(self) -> None:
