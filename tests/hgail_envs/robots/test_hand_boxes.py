@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 
-import hgail_envs
 from hgail_envs.engines.mjx import buffer_sizes
 from hgail_envs.robots import ROBOTS, hand_boxes
 from hgail_envs.robots.arm_model import attach_arm
@@ -20,16 +19,21 @@ ARMS = [name for name in ROBOTS if name != "fetch"]
 
 
 @functools.cache
-def made(robot, task="push"):
-    return hgail_envs.make(task, robot=robot)
+def made(robot, scene="push"):
+    return ROBOTS[robot](scene)
 
 
-def touching_first(env, model, geoms, way, aside):
+def place_of_cube(model):
+    start = int(model.joint("cube").qposadr[0])
+    return slice(start, start + 3)
+
+
+def touching_first(model, posture, geoms, way, aside):
     """Returns how far from the gripper the cube touches any of the geoms, on its way along the table to the hand."""
-    data, cube = mujoco.MjData(model), model.geom("cube").id
-    data.qpos[:] = env.robot.settle([0.0, 0.0, env.robot.lowest_height - env.robot._start[2]]).qpos
+    data, cube, place = mujoco.MjData(model), model.geom("cube").id, place_of_cube(model)
+    data.qpos[:] = posture
     mujoco.mj_kinematics(model, data)
-    tool, place = data.site("grip").xpos.copy(), env.qpos_of("cube")
+    tool = data.site("grip").xpos.copy()
     for distance in np.arange(0.15, 0.0, -0.001):
         data.qpos[place] = [*(tool[:2] - distance * way + aside * way[::-1]), 0.425]
         mujoco.mj_kinematics(model, data)
@@ -40,17 +44,18 @@ def touching_first(env, model, geoms, way, aside):
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_a_cube_touches_the_closed_hand_where_it_touches_the_maker_s(robot):
-    env = made(robot)
-    training, full = env.model, env.robot.full_model()
+    arm = made(robot)
+    training, full = arm.model, arm.full_model()
+    on_table = arm.settle([0.0, 0.0, arm.lowest_height - arm._start[2]]).qpos
     pads = [training.geom(pad).id for pad in PADS]
     boxes = [geom for geom in range(training.ngeom) if training.geom(geom).name.startswith("hand_")]
     maker_s = [geom for geom in range(full.ngeom) if full.geom_contype[geom] and _of_hand(full, geom)]
     errors, of_pads = [], []
     for way in (np.array(way) for way in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0])):
         for aside in (-0.02, 0.0, 0.02):
-            wanted = touching_first(env, full, maker_s, way, aside)
-            errors.append(touching_first(env, training, pads + boxes, way, aside) - wanted)
-            of_pads.append(touching_first(env, training, pads, way, aside) - wanted)
+            wanted = touching_first(full, on_table, maker_s, way, aside)
+            errors.append(touching_first(training, on_table, pads + boxes, way, aside) - wanted)
+            of_pads.append(touching_first(training, on_table, pads, way, aside) - wanted)
     assert np.abs(errors).max() < 0.008 and np.mean(np.abs(errors)) < 0.004
     assert np.mean(np.abs(errors)) < 0.6 * np.mean(np.abs(of_pads)), (errors, of_pads)
 
@@ -64,11 +69,11 @@ def _of_hand(model, geom):
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_boxes_stay_clear_of_a_cube_between_the_open_pads(robot):
-    env = made(robot, "grasp")
-    model, data = env.model, mujoco.MjData(env.model)
-    data.qpos[:] = env.robot.opened(jnp.float32(env.robot.settle().qpos), 0.062)
+    arm = made(robot, "grasp")
+    model, data = arm.model, mujoco.MjData(arm.model)
+    data.qpos[:] = arm.opened(jnp.float32(arm.settle().qpos), 0.062)
     mujoco.mj_kinematics(model, data)
-    data.qpos[env.qpos_of("cube")] = data.site("grip").xpos
+    data.qpos[place_of_cube(model)] = data.site("grip").xpos
     mujoco.mj_kinematics(model, data)
     boxes = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith("hand_")]
     cube = model.geom("cube").id
@@ -78,7 +83,7 @@ def test_boxes_stay_clear_of_a_cube_between_the_open_pads(robot):
 
 def test_they_touch_objects_alone():
     for task, objects in (("reach", 0), ("push", 1), ("stack", 2)):
-        model, fetch = made("ur5e", task).model, hgail_envs.make(task).model
+        model, fetch = made("ur5e", task).model, made("fetch", task).model
         assert model.npair == fetch.npair + 4 * objects
         assert model.ngeom - fetch.ngeom <= 4
 
@@ -95,4 +100,4 @@ def test_a_hand_whose_shapes_do_not_collide_has_none(monkeypatch):
 
 def test_buffers_have_room_for_them():
     more = (buffer_sizes(made(robot).model, 1)["naconmax"] for robot in ("ur5e", "so101"))
-    assert list(more) == [buffer_sizes(hgail_envs.make("push").model, 1)["naconmax"] + 8 * boxes for boxes in (4, 2)]
+    assert list(more) == [buffer_sizes(made("fetch").model, 1)["naconmax"] + 8 * boxes for boxes in (4, 2)]

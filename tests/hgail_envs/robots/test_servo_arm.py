@@ -32,6 +32,17 @@ def made(task, robot="franka", **options):
     return hgail_envs.make(task, robot=robot, **options)
 
 
+@functools.cache
+def arm_of(robot, scene="grasp"):
+    """The arm alone, for what needs no task."""
+    return ROBOTS[robot](scene)
+
+
+def place_of_cube(model):
+    start = int(model.joint("cube").qposadr[0])
+    return slice(start, start + 3)
+
+
 def pad_distance(model, qpos):
     """Returns the distance between the pads by MuJoCo's collision detection."""
     data = mujoco.MjData(model)
@@ -50,6 +61,11 @@ def stepper(env):
     return jax.jit(env.step)
 
 
+@functools.cache
+def variation(env):
+    return jax.jit(env.vary_model)
+
+
 def acted(env, actions, state=None):
     """Returns the physics after each of the actions, which the task takes from its start or a state."""
     state, physics = start_of(env) if state is None else state, []
@@ -61,13 +77,13 @@ def acted(env, actions, state=None):
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_the_hand_starts_above_the_table_pointing_downward(robot):
-    env = made("grasp", robot)
-    data = env.robot.settle()
+    arm = arm_of(robot)
+    data = arm.settle()
     x, y, _z = data.site("grip").xmat.reshape(3, 3).T
     tilt = 0.06 if robot == "so101" else 2e-3  # five joints have no choice at this height
     np.testing.assert_allclose([x, y], [[0, 0, -1], [0, 1, 0]], atol=tilt)
     np.testing.assert_allclose(data.site("grip").xpos, [1.344, 0.749, 0.6], atol=1e-3)
-    pads = [env.model.geom(f"{side}_pad") for side in ("right", "left")]
+    pads = [arm.model.geom(f"{side}_pad") for side in ("right", "left")]
     assert (data.geom_xpos[pads[0].id] - data.geom_xpos[pads[1].id]) @ y > 0
     lowest = min(data.geom_xpos[pad.id][2] - pad.size[0] for pad in pads)
     below = 0.0215 if robot == "ur5e" else 0.0185  # those of a linkage end farther down if it is closed
@@ -75,39 +91,41 @@ def test_the_hand_starts_above_the_table_pointing_downward(robot):
 
 
 def test_what_the_model_weighs_is_what_it_weighed():
-    env, (original, _) = made("reach"), arm_model._compiled("franka", text_of("franka"))
+    model, (original, _) = arm_of("franka").model, arm_model._compiled("franka", text_of("franka"))
     for body in range(1, original.nbody):
-        ours, theirs = env.model.body(f"arm/{original.body(body).name}"), original.body(body)
+        ours, theirs = model.body(f"arm/{original.body(body).name}"), original.body(body)
         np.testing.assert_allclose([*ours.mass, *ours.inertia], [*theirs.mass, *theirs.inertia], rtol=1e-6)
-    np.testing.assert_array_equal(env.model.body_gravcomp[1:], 1.0)
+    cube = model.body("cube").id
+    np.testing.assert_array_equal(np.delete(model.body_gravcomp, [0, cube]), 1.0)
 
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_the_gap_is_the_distance_between_the_pads(robot):
-    env = made("grasp", robot)
-    start = env._start_qpos
+    arm = arm_of(robot)
+    start = jnp.asarray(arm.settle().qpos, jnp.float32)
     for gap in (0.005, 0.035, 0.075):
-        qpos = np.asarray(env.robot.opened(jnp.asarray(start, jnp.float32), gap))
-        assert env.robot.gap(qpos) == pytest.approx(gap, abs=2e-4)
+        qpos = np.asarray(arm.opened(start, gap))
+        assert arm.gap(qpos) == pytest.approx(gap, abs=2e-4)
         turning = 5e-3 if robot == "so101" else 1.5e-3  # of a jaw, and a little of the pads of a linkage
-        assert pad_distance(env.model, qpos) == pytest.approx(gap, abs=turning)
+        assert pad_distance(arm.model, qpos) == pytest.approx(gap, abs=turning)
 
 
 @pytest.mark.parametrize("robot", ARMS)
 def test_the_narrowest_gap_is_the_room_between_pads_that_have_turned(robot):
     """Against the corners of both boxes, as C MuJoCo has them, with the joints of the hand anywhere."""
-    env, rng = made("grasp", robot), np.random.default_rng(0)
-    data, corners = mujoco.MjData(env.model), np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8)
+    arm, rng = arm_of(robot), np.random.default_rng(0)
+    model, start, narrowest = arm.model, arm.settle().qpos, jax.jit(arm.narrowest_gap)
+    data, corners = mujoco.MjData(model), np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8)
     for _ in range(20):
-        data.qpos[:] = env._start_qpos
-        data.qpos[env.robot._hand_joints] += rng.uniform(-0.5, 0.5, len(env.robot._hand_joints))
-        mujoco.mj_kinematics(env.model, data)
+        data.qpos[:] = start
+        data.qpos[arm._hand_joints] += rng.uniform(-0.5, 0.5, len(arm._hand_joints))
+        mujoco.mj_kinematics(model, data)
         closing = data.site("grip").xmat.reshape(3, 3)[:, 1]
         right, left = (
             closing @ (data.geom(pad).xpos[:, None] + data.geom(pad).xmat.reshape(3, 3) @ (corners.T * size).T)
-            for pad, size in ((pad, env.model.geom(pad).size) for pad in PADS)
+            for pad, size in ((pad, model.geom(pad).size) for pad in PADS)
         )
-        assert env.robot.narrowest_gap(jnp.float32(data.qpos)) == pytest.approx(right.min() - left.max(), abs=1e-5)
+        assert narrowest(jnp.float32(data.qpos)) == pytest.approx(right.min() - left.max(), abs=1e-5)
 
 
 @pytest.mark.slow
@@ -120,7 +138,7 @@ def test_a_cube_that_turns_a_pad_of_a_linkage_is_held():
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
     for axis in np.eye(3):
-        ends = acted(made("reach", robot), [[*axis, 0.0]] * 4).gripper_position
+        ends = acted(made("grasp", robot), [[*axis, 0.0]] * 4).gripper_position
         moved = np.diff(ends, axis=0)
         assert (moved @ axis)[1:].min() > 0.022 and (moved @ axis).max() < 0.042
         assert np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1).max() < 0.004
@@ -128,17 +146,18 @@ def test_a_unit_action_moves_the_hand_about_as_far_as_the_fetch_s(robot):
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_joints_keep_to_their_top_speed(robot):
-    env, arm = made("reach", robot), read_description(robot)
+    env, arm = made("grasp", robot), read_description(robot)
     physics = acted(env, np.random.default_rng(0).choice([-1.0, 1.0], (40, 4)))
     assert np.abs(physics.qvel[:, env.robot._dofs] / np.array(arm.top_speed)).max() < 1.2
 
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_the_hand_does_not_press_on_the_table(robot):
-    env = made("push", robot)
+    env = made("grasp", robot)
     data, pads = mujoco.MjData(env.model), [env.model.geom(name) for name in PADS]
     arm = read_description(robot)
-    for qpos in acted(env, [[0.3, 0.3, -1.0, 0.0]] * 10).qpos:
+    way = [[0.0, 0.0, -1.0, -1.0]] * 10 + [[0.3, 0.3, -1.0, -1.0]] * 10
+    for qpos in acted(env, way).qpos[10:]:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(env.model, data)
         lowest = min(data.geom_xpos[pad.id][2] - pad.size[0] for pad in pads)
@@ -149,7 +168,7 @@ def test_the_hand_does_not_press_on_the_table(robot):
 @pytest.mark.parametrize("robot", ["franka", pytest.param("ur5e", marks=pytest.mark.slow)])
 def test_led_outward_the_hand_comes_to_rest_upright_and_rises_from_there(robot):
     """A stretched arm shook by 6 to 10 mm an action and tilted its hand by 12 to 26 degrees."""
-    env = made("reach", robot)
+    env = made("grasp", robot)
     data, outward = mujoco.MjData(env.model), [[1.0, 0.0, 0.0, 0.0]] * 40
     physics = acted(env, outward + [[0.0, 0.0, 1.0, 0.0]] * 10)
     ends = physics.gripper_position
@@ -197,15 +216,15 @@ def test_a_script_does_them_on_mjx(robot, task):
 @pytest.mark.parametrize(("robot", "force"), [("franka", 70.0), ("ur5e", 46.0)])
 def test_a_cube_weighs_what_the_hand_can_hold(robot, force):
     """By the forces of the pads' contacts, in a hand that closes around a cube without weight."""
-    env = made("grasp", robot)
-    assert env.model.body("cube").mass[0] == pytest.approx(0.1 * force / 9.81, rel=0.03)
-    model, data = copy.copy(env.model), env.robot.settle()
+    arm = arm_of(robot)
+    assert arm.model.body("cube").mass[0] == pytest.approx(0.1 * force / 9.81, rel=0.03)
+    model, data = copy.copy(arm.model), arm.settle()
     model.opt.gravity[:] = 0.0
-    qpos = np.array(env.robot.opened(jnp.asarray(data.qpos, jnp.float32), 0.052))
-    qpos[env.qpos_of("cube")] = data.site("grip").xpos
+    qpos = np.array(arm.opened(jnp.asarray(data.qpos, jnp.float32), 0.052))
+    qpos[place_of_cube(model)] = data.site("grip").xpos
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    data.ctrl[:] = [*qpos[env.robot._joints], *env.robot._closed]
+    data.ctrl[:] = [*qpos[arm._joints], *arm._closed]
     mujoco.mj_step(model, data, nstep=500)
     pressing = {}
     for index, contact in enumerate(data.contact):
@@ -219,13 +238,12 @@ def test_a_cube_weighs_what_the_hand_can_hold(robot, force):
 
 def test_lighter_objects_keep_their_weight(monkeypatch):
     monkeypatch.setattr(grip, "WEIGHT_PER_FORCE", 10.0)
-    model = hgail_envs.make("grasp", robot="franka").model
-    assert model.body("cube").mass[0] == 2.0
-    assert hgail_envs.make("grasp").model.body("cube").mass[0] == 2.0
+    for robot in ("franka", "fetch"):
+        assert ROBOTS[robot]("grasp").model.body("cube").mass[0] == 2.0
 
 
 def test_the_lighter_cube_s_derived_quantities_fit_its_mass():
-    model = made("grasp").model
+    model = arm_of("franka").model
     dof, mass = int(model.joint("cube").dofadr[0]), model.body("cube").mass[0]
     np.testing.assert_allclose(model.dof_invweight0[dof : dof + 3], 1.0 / mass, rtol=1e-6)
     np.testing.assert_allclose(model.body("cube").inertia, mass * 0.05**2 / 6.0, rtol=1e-6)
@@ -252,10 +270,10 @@ def test_the_engines_agree_where_no_servo_is_at_its_limit(robot):
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_hand_and_pads_are_varied_as_the_fetch_s(robot):
-    env = made("grasp", robot, substeps=8)
+    env = made("grasp", robot)
     factors = ModelFactors(hand_width=0.8, finger_force=0.5, pad_size=0.7)
     start = start_of(env)
-    varied = jax.jit(env.vary_model)(start.pipeline_state, factors)
+    varied = variation(env)(start.pipeline_state, factors)
     opened = acted(env, [[0.0, 0.0, 0.0, 1.0]] * 15, start.replace(pipeline_state=varied))
     assert env.robot.gap(opened.qpos[-1]) == pytest.approx(0.8 * env.robot.widest_gap(), abs=2e-3)
     fields = env.robot.hand_fields(factors, {})
@@ -266,12 +284,12 @@ def test_hand_and_pads_are_varied_as_the_fetch_s(robot):
 
 def test_slow_fingers_take_as_much_longer():
     """Time scales with the inverse of the speed; the force has no part in it."""
-    env = made("grasp", substeps=8)
+    env = made("grasp")
     start = start_of(env)
     physics = start.pipeline_state.replace(qpos=env.robot.opened(start.pipeline_state.qpos, 0.0))
     gaps = []
     for speed, force, steps in ((1.0, 1.0, 1), (0.5, 1.0, 2), (0.5, 0.5, 2)):
-        varied = jax.jit(env.vary_model)(physics, ModelFactors(finger_speed=speed, finger_force=force))
+        varied = variation(env)(physics, ModelFactors(finger_speed=speed, finger_force=force))
         opening = acted(env, [[0.0, 0.0, 0.0, 1.0]] * steps, start.replace(pipeline_state=varied))
         gaps.append(float(env.robot.gap(opening.qpos[-1])))
     assert 0.005 < gaps[0] < 0.075
@@ -280,7 +298,7 @@ def test_slow_fingers_take_as_much_longer():
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
 def test_the_fingers_move_by_half_the_gap_s_rate(robot):
-    env, period = made("grasp", robot, substeps=8), 1e-2
+    env, period = made("grasp", robot), 1e-2
     opening = acted(env, [[0.0, 0.0, 0.0, 1.0]])
     physics = jax.tree.map(lambda leaf: leaf[-1], opening)
     later = np.array(physics.qpos, float)
@@ -300,7 +318,7 @@ def _pads(model, fields, pad):
 
 
 def test_pictures_show_the_maker_s_meshes_and_change_no_dynamics():
-    robot = made("reach").robot
+    robot = arm_of("franka")
     physics, pictures = robot.model, robot.load(visual=True)
     assert physics.nmesh == 0 < pictures.nmesh
     assert (physics.nq, physics.nu, physics.npair) == (pictures.nq, pictures.nu, pictures.npair)
@@ -308,9 +326,9 @@ def test_pictures_show_the_maker_s_meshes_and_change_no_dynamics():
 
 
 def test_a_task_on_an_arm_is_pickled():
-    env = made("reach")
-    state, step = start_of(env), np.array([1.0, 0.0, 0.0, 0.0])
-    ends = [jax.jit(one.step)(state, step).obs for one in (env, pickle.loads(pickle.dumps(env)))]
+    env = made("grasp")
+    state, step = start_of(env), np.float32([1.0, 0.0, 0.0, 0.0])
+    ends = [stepper(one)(state, step).obs for one in (env, pickle.loads(pickle.dumps(env)))]
     np.testing.assert_array_equal(*ends)
 
 
@@ -339,7 +357,7 @@ def as_the_maker_has_it(robot):
 
 def test_an_enlarged_arm_moves_as_the_maker_s_does():
     """By C MuJoCo: points are twice as far apart, and a torque that is four times as large turns joints alike."""
-    ours, theirs = made("reach", "so101").model, as_the_maker_has_it("so101")
+    ours, theirs = arm_of("so101").model, as_the_maker_has_it("so101")
     joints = read_description("so101").joints
     ends = []
     for model, prefix, scale in ((ours, "arm/", 2.0), (theirs, "", 1.0)):
@@ -360,11 +378,11 @@ def test_an_enlarged_arm_moves_as_the_maker_s_does():
 
 def test_a_jaw_pushes_with_the_place_where_its_pads_meet():
     for task in ("push", "grasp"):
-        env = made(task, "so101")
-        data = env.robot.settle()
+        arm = arm_of("so101", task)
+        data = arm.settle()
         if task == "grasp":
-            data.qpos[:] = env.robot.opened(jnp.float32(data.qpos), 0.062)  # the cube, and 6 mm on either side
-            mujoco.mj_kinematics(env.model, data)
+            data.qpos[:] = arm.opened(jnp.float32(data.qpos), 0.062)  # the cube, and 6 mm on either side
+            mujoco.mj_kinematics(arm.model, data)
         middle = np.mean([data.geom(pad).xpos for pad in PADS], axis=0) - data.site("grip").xpos
         assert middle[1] == pytest.approx(0.0, abs=2e-3)
 

@@ -1,9 +1,9 @@
 """Furniture of Franka Kitchen, unchanged, in the scenes of the page on own tasks."""
 
+import functools
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -29,9 +29,14 @@ def folder(tmp_path_factory):
         yield folder
 
 
+@pytest.fixture(scope="module")
+def made(folder):
+    return functools.cache(lambda name: hgail_envs.make(f"kitchen:{name}", substeps=8, robot="franka"))
+
+
 @pytest.fixture(scope="module", params=["Cabinet", "Microwave"])
-def env(request, folder):
-    return hgail_envs.make(f"kitchen:{request.param}", substeps=8, robot="franka")
+def env(request, made):
+    return made(request.param)
 
 
 def colliding(model, body):
@@ -82,44 +87,45 @@ def test_a_door_does_not_touch_its_frame_in_the_arm_s_full_model(env):
     assert data.ncon == 0
 
 
-def led(env, way, steps, state):
-    """Returns the state after steps towards `way(physics)`, `[3]`, less the gripper's position."""
+def led(env, stages):
+    """Returns the state after stages of a closed hand, from the start of an episode.
 
-    def advance(_, state):
-        physics = state.pipeline_state
-        apart = (way(physics) - physics.gripper_position) / 0.04
-        return env.step(state, jnp.append(jnp.clip(apart, -1.0, 1.0), 0.0))
-
-    return jax.jit(lambda state: jax.lax.fori_loop(0, steps, advance, state))(state)
-
-
-def closed_hand(env, stages):
-    """Returns the state after stages of a closed hand: places less the handle's start, metres, and steps."""
-    state = jax.jit(env.reset)(jax.random.key(0))
-    handle = env.object_position(state.pipeline_state)
-    for away, steps in stages:
-        state = led(env, lambda physics, away=away: handle + jnp.array(away), steps, state)
+    A stage leads it to `way(physics, handle)`, `[3]`, by the handle's start, `[3]`, metres, in so many steps.
+    """
+    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
+    handle = np.asarray(jax.jit(env.object_position)(state.pipeline_state))
+    for way, steps in stages:
+        for _ in range(steps):
+            physics = jax.device_get(state.pipeline_state)
+            apart = (way(physics, handle) - physics.gripper_position) / 0.04
+            state = step(state, np.append(np.clip(apart, -1.0, 1.0), 0.0).astype(np.float32))
     return state
 
 
-def test_a_hand_beside_the_handle_slides_the_cabinet_to_the_kitchen_s_goal(folder):
-    env = hgail_envs.make("kitchen:Cabinet", substeps=8, robot="franka")
-    around = [([-0.1, 0.0, 0.05], 6), ([-0.1, 0.14, 0.05], 6), ([0.0, 0.14, 0.05], 4), ([0.0, -0.3, 0.05], 20)]
-    state = closed_hand(env, around)
+def beside(*away):
+    """Returns the way to a place so far from the handle's start, metres."""
+    return lambda physics, handle: handle + away
+
+
+def test_a_hand_beside_the_handle_slides_the_cabinet_to_the_kitchen_s_goal(made):
+    env = made("Cabinet")
+    around = [(beside(-0.1, 0.0, 0.05), 6), (beside(-0.1, 0.14, 0.05), 6), (beside(0.0, 0.14, 0.05), 4)]
+    state = led(env, [*around, (beside(0.0, -0.3, 0.05), 20)])
     assert env.joint_position(state.pipeline_state) > 0.37
     assert state.info["achieved_goal"][3] == 1.0
 
 
-def test_a_hand_beside_the_handle_opens_the_microwave_to_the_kitchen_s_goal(folder):
-    env = hgail_envs.make("kitchen:Microwave", substeps=8, robot="franka")
-    hinge = jnp.array([1.704 - 0.176, 0.88 + 0.345])  # metres, by the files
+def test_a_hand_beside_the_handle_opens_the_microwave_to_the_kitchen_s_goal(made):
+    env = made("Microwave")
+    hinge = np.array([1.704 - 0.176, 0.88 + 0.345])  # metres, by the files
+    place_of = jax.jit(env.object_position)
 
-    def along_the_circle(physics):
-        place = env.object_position(physics)
-        x, y = (place[:2] - hinge) / jnp.linalg.norm(place[:2] - hinge)
-        return place + jnp.array([0.03 * y + 0.015 * x, -0.03 * x + 0.015 * y, 0.1])
+    def along_the_circle(physics, _):
+        place = np.asarray(place_of(physics))
+        x, y = (place[:2] - hinge) / np.linalg.norm(place[:2] - hinge)
+        return place + np.array([0.03 * y + 0.015 * x, -0.03 * x + 0.015 * y, 0.1])
 
-    state = closed_hand(env, [([-0.05, -0.1, 0.1], 8), ([0.0, -0.1, 0.1], 4), ([0.0, 0.0, 0.1], 4)])
-    state = led(env, along_the_circle, 34, state)
+    there = [(beside(-0.05, -0.1, 0.1), 8), (beside(0.0, -0.1, 0.1), 4), (beside(0.0, 0.0, 0.1), 4)]
+    state = led(env, [*there, (along_the_circle, 34)])
     assert env.joint_position(state.pipeline_state) < -0.75
     assert state.info["achieved_goal"][3] == 1.0
