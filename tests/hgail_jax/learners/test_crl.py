@@ -9,14 +9,26 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hgail_jax import Config, init_state, phase_table
-from hgail_jax.buffer import draw, draw_future
+from hgail_jax import Config, phase_table
+from hgail_jax.buffer import draw_future
 from hgail_jax.learners.crl import CRL, contrastive_loss
-from hgail_jax.learners.td3 import fill_buffer
 from hgail_jax.seeds import compile_train_step, init_sweep, seed_keys
 from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer.train_options import TrainOptions, plan
-from tests.hgail_jax.learners.test_td3 import ENV, EPISODES, HELD, HYPER, Short, adam, assert_close, mlp, trajectory
+from tests.hgail_jax.learners.test_td3 import (
+    ENV,
+    EPISODES,
+    HELD,
+    HYPER,
+    Short,
+    adam,
+    assert_close,
+    filled,
+    init,
+    mlp,
+    sampled,
+    trajectory,
+)
 from tests.hgail_jax.learners.track import normalized
 
 CONFIG = Config(
@@ -29,6 +41,8 @@ CONFIG = Config(
 )
 SCALARS = HYPER.replace(discount=0.7)
 learn = jax.jit(CONFIG.learner.update, static_argnums=(0, 1))
+loss_of = jax.jit(contrastive_loss)
+drawn_future = jax.jit(draw_future)
 
 # The loss
 
@@ -59,12 +73,12 @@ def test_a_broken_episode_is_neither_a_sample_nor_a_negative():
     logits = np.random.default_rng(0).normal(size=(5, 5)).astype(np.float32)
     sound = np.array([0, 1, 3])
     weight = np.isin(np.arange(5), sound).astype(np.float32)
-    few = contrastive_loss(logits[np.ix_(sound, sound)], jnp.ones(3))
-    np.testing.assert_allclose(5 * contrastive_loss(logits, weight), 3 * few, rtol=1e-5)
+    few = loss_of(logits[np.ix_(sound, sound)], np.ones(3, np.float32))
+    np.testing.assert_allclose(5 * loss_of(logits, weight), 3 * few, rtol=1e-5)
 
 
 def test_a_minibatch_of_broken_episodes_alone_changes_nothing():
-    loss, gradient = jax.value_and_grad(contrastive_loss)(jnp.ones((3, 3)), jnp.zeros(3))
+    loss, gradient = jax.jit(jax.value_and_grad(contrastive_loss))(np.ones((3, 3)), np.zeros(3))
     assert loss == 0.0
     np.testing.assert_array_equal(gradient, 0.0)
 
@@ -79,14 +93,17 @@ def logits_of(critics, observation, action, xp=np):
     return xp.stack([mlp(critic.pair, pair, xp) @ mlp(critic.goal, goal, xp).T for critic in each])
 
 
+@jax.jit
 @jax.value_and_grad
 def critic_loss(critics, seen, action, sound):
-    logits = logits_of(critics, seen[sound], action[sound], jnp)
-    own = jnp.diagonal(logits, axis1=1, axis2=2)
-    normalizers = jax.nn.logsumexp(logits, axis=1) + jax.nn.logsumexp(logits, axis=2)
-    return (normalizers - 2 * own).sum() / len(seen)
+    """Sums over those that are sound alone, whose own logits come from all."""
+    logits = logits_of(critics, seen, action, jnp)
+    of_pairs, of_goals = jnp.where(sound, logits, -jnp.inf), jnp.where(sound[:, None], logits, -jnp.inf)
+    normalizers = jax.nn.logsumexp(of_pairs, axis=2) + jax.nn.logsumexp(of_goals, axis=1)
+    return (sound * (normalizers - 2 * jnp.diagonal(logits, axis1=1, axis2=2))).sum() / len(seen)
 
 
+@jax.jit
 @jax.value_and_grad
 def actor_loss(actor, critics, seen, weight):
     before_tanh = mlp(actor, seen, jnp)
@@ -96,24 +113,24 @@ def actor_loss(actor, critics, seen, weight):
 
 def make_state(**changes):
     """A state amid a run, whose actor is not near zero."""
-    state = init_state(ENV, CONFIG, SCALARS.replace(**changes), jax.random.key(0))
+    state = init(CONFIG, SCALARS.replace(**changes), jax.random.key(0))
     vary = functools.partial(jax.tree.map, lambda leaf: np.asarray(leaf) + np.float32(0.4) * np.cos(leaf.size + leaf))
     networks, count = vary(state.learner.online), jnp.int32(3)
     moments = [
-        each._replace(count=jnp.int32(4), nu=jax.tree.map(jnp.square, vary(each.nu)))
+        each._replace(count=jnp.int32(4), nu=jax.tree.map(np.square, vary(each.nu)))
         for each in state.learner.optimizer
     ]
     learner = state.learner.replace(online=networks, optimizer=type(state.learner.optimizer)(*moments), steps=count)
-    return fill_buffer(ENV, state.replace(learner=learner), trajectory(1))
+    return filled(state.replace(learner=learner), trajectory(1))
 
 
 def learnt_by_hand(state, given, rng):
     """Returns the learner after an update, and its metrics."""
     draw_rng, future_rng, chosen_rng = jax.random.split(rng, 3)
     hyper, sizes = state.hyperparameters, CONFIG.learner
-    state, measured = fill_buffer(ENV, state, given), []
-    drawn = draw(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, 0.0)
-    future = np.asarray(draw_future(state.buffer, drawn, hyper.discount, future_rng))
+    state, measured = filled(state, given), []
+    drawn = sampled(ENV, hyper, state.buffer, draw_rng, sizes.updates * sizes.batch, 0.0)
+    future = np.asarray(drawn_future(state.buffer, drawn, hyper.discount, future_rng))
     chosen = np.asarray(jax.random.bernoulli(chosen_rng, hyper.p_ht, (len(future), 1)))
     goals = [future, np.where(chosen, future, drawn.goal)]
     positive, sought = (normalized(state, np.concatenate([drawn.features, goal], axis=-1)) for goal in goals)
@@ -123,7 +140,7 @@ def learnt_by_hand(state, given, rng):
         rate = float(hyper.policy_learning_rate) * (1 - 0.8 * int(learner.steps) / 8)
         online, moments, action = learner.online, learner.optimizer, np.asarray(drawn.action)[part]
         value = np.diagonal(logits_of(online.critics, positive[part], action), axis1=1, axis2=2).mean()
-        value_loss, gradient = critic_loss(online.critics, positive[part], action, np.flatnonzero(weight[part]))
+        value_loss, gradient = critic_loss(online.critics, positive[part], action, weight[part] > 0)
         critics, critics_adam = adam(online.critics, moments.critics, gradient, rate)
         policy_loss, gradient = actor_loss(online.actor, critics, sought[part], weight[part])
         actor, actor_adam = adam(online.actor, moments.actor, gradient, rate)
