@@ -12,11 +12,12 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from experiments import FEW_UPDATES
 from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset, init_state, phase_table, train_step
-from hgail_jax.seeds import compile_train_step, trace_evaluation
+from hgail_jax.seeds import compile_train_step, init_sweep, trace_evaluation
 from hgail_jax.settings.defaults import DEFAULTS, EVALUATION_EPISODES
 from hgail_jax.trainer import loop, training
 
@@ -94,7 +95,30 @@ def check_a_round(env, preset):
         assert metrics.dropped == metrics.diverged == 0.0
 
 
-_compiled = {}
+_compiled, _untrained = {}, {}
+copied = jax.jit(functools.partial(jax.tree.map, jnp.copy))
+"""Returns a state's copy, for a step that consumes it."""
+
+
+def init_once(monkeypatch):
+    """Has all runs of the same task, sizes, settings and seeds share their untrained states."""
+    change = setattr if monkeypatch is None else monkeypatch.setattr
+    change(loop, "init_sweep", _init_or_copy)
+
+
+def _init_or_copy(env, config, settings, keys, demonstrations=None):
+    pictures = getattr(env, "pictures", None)
+    seen = env.feature_size, env.goal_observation_size, env.action_size, pictures and (pictures.shape, pictures.target)
+    key = (type(env), seen, config.replace(rounds=0), repr(settings), len(keys))
+    if isinstance(keys, jax.core.Tracer):  # shapes alone are asked for
+        found = None if demonstrations else _untrained.get(key)
+        return found or init_sweep(env, config, settings, keys, demonstrations)
+    numbers = np.asarray(jax.random.key_data(keys)).tobytes()
+    if demonstrations is not None:
+        return init_sweep(env, config, settings, keys, demonstrations)
+    if (key, numbers) not in _untrained:
+        _untrained[key, numbers] = _untrained[key] = init_sweep(env, config, settings, keys)
+    return copied(_untrained[key, numbers])
 
 
 def _trace_evaluation(*arguments):
@@ -103,6 +127,7 @@ def _trace_evaluation(*arguments):
 
 def compile_once(monkeypatch):
     """Has all runs of the same task and sizes share their programs, whose compilation is most of a tiny run's time."""
+    init_once(monkeypatch)
 
     def once(compile_program):
         def compile_or_find(env, config, states, *more):

@@ -142,8 +142,10 @@ def test_a_platform_that_is_not_there_is_named_in_one_line_and_help_needs_none(p
 
 A_TRAINING = """
 from hgail_jax.cli import main
+from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
 from tests.support import make_runs_tiny
 make_runs_tiny()
+train_without_a_compiler()
 main(["train", "--task", "point", "--method", "ppo", "--seeds", "3", "--rounds", "1"])
 """
 

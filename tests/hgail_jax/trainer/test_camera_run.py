@@ -31,8 +31,9 @@ from hgail_jax.trainer.training import Trainer
 from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation
 from hgail_jax.vision.network import look
 from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
+from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
 from tests.hgail_jax.vision.scenes import Map
-from tests.support import compile_once, make_runs_tiny
+from tests.support import make_runs_tiny
 
 TEACHER = assets_directory() / "policies" / "push.npz"
 OPTIONS = {"task": "push", "observe": "camera", "teacher": TEACHER, "seeds": 2, "num_envs": 2, "rounds": 2}
@@ -52,7 +53,7 @@ def trained(tmp_path_factory):
     """A run of three rounds, and one that was stopped after its first."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera, "Pictures", lambda env, *_: Map(env))
-        compile_once(patch)
+        train_without_a_compiler(patch)
         whole, stopped = (Trainer(**OPTIONS, out=tmp_path_factory.mktemp("runs") / name) for name in ("whole", "parts"))
         whole.train()
         stopped.train(_after(1))
@@ -305,9 +306,9 @@ def _of_opengl(pictures):
 def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(
     trains, trained, monkeypatch, tmp_path, capsys
 ):
-    """The student learns by the program of the runs above, whose sizes it has."""
     make_runs_tiny(monkeypatch)
-    compile_once(monkeypatch)
+    if not trains:
+        train_without_a_compiler(monkeypatch)
     options = functools.partial(_with_tiny_learner, command.teacher_options)
     monkeypatch.setattr(command, "teacher_options", options)
     if not trains:

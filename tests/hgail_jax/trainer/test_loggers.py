@@ -24,17 +24,18 @@ from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.loggers import check_loggers, scalars
 from hgail_jax.trainer.train_options import plan
 from hgail_jax.trainer.training import train_run
+from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
 from tests.hgail_jax.trainer.test_trainer import After
-from tests.support import compile_once, make_runs_tiny
+from tests.support import make_runs_tiny
 
-SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)  # as `test_resume` has it
+SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)
 
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch, tmp_path):
     make_runs_tiny(monkeypatch)
-    compile_once(monkeypatch)
+    train_without_a_compiler(monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("WANDB_MODE", "offline")
 

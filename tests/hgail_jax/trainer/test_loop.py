@@ -15,9 +15,16 @@ from hgail_jax.learners import PPO
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, diverged_seeds, round_record, save, train
-from tests.support import TINY
+from tests.support import TINY, init_once
 
 ENV = hgail_envs.make("point")
+
+
+@pytest.fixture(autouse=True)
+def initialised_once(monkeypatch):
+    init_once(monkeypatch)
+
+
 NAN = float("nan")
 
 

@@ -15,7 +15,8 @@ from hgail_jax.cli import play
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
 from hgail_jax.settings.defaults import DEFAULTS
-from tests.support import compile_once, make_runs_tiny
+from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
+from tests.support import make_runs_tiny
 
 SMALL = Randomization(delay=(0, 3), step_size=(0.6, 1.4), goal_offset=0.02, robot_noise=0.01, history=2, ramp=0.5)
 SIZES = ["--task", "point", "--method", "ppo", "--seeds", "2", "--num-envs", "4", "--rounds", "1", "--out", "run"]
@@ -24,7 +25,7 @@ SIZES = ["--task", "point", "--method", "ppo", "--seeds", "2", "--num-envs", "4"
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch, tmp_path):
     make_runs_tiny(monkeypatch)
-    compile_once(monkeypatch)
+    train_without_a_compiler(monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(LEVELS, "small", SMALL)  # without a model, which the point has not
     monkeypatch.setitem(LEVELS, "other", dataclasses.replace(SMALL, goal_offset=0.01))
