@@ -1,6 +1,7 @@
 """An update that is not finite is undone and counted; the other seeds, and the run, continue."""
 
 import dataclasses
+import functools
 import json
 
 import jax
@@ -12,7 +13,7 @@ from hgail_jax import Hyperparameters, RoundMetrics, check_metrics, phase_table
 from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.seeds import init_sweep, seed_keys
 from hgail_jax.trainer.loop import Program, begin, diverged_seeds, train
-from tests.support import TINY
+from tests.support import TINY, copied, init_once
 
 ENV = hgail_envs.make("point")
 SOUND = Hyperparameters()
@@ -20,8 +21,13 @@ SOUND = Hyperparameters()
 DIVERGES = SOUND.replace(policy_learning_rate=1e38)
 
 
+@functools.cache
+def begun(*diverges):
+    return init_sweep(ENV, TINY, [DIVERGES if each else SOUND for each in diverges], seed_keys(0, 1))
+
+
 def start(*settings):
-    return init_sweep(ENV, TINY, settings, seed_keys(0, 1))
+    return copied(begun(*(setting is DIVERGES for setting in settings)))
 
 
 def one(states, index):
@@ -100,6 +106,11 @@ def test_a_round_without_a_sound_episode_is_refused():
             check_metrics(metrics_of(dropped=dropped))
     with pytest.raises(FloatingPointError):
         check_metrics(metrics_of(dropped=[0.0, 1.0], diverged=[1.0, 0.0]))
+
+
+@pytest.fixture(autouse=True)
+def initialised_once(monkeypatch):
+    init_once(monkeypatch)
 
 
 def program(*settings):

@@ -18,22 +18,25 @@ from hgail_jax.seeds import evaluate_seeds, init_seeds, init_sweep, seed_keys, t
 from hgail_jax.state import split_key
 from hgail_jax.train import _learn
 from hgail_jax.trainer.train_options import TrainOptions, plan
-from tests.support import TINY
+from tests.support import TINY, copied
 
 ENV = hgail_envs.make("point")
 PHASES = phase_table(TINY)
-init = jax.jit(lambda seed, hyper: init_state(ENV, TINY, hyper, jax.random.key(seed)))
-unchecked_step = jax.jit(functools.partial(train_step, ENV, TINY))
 
 
-def start(seed, **changes):
-    return init(seed, jax.tree.map(jnp.asarray, Hyperparameters(**changes)))
+@functools.cache
+def begun(seeds, settings):
+    return init_sweep(ENV, TINY, [Hyperparameters(**dict(changes)) for changes in settings], seed_keys(0, seeds))
 
 
-def tiny_step(state, phases):
-    """Runs a round in which every key is used at most once."""
-    with jax.debug_key_reuse(True):
-        return unchecked_step(state, phases)
+def start(*settings, seeds=1):
+    """Returns states for `step_of_two`, which takes them; they have these settings, or two of one the usual ones."""
+    return copied(begun(seeds, tuple(tuple(changes.items()) for changes in settings or [{}] * (2 // seeds))))
+
+
+def first(results):
+    """Returns what is of the first of two."""
+    return jax.tree.map(lambda leaf: leaf[0], results)
 
 
 def row(phase):
@@ -49,35 +52,21 @@ def train(step, state, phases=PHASES):
 
 
 def without_key(state):
-    return jax.tree.map(np.asarray, state.replace(rng=jax.random.key_data(state.rng)))
+    return jax.device_get(state.replace(rng=jax.random.key_data(state.rng)))
 
 
 def assert_equal(one, other, **tolerance):
     jax.tree.map(functools.partial(np.testing.assert_allclose, **tolerance), without_key(one), without_key(other))
 
 
-def test_one_seed_is_bit_equal_twice_and_two_seeds_differ():
-    first, metrics = train(tiny_step, start(0))
-    again, metrics_again = train(tiny_step, start(0))
-    jax.tree.map(np.testing.assert_array_equal, without_key(first), without_key(again))
+def test_one_seed_is_bit_equal_twice_and_two_seeds_differ(step_of_two):
+    once, metrics = train(step_of_two, start(seeds=2))
+    again, metrics_again = train(step_of_two, start(seeds=2))
+    jax.tree.map(np.testing.assert_array_equal, without_key(once), without_key(again))
     jax.tree.map(np.testing.assert_array_equal, metrics, metrics_again)
-    other, _ = train(tiny_step, start(1))
-    assert not np.allclose(first.statistics.mean, other.statistics.mean)
-
-
-def test_no_number_is_none():
-    """What a round does not measure is infinite, so that JAX_DEBUG_NANS finds only what is wrong."""
-    state, metrics = train(tiny_step, start(0))
-    assert not any(np.isnan(leaf).any() for leaf in jax.tree.leaves((without_key(state), metrics)))
-
-
-def test_a_key_that_is_used_twice_is_noticed():
-    with jax.debug_key_reuse(True), pytest.raises(jax.errors.KeyReuseError):
-        jax.jit(lambda key: jax.random.normal(key) + jax.random.normal(key))(jax.random.key(0))
-    state = start(0)
-    tiny_step(state, row(SKIP))
-    with pytest.raises(jax.errors.KeyReuseError):
-        tiny_step(state, row(SKIP))
+    assert not np.allclose(*once.statistics.mean)
+    # What a round does not measure is infinite, so that JAX_DEBUG_NANS finds only what is wrong.
+    assert not any(np.isnan(leaf).any() for leaf in jax.tree.leaves((without_key(once), metrics)))
 
 
 class Telling(Point):
@@ -119,9 +108,18 @@ def start_telling(config):
 
 
 @functools.cache
-def scan_of(config):
-    """Returns a function of a state and rows to the state and metrics after a scan over the rows."""
+def unchecked_scan_of(config):
     return jax.jit(functools.partial(jax.lax.scan, functools.partial(train_step, Telling(), config)))
+
+
+def scan_of(config):
+    """Returns a function of a state and rows to the state and metrics after a scan over them; no key serves twice."""
+
+    def checked(state, rows):
+        with jax.debug_key_reuse(True):
+            return unchecked_scan_of(config)(state, rows)
+
+    return checked
 
 
 @functools.cache
@@ -130,10 +128,10 @@ def scanned(config):
     return scan_of(config)(start_telling(config), phase_table(config))
 
 
-def telling_step(state, phases):
+def telling_step(state, phases, scan_of=scan_of):
     """Runs one round, by the program of all: rounds of nothing follow it."""
     rows = np.full_like(phase_table(ONE), SKIP)
-    rows[0] = phases
+    rows[0, : len(phases)] = phases
     state, metrics = scan_of(ONE)(state, rows)
     return state, jax.tree.map(lambda leaf: leaf[0], metrics)
 
@@ -143,6 +141,15 @@ def test_a_scan_over_the_phases_is_the_loop_over_them():
     assert_equal(state, after, rtol=1e-4, atol=1e-5)
     jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-4), metrics, expected)
     assert np.isfinite(metrics.update["reward"][1:]).all()
+
+
+def test_a_key_that_is_used_twice_is_noticed():
+    with jax.debug_key_reuse(True), pytest.raises(jax.errors.KeyReuseError):
+        jax.jit(lambda key: jax.random.normal(key) + jax.random.normal(key))(jax.random.key(0))
+    state = start_telling(ONE)
+    telling_step(state, [SKIP])
+    with pytest.raises(jax.errors.KeyReuseError):
+        telling_step(state, [SKIP])
 
 
 @pytest.mark.parametrize(
@@ -173,21 +180,21 @@ def test_no_two_roll_outs_have_a_start_or_a_goal_in_common():
     beside = jax.jit(lambda state: jax.tree.map(lambda leaf: leaf[None], state))
     state = alone(states)
     for phase in (PRETRAIN, POLICY, DISCRIMINATOR, POLICY):
-        _, evaluated = telling_step(state, row(EVALUATE)[: phase_table(ONE).shape[1]])
+        _, evaluated = telling_step(state, [EVALUATE], unchecked_scan_of)
         final = evaluate_last(beside(state))
         assert final.success == Telling.MEASURED
-        state, learnt = telling_step(state, row(phase)[: phase_table(ONE).shape[1]])
+        state, learnt = telling_step(state, [phase], unchecked_scan_of)
         for episode in (evaluated.evaluation, learnt.training, final):
             drawn += [float(np.squeeze(episode.distance_l1)), float(np.squeeze(episode.distance_l2))]
     assert len(set(drawn)) == len(drawn) == 24
     assert 0.0 < min(drawn) < max(drawn) < 1.0
 
 
-def test_evaluations_are_of_the_mean_action_and_training_has_noise():
+def test_evaluations_are_of_the_mean_action_and_training_has_noise(step_of_two):
     """Either is the roll-out that its key and its noise give alone."""
-    state = start(0, exploration_noise=1.0)
+    wide = functools.partial(start, *[{"exploration_noise": 1.0}] * 2)
+    state = first(wide())
     keys = split_key(state.rng)
-    wide = functools.partial(start, 0, exploration_noise=1.0)  # anew for each round, which uses its key
 
     @jax.jit
     def alone(rng, noise):
@@ -195,8 +202,8 @@ def test_evaluations_are_of_the_mean_action_and_training_has_noise():
         episodes = rollout(ENV, make_policy(ENV, TINY, state, noise), rollout_rng, TINY.num_envs, noise > 0)
         return mean_outcome(episodes).distance_l2
 
-    evaluation = tiny_step(wide(), row(EVALUATE))[1].evaluation
-    training = tiny_step(wide(), row(POLICY))[1].training
+    evaluation = step_of_two(wide(), row(EVALUATE))[1].evaluation
+    training = step_of_two(wide(), row(POLICY))[1].training
     for measured, key, noise in ((evaluation, keys.evaluation, 0.0), (training, keys.phase, 1.0)):
         np.testing.assert_allclose(measured.distance_l2, alone(key, noise), rtol=1e-5)
     assert abs(alone(keys.evaluation, 1.0) - alone(keys.evaluation, 0.0)) > 0.01
@@ -204,23 +211,36 @@ def test_evaluations_are_of_the_mean_action_and_training_has_noise():
 
 def test_a_run_that_never_updates_the_policy_has_no_easy_rounds():
     config = TINY.replace(policy_phases=0)
-    assert config.learner.progress(config, start(0)) == 1.0
+    assert config.learner.progress(config, None) == 1.0
 
 
-def test_an_evaluation_changes_nothing_in_the_training():
+def test_an_evaluation_changes_nothing_in_the_training(step_of_two):
     with_one, without = (
-        tiny_step(start(0), np.array([PRETRAIN, POLICY, phase, DISCRIMINATOR, SKIP]))[0] for phase in (EVALUATE, SKIP)
+        step_of_two(start(), np.array([PRETRAIN, POLICY, phase, DISCRIMINATOR, SKIP]))[0] for phase in (EVALUATE, SKIP)
     )
     assert_equal(with_one, without, rtol=0, atol=0)
 
 
+def test_seeds_and_settings_side_by_side_have_no_part_in_each_other(step_of_two):
+    states, swapped = start(seeds=2), np.array([1, 0])
+    states = states.replace(hyperparameters=states.hyperparameters.replace(p_ht=jnp.array([1.0, 0.0])))
+    others = jax.jit(lambda states: jax.tree.map(lambda leaf: leaf[swapped], states))(states)
+    (together, metrics), (after, measured) = train(step_of_two, states), train(step_of_two, others)
+    jax.tree.map(
+        lambda one, other: np.testing.assert_array_equal(one, other[swapped]), *map(without_key, (together, after))
+    )
+    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one, other[:, swapped]), metrics, measured)
+
+
+@pytest.mark.slow
 def test_seeds_and_settings_side_by_side_are_each_as_alone(step_of_two):
     swept = init_sweep(ENV, TINY, [Hyperparameters(), Hyperparameters(p_ht=0.0)], seed_keys(0, 2))
     chosen = jax.jit(lambda states: jax.tree.map(lambda leaf: leaf[np.array([0, 3])], states))(swept)
     together, metrics = train(step_of_two, chosen)
     together = together.replace(rng=jax.random.key_data(together.rng))
+    init, step = (jax.jit(functools.partial(each, ENV, TINY)) for each in (init_state, train_step))
     for seed, p_ht in enumerate((1.0, 0.0)):
-        alone, metrics_alone = train(tiny_step, start(seed, p_ht=p_ht))
+        alone, metrics_alone = train(step, init(Hyperparameters(p_ht=p_ht), jax.random.key(seed)))
         of_seed = jax.tree.map(lambda leaf, i=seed: np.asarray(leaf)[i], together)
         jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=2e-3, atol=2e-4), of_seed, without_key(alone))
         np.testing.assert_allclose(
@@ -243,9 +263,9 @@ def changed(before, after, name):
         (EVALUATE, set()),
     ],
 )
-def test_a_phase_changes_what_it_teaches_and_nothing_else(phase, learns):
-    before = start(0)
-    after, _ = tiny_step(before, row(phase))
+def test_a_phase_changes_what_it_teaches_and_nothing_else(step_of_two, phase, learns):
+    before = start()
+    after, _ = step_of_two(copied(before), row(phase))
     for name in ("learner", "discriminator", "statistics"):
         assert changed(before, after, name) == (name in learns)
     kept = np.array_equal(jax.random.key_data(before.rng), jax.random.key_data(after.rng))
@@ -300,7 +320,7 @@ def test_a_phase_reports_the_fraction_of_environments_without_room_for_contacts_
         episodes = rollout(ENV, still, rng, 4).replace(overflow=jnp.arange(4) == 2, valid=jnp.arange(4) != 1)
         return _learn(ENV, nothing, jnp.array(SKIP), state, episodes, rng)[1]
 
-    measured = measure(start(0), jax.random.key(0))
+    measured = measure(first(start()), jax.random.key(0))
     assert (measured.overflow, measured.dropped) == (0.25, 0.25)
 
 
