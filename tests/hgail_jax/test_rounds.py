@@ -95,6 +95,12 @@ MEASURED = {
 }
 
 
+@jax.jit
+def noisy(state, rng):
+    """Returns a roll-out to learn from."""
+    return rollout(ENV, make_policy(ENV, CONFIG, state, noise=1.0), rng, EPISODES, training_goals=True)
+
+
 @pytest.mark.parametrize("phase", UPDATES, ids=lambda phase: phase.name)
 def test_a_phase_learns_from_a_noisy_roll_out_to_the_training_goals(phase):
     state = broad(make_state())
@@ -102,13 +108,8 @@ def test_a_phase_learns_from_a_noisy_roll_out_to_the_training_goals(phase):
     keys = split_key(state.rng)
     rollout_rng, update_rng = jax.random.split(keys.phase)
 
-    @jax.jit
-    def by_hand(state):
-        policy = make_policy(ENV, CONFIG, state, noise=1.0)
-        episodes = rollout(ENV, policy, rollout_rng, EPISODES, training_goals=True)
-        return episodes, UPDATES[phase](ENV, CONFIG, state, episodes, update_rng)
-
-    episodes, (learnt, update) = by_hand(state)
+    episodes = noisy(state, rollout_rng)
+    learnt, update = jax.jit(UPDATES[phase], static_argnums=(0, 1))(ENV, CONFIG, state, episodes, update_rng)
     assert 0 < episodes.valid.sum() < EPISODES
     assert 0 < episodes.overflow.sum() < EPISODES
     assert_close(metrics.training, mean_outcome(episodes))

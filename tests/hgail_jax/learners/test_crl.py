@@ -117,8 +117,7 @@ def make_state(**changes):
     vary = functools.partial(jax.tree.map, lambda leaf: np.asarray(leaf) + np.float32(0.4) * np.cos(leaf.size + leaf))
     networks, count = vary(state.learner.online), jnp.int32(3)
     moments = [
-        each._replace(count=jnp.int32(4), nu=jax.tree.map(np.square, vary(each.nu)))
-        for each in state.learner.optimizer
+        each._replace(count=jnp.int32(4), nu=jax.tree.map(np.square, vary(each.nu))) for each in state.learner.optimizer
     ]
     learner = state.learner.replace(online=networks, optimizer=type(state.learner.optimizer)(*moments), steps=count)
     return filled(state.replace(learner=learner), trajectory(1))

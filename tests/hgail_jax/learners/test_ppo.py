@@ -498,7 +498,7 @@ def test_statistics_count_each_sample_once_and_none_of_a_broken_episode():
 
 def test_expert_samples_that_are_kept_stay_in_the_state():
     config = CONFIG.replace(expert_source=FROZEN)
-    state = init(config, HYPER, jax.random.key(0))
+    state = make_state(config)
     keep = jax.jit(functools.partial(_expert_samples, ENV, config))
     after, samples = keep(state, a_trajectory(VALID), jax.random.key(0))
     assert_close(after.expert, samples, rtol=0, atol=0)

@@ -100,11 +100,11 @@ def test_it_learns_to_predict_where_the_cube_is():
         action=jnp.zeros((len(qpos), 4)),
         weight=jnp.ones(len(qpos)),
     )
-    eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (8, 8, 8, 8), (32,), (4, 3)))(jax.random.key(0))
-    fit = jax.jit(functools.partial(_fit, Student(updates=70, batch=32), Augmentation()))
+    eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (4, 4, 4, 4), (32,), (4, 3)))(jax.random.key(0))
+    fit = jax.jit(functools.partial(_fit, Student(updates=80, batch=24), Augmentation()))
     zero = jax.tree.map(np.zeros_like, eyes)
     optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
-    eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 1e-2)
+    eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 2e-2)
     unseen = poses(64, seed=1)
     pictures = np.float32(env.pictures(unseen, jnp.zeros((64, 1)))) / 255.0
     predicted = jax.jit(look)(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)

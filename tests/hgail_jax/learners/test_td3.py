@@ -24,7 +24,7 @@ from hgail_jax import (
 from hgail_jax.buffer import add_episodes, draw
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN
 from hgail_jax.discriminator import fit_discriminator
-from hgail_jax.experts import expert_samples
+from hgail_jax.experts import expert_samples, init_expert
 from hgail_jax.learner import EVALUATE, POLICY, PRETRAIN, SKIP
 from hgail_jax.learners.td3 import fill_buffer
 from hgail_jax.samples import Samples, relabelled_samples
@@ -114,7 +114,7 @@ def spread(target):
 
 def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
     """A state amid a run: online and target networks, optimisers and statistics all differ."""
-    state = init(config, HYPER.replace(**changes), jax.random.key(0), demonstrations=demonstrations)
+    state = init(config, HYPER, jax.random.key(0), demonstrations=demonstrations)
     rng = np.random.default_rng(0)
     vary = functools.partial(
         jax.tree.map, lambda leaf: np.asarray(leaf) + 0.4 * rng.normal(size=leaf.shape).astype(np.float32)
@@ -132,7 +132,8 @@ def make_state(config=CONFIG, steps=3, demonstrations=None, **changes):
     )
     statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
     buffer = add(state.buffer, trajectory(1))
-    return state.replace(learner=learner, statistics=statistics, discriminator=vary(state.discriminator), buffer=buffer)
+    state = state.replace(learner=learner, statistics=statistics, discriminator=vary(state.discriminator))
+    return state.replace(buffer=buffer, hyperparameters=HYPER.replace(**changes).as_arrays())
 
 
 def mlp(params, inputs, xp=np):
@@ -299,7 +300,8 @@ OTHER_SOURCES = {
 )
 def test_an_update_is_that_of_td3_with_hindsight(source, changes):
     config = OTHER_SOURCES.get(source, CONFIG)
-    state = make_state(config, demonstrations=DEMONSTRATION if source == "demonstrations" else None, **changes)
+    begun = CONFIG if config.expert_source == "relabelled" else config  # whose states are the same
+    state = make_state(begun, demonstrations=DEMONSTRATION if source == "demonstrations" else None, **changes)
     given, rng = trajectory(), jax.random.key(5)
     after, metrics = learn(ENV, config, state, given, rng)
     expected, numbers, cuts = learnt_by_hand(config, state, given, rng)
@@ -352,7 +354,8 @@ def test_the_first_roll_out_is_random_and_teaches_nothing():
 @pytest.mark.parametrize("source", [FROZEN, BEST])
 def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
     config = CONFIG.replace(expert_source=source, best_episodes=EPISODES)
-    state, first = init(config, HYPER, jax.random.key(0)), trajectory(1)
+    state, first = init(CONFIG, HYPER, jax.random.key(0)), trajectory(1)
+    state = state.replace(expert=init_expert(ENV, config, None))
     after = jax.jit(config.learner.begin, static_argnums=(0, 1))(ENV, config, state, first, jax.random.key(1))[0]
     sound = np.asarray(first.valid)
     assert after.buffer.added == EPISODES
@@ -366,7 +369,7 @@ def test_the_first_roll_out_is_kept_where_expert_samples_are(source):
 
 @pytest.mark.parametrize(("steps", "random"), [(0, True), (1, False)])
 def test_actions_are_the_actor_s_from_the_first_gradient_step_on(steps, random):
-    state = make_state(steps=steps, epsilon=0.0, exploration_noise=1e-6)
+    state = make_state(steps=steps, epsilon=0.0, exploration_noise=jnp.full(2, 1e-6))
     observation = jnp.ones((500, ENV.observation_size))
     explored, mean = (np.asarray(act(state, observation, noise)[0]) for noise in (1.0, 0.0))
     assert (np.abs(explored - mean).max() > 0.1) == random
@@ -427,7 +430,7 @@ def achieved_in(state):
 
 def test_some_episodes_to_learn_from_begin_with_an_achieved_goal():
     """Not before there are any."""
-    config = CONFIG.replace(achieved_first=0.7, num_envs=2000)
+    config = CONFIG.replace(achieved_first=0.7, num_envs=500)
     state, rng = make_state(), jax.random.key(3)
     assert CONFIG.learner.detour(ENV, CONFIG, state, rng) is None
     detours = jax.jit(functools.partial(config.learner.detour, ENV, config))
@@ -442,10 +445,10 @@ def test_some_episodes_to_learn_from_begin_with_an_achieved_goal():
 
 def test_a_round_begins_episodes_with_achieved_goals_where_it_learns_and_not_where_it_measures():
     state, phases = make_state(), np.array([SKIP, SKIP, EVALUATE])
-    always = CONFIG.replace(achieved_first=1.0, discriminator_minibatches=0)  # it has no part in this
+    always = CONFIG.replace(achieved_first=1.0, rounds=0)  # no gradient steps, which have no part in this
     plain, measured = (round_of(ENV, each, state, phases)[1].evaluation for each in (CONFIG, always))
     assert_close(measured, plain, rtol=1e-5)
-    after = round_of(ENV, always, state, np.array([POLICY, SKIP, EVALUATE]))[0]
+    after = round_of(ENV, always, state, np.array([PRETRAIN, SKIP, EVALUATE]))[0]
     place = int(state.buffer.added) % HELD
     pursued = np.asarray(after.buffer.desired)[np.arange(place, place + EPISODES) % HELD]
     assert {tuple(goal) for goal in pursued[:, 0]} <= achieved_in(state) | {(0.0, 0.0)}
@@ -490,7 +493,7 @@ def test_deviations_and_random_actions_shrink_over_the_run(steps, decay):
 
 
 def test_actions_are_clipped_to_the_range_of_the_environment():
-    action = np.asarray(act(make_state(exploration_noise=5.0, epsilon=0.0), OBSERVATION, 1.0)[0])
+    action = np.asarray(act(make_state(exploration_noise=jnp.full(2, 5.0), epsilon=0.0), OBSERVATION, 1.0)[0])
     assert np.abs(action).max() == 1.0
     assert (np.abs(action) == 1.0).mean() > 0.5
 

@@ -15,6 +15,7 @@ from hgail_jax import (
     init_state,
     make_policy,
 )
+from hgail_jax.experts import init_expert
 from hgail_jax.samples import Samples
 
 LENGTH, EPISODES = 5, 8
@@ -101,7 +102,10 @@ def act(config, state, noise, observation, rng):
 
 def make_state(config=CONFIG, seed=0, demonstrations=None, **changes):
     """A state with statistics of its own, whose networks have all their weights."""
-    state = init(config, HYPER.replace(**changes), jax.random.key(seed), demonstrations=demonstrations)
+    state = init(CONFIG, HYPER, jax.random.key(seed))  # which differs for no other config of these sizes
+    state = state.replace(
+        hyperparameters=HYPER.replace(**changes).as_arrays(), expert=init_expert(ENV, config, demonstrations)
+    )
     rng = np.random.default_rng(seed)
     statistics = state.statistics.replace(mean=jnp.array([0.5, 0.1, -0.3, 0.2]), std=jnp.array([0.7, 1.2, 5.0, 0.9]))
     vary = functools.partial(
