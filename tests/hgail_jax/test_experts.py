@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import hgail_envs
-from hgail_jax import METHODS, PPO, Config, Hyperparameters, Preset, init_state, train_step
+from hgail_jax import METHODS, PPO, Config, Hyperparameters, Preset, init_state
 from hgail_jax.config import BEST, DEMONSTRATIONS, FROZEN, RELABELLED
 from hgail_jax.experts import BestEpisodes, expert_samples, init_expert, keep_best
-from hgail_jax.learner import DISCRIMINATOR, EVALUATE, POLICY, PRETRAIN, SKIP
+from hgail_jax.learner import DISCRIMINATOR, POLICY, PRETRAIN
 from hgail_jax.samples import Samples, flatten, relabelled_samples
 from tests.hgail_jax.line import ENV, EPISODES, LENGTH, assert_same, trajectory
 from tests.support import TINY
@@ -56,7 +55,8 @@ def test_the_best_episodes_are_those_of_a_sorted_list(ties):
 
 def test_places_that_no_valid_episode_fills_have_no_weight():
     valid = np.arange(EPISODES) < 3
-    best = keep_best(ENV, Hyperparameters(), best_episodes(5), trajectory(valid=valid))
+    hyper = Hyperparameters()
+    best = jax.jit(functools.partial(keep_best, ENV, hyper))(best_episodes(5), trajectory(valid=valid))
     np.testing.assert_array_equal(best.samples.weight, np.broadcast_to([1, 1, 1, 0, 0], (LENGTH, 5)))
     assert (np.asarray(best.returns)[3:] == np.finfo(np.float32).min).all()
     empty = best_episodes(5)
@@ -92,7 +92,8 @@ def test_each_source_gives_its_expert_samples():
     assert_same(init_expert(ENV, config, MINE), MINE)
     assert_same(learn_from(DEMONSTRATIONS, MINE, first), (MINE, MINE))
     best, samples = learn_from(BEST, best_episodes(5), second)
-    assert_same(best, keep_best(ENV, Hyperparameters(), best_episodes(5), second))
+    keep = jax.jit(functools.partial(keep_best, ENV, Hyperparameters()))
+    assert_same(best, keep(best_episodes(5), second))
     assert_same(samples, flatten(best.samples))
     assert init_expert(ENV, Config(PPO()), None) is None
 
@@ -119,11 +120,16 @@ def test_an_unknown_source_is_refused():
         Config(PPO(), expert_source="dreams")
 
 
-def test_every_roll_out_to_learn_from_can_enter_the_buffer_and_no_other():
-    env, hyper = hgail_envs.make("point"), Hyperparameters()
-    config = METHODS["gasil"].apply(Preset(TINY.replace(best_episodes=5), hyper)).config
-    start = jax.jit(functools.partial(init_state, env, config))(hyper, jax.random.key(0))
-    step = jax.jit(functools.partial(train_step, env, config))
-    for phase, episodes in ((SKIP, 0), (PRETRAIN, 4), (POLICY, 4), (DISCRIMINATOR, 4), (EVALUATE, 0)):
-        state, _ = step(start, np.array([phase]))
-        assert float(state.expert.samples.weight.sum()) == episodes * 50
+def test_every_update_lets_its_roll_out_enter_the_buffer():
+    config = METHODS["gasil"].apply(Preset(TINY.replace(best_episodes=5, num_envs=EPISODES), Hyperparameters())).config
+
+    @jax.jit
+    def filled(rng, given):
+        state = init_state(ENV, config, Hyperparameters(), rng)
+        updates = config.learner.phase_updates()
+        after = {phase: update(ENV, config, state, given, rng)[0] for phase, update in updates.items()}
+        return state.expert.samples.weight.sum(), {name: of.expert.samples.weight.sum() for name, of in after.items()}
+
+    before, after = filled(jax.random.key(0), trajectory(valid=np.arange(EPISODES) < 4))
+    assert before == 0.0
+    assert after == dict.fromkeys((PRETRAIN, POLICY, DISCRIMINATOR), 4 * LENGTH)

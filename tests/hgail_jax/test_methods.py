@@ -12,8 +12,21 @@ from experiments import FEW_UPDATES
 from hgail_envs.base import TrainingDefaults
 from hgail_envs.point import Point
 from hgail_envs.tasks.push import Push
-from hgail_jax import METHODS, PPO, PRESETS, TD3, Config, Hyperparameters, Preset, phase_table
+from hgail_jax import (
+    METHODS,
+    PPO,
+    PRESETS,
+    TD3,
+    Config,
+    Hyperparameters,
+    Preset,
+    init_state,
+    make_policy,
+    phase_table,
+    rollout,
+)
 from hgail_jax.config import REWARDS, STRATEGIES
+from hgail_jax.learner import DISCRIMINATOR, POLICY, PRETRAIN
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
 from hgail_jax.settings.camera import camera_preset
@@ -56,6 +69,23 @@ def train(config, states):
     return np.array(success), states
 
 
+def policies_after_an_update_of_each_kind(config, settings, demonstrations):
+    """Returns all parameters of the policy for each of the settings, as one array."""
+    phases, updates = phase_table(config), config.learner.phase_updates()
+
+    @jax.jit
+    def learnt(hyper):
+        rng = jax.random.key(0)
+        state = init_state(Line(), config, hyper, rng, demonstrations=demonstrations)
+        given = rollout(Line(), make_policy(Line(), config, state, 1.0), rng, config.num_envs)
+        for phase in (PRETRAIN, DISCRIMINATOR, POLICY):
+            if phase in phases:
+                state, _ = updates[phase](Line(), config, state, given, jax.random.fold_in(rng, phase))
+        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(state.learner.actor_critic["policy"])])
+
+    return [np.asarray(learnt(setting.as_arrays())) for setting in settings]
+
+
 @pytest.mark.parametrize(
     "method",
     [
@@ -77,11 +107,7 @@ def test_options_without_effect_are_those_that_leave_the_policy_as_it_is(method)
     preset = METHODS[method].apply(Preset(small, HYPER))
     settings = [preset.hyperparameters.replace(**change) for change in ({}, *changes.values())]
     demonstrations = record(Line(), "line", 4).samples(Line()) if method == "gail-demo" else None
-    _, states = train(preset.config, init_sweep(Line(), preset.config, settings, seed_keys(0, 1), demonstrations))
-    policies = np.concatenate(
-        [np.reshape(leaf, (len(settings), -1)) for leaf in jax.tree.leaves(states.learner.actor_critic["policy"])],
-        axis=1,
-    )
+    policies = policies_after_an_update_of_each_kind(preset.config, settings, demonstrations)
     unchanged = {name for name, policy in zip(changes, policies[1:], strict=True) if (policy == policies[0]).all()}
     if method == "hgail-no":  # which --p-ht changes, and then --strategy too
         unchanged.remove("strategy")
