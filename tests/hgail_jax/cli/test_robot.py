@@ -1,5 +1,9 @@
 """The command `robot`, on an arm of capsules and boxes."""
 
+import collections
+import types
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -45,10 +49,22 @@ def test_what_is_refused_takes_a_line_and_leaves_no_file(folder, capsys, content
 
 
 def test_a_failure_while_filming_leaves_no_file(folder, monkeypatch):
+    """The description, which takes long to derive and to make a task with, is any text here."""
+    written = []
+
+    def make(task, robot, impl):
+        written.append(Path(robot).read_text())
+        return types.SimpleNamespace(controllers=collections.defaultdict(str))
+
+    monkeypatch.setattr(robot, "derive", lambda given: types.SimpleNamespace(notes=["a note"]))
+    monkeypatch.setattr(robot, "_beside", lambda derived, beside: "the description")
+    monkeypatch.setattr(robot, "write_description", lambda *given: repr(given))
+    monkeypatch.setattr("hgail_envs.make", make)
     monkeypatch.setattr(robot, "portrait", lambda path, env: path.write_bytes(b"half"))
     monkeypatch.setattr(robot, "film", lambda *given: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(SystemExit, match="2"):
         main(["robot", "my_arm.xml"])
+    assert written == ["('the description', ['a note'])"]
     assert files(folder) == ["my_arm.xml"]
 
 
