@@ -256,11 +256,11 @@ def test_places_that_are_empty_are_never_drawn(count):
 
 def test_seeds_side_by_side_draw_what_each_draws_alone():
     buffers = [full(), add(full([True, False, True, True]), trajectory([6]))]
-    rngs, p_ht, most_ahead = jax.random.split(jax.random.key(4)), jnp.array([0.4, 1.0]), jnp.array([2**30, 2])
+    rngs, p_ht, most_ahead = jax.random.split(jax.random.key(4)), np.float32([0.4, 1.0]), np.array([2**30, 2])
     one = functools.partial(drawn, count=200)
-    together = jax.vmap(lambda *given: one(*given[:3], FUTURE, given[3]))(
-        jax.tree.map(lambda *leaves: jnp.stack(leaves), *buffers), rngs, p_ht, most_ahead
-    )
+    both = jax.tree.map(lambda *leaves: np.stack(leaves), *buffers)
+    draw_both = jax.jit(jax.vmap(lambda *given: one(*given[:3], FUTURE, given[3])))
+    together = jax.device_get(draw_both(both, rngs, p_ht, most_ahead))
     for index, buffer in enumerate(buffers):
         alone = one(buffer, rngs[index], p_ht[index], FUTURE, most_ahead[index])
         jax.tree.map(

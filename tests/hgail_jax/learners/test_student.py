@@ -44,6 +44,15 @@ def rolled():
     return state, jax.jit(lambda rng: rollout(push(), policy, rng, CONFIG.num_envs))(jax.random.key(1))
 
 
+fit = jax.jit(_fit, static_argnums=(0, 1))
+
+
+@jax.jit
+def drawn(qpos):
+    """Returns the pictures of joint positions, `[count, nq]`."""
+    return push().pictures(qpos, jnp.zeros((len(qpos), 1)))
+
+
 @jax.jit
 def lesson_of(learner, trajectory):
     return STUDENT.lesson(push(), learner, trajectory)
@@ -94,20 +103,20 @@ def test_it_learns_to_predict_where_the_cube_is():
     env = push()
     cube = qpos[:, env.task.qpos_of("cube")]
     lesson = _Lesson(
-        pictures=env.pictures(qpos, jnp.zeros((len(qpos), 1))),
-        numbers=jnp.zeros((len(qpos), 2)),
+        pictures=drawn(qpos),
+        numbers=np.zeros((len(qpos), 2)),
         objects=(cube - cube.mean(axis=0)) / OBJECT_SCALE,
-        action=jnp.zeros((len(qpos), 4)),
-        weight=jnp.ones(len(qpos)),
+        action=np.zeros((len(qpos), 4)),
+        weight=np.ones(len(qpos)),
     )
     eyes = jax.jit(lambda rng: init_eyes(rng, 1, 2, (4, 4, 4, 4), (32,), (4, 3)))(jax.random.key(0))
-    fit = jax.jit(functools.partial(_fit, Student(updates=80, batch=24), Augmentation()))
     zero = jax.tree.map(np.zeros_like, eyes)
     optimizer = untrained().learner.optimizer._replace(mu=zero, nu=zero)
-    eyes, _, _ = fit(eyes, optimizer, lesson, jax.random.key_data(jax.random.key(1)), 2e-2)
+    sizes, rng = Student(updates=80, batch=24), jax.random.key_data(jax.random.key(1))
+    eyes, _, _ = fit(sizes, Augmentation(), eyes, optimizer, lesson, rng, 2e-2)
     unseen = poses(64, seed=1)
-    pictures = np.float32(env.pictures(unseen, jnp.zeros((64, 1)))) / 255.0
-    predicted = jax.jit(look)(eyes, pictures, jnp.zeros((64, 2)))[1] * OBJECT_SCALE + cube.mean(axis=0)
+    pictures = np.float32(drawn(unseen)) / 255.0
+    predicted = np.asarray(jax.jit(look)(eyes, pictures, np.zeros((64, 2)))[1]) * OBJECT_SCALE + cube.mean(axis=0)
     error = np.abs(predicted - unseen[:, env.task.qpos_of("cube")])[:, :2].mean()
     assert error < 0.01  # metres, of cubes within 12 cm around the middle
 
@@ -129,17 +138,17 @@ def test_episodes_that_broke_down_teach_nothing():
 def test_a_look_varies_the_pictures_that_are_learnt_from():
     qpos, env, learner = poses(16), push(), untrained().learner
     lesson = _Lesson(
-        pictures=env.pictures(qpos, jnp.zeros((16, 1))),
-        numbers=jnp.zeros((16, len(env.known))),
-        objects=jnp.zeros((16, 3)),
-        action=jnp.zeros((16, 4)),
-        weight=jnp.ones(16),
+        pictures=drawn(qpos),
+        numbers=np.zeros((16, len(env.known))),
+        objects=np.zeros((16, 3)),
+        action=np.zeros((16, 4)),
+        weight=np.ones(16),
     )
 
     def learnt(name):
         rng = jax.random.key_data(jax.random.key(0))
         sizes = Student(updates=1, batch=8), AUGMENTATIONS["colour"][name]
-        eyes, _, _ = _fit(*sizes, learner.eyes, learner.optimizer, lesson, rng, 1e-3)
+        eyes, _, _ = fit(*sizes, learner.eyes, learner.optimizer, lesson, rng, 1e-3)
         return eyes.convolutions[0][0]
 
     plain = learnt("plain")
@@ -164,16 +173,16 @@ def test_the_kind_and_the_look_of_pictures_decide_how_they_are_varied(kind, monk
 def test_without_their_weight_the_positions_teach_nothing():
     env, learner = push(), untrained().learner
     lesson = _Lesson(
-        pictures=env.pictures(poses(16), jnp.zeros((16, 1))),
-        numbers=jnp.zeros((16, len(env.known))),
-        objects=jnp.ones((16, 3)),
-        action=jnp.ones((16, 4)),
-        weight=jnp.ones(16),
+        pictures=drawn(poses(16)),
+        numbers=np.zeros((16, len(env.known))),
+        objects=np.ones((16, 3)),
+        action=np.ones((16, 4)),
+        weight=np.ones(16),
     )
 
     def learnt(weight):
         sizes, rng = Student(updates=2, batch=8, object_weight=weight), jax.random.key_data(jax.random.key(0))
-        return _fit(sizes, Augmentation(), learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0]
+        return fit(sizes, Augmentation(), learner.eyes, learner.optimizer, lesson, rng, 1e-3)[0]
 
     before, without, with_them = learner.eyes, learnt(0.0), learnt(1.0)
     jax.tree.map(np.testing.assert_array_equal, without.objects, before.objects)

@@ -1,6 +1,7 @@
 """The training loop, with steps that return what they are given."""
 
 import dataclasses
+import functools
 import json
 import threading
 
@@ -15,15 +16,9 @@ from hgail_jax.learners import PPO
 from hgail_jax.train import EVALUATE, SKIP
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, SavingPolicy, begin, diverged_seeds, round_record, save, train
-from tests.support import TINY, init_once
+from tests.support import TINY, copied
 
 ENV = hgail_envs.make("point")
-
-
-@pytest.fixture(autouse=True)
-def initialised_once(monkeypatch):
-    init_once(monkeypatch)
-
 
 NAN = float("nan")
 
@@ -61,8 +56,13 @@ def steps_of(*rounds, given=None):
     return step
 
 
+@functools.cache
+def untrained(seeds):
+    return program(seeds=seeds).init()
+
+
 def start(of):
-    progress = begin(of, of.init())
+    progress = begin(of, copied(untrained(of.seeds)))
     return dataclasses.replace(progress, states=progress.states.replace(expert=jnp.zeros(of.seeds)))
 
 
@@ -183,7 +183,7 @@ def test_a_resumed_training_remembers_its_rounds_and_the_seeds_that_diverged(tmp
         first = start(of)
         train(program(rounds=1), steps_of(*rounds), first, checkpoints)
     with Checkpoints(tmp_path / "checkpoints", {}) as checkpoints:
-        resumed = begin(of, of.init(), checkpoints.restore(first.states))
+        resumed = begin(of, untrained(of.seeds), checkpoints.restore(first.states))
         assert (resumed.history, resumed.seconds, resumed.saved) == (first.history, first.seconds, 2)
         train(of, steps_of(rounds[1]), resumed, checkpoints)
     assert diverged_seeds(of, resumed) == ["seed 1"]
@@ -230,7 +230,7 @@ def test_a_training_begins_with_its_seeds_own_states():
         alone = begin(one, one.init()).states
         jax.tree.map(
             lambda ours, theirs, i=index: np.testing.assert_array_equal(ours[i], theirs[0]),
-            progress.states.replace(rng=None),
-            alone.replace(rng=None),
+            jax.device_get(progress.states.replace(rng=None)),
+            jax.device_get(alone.replace(rng=None)),
         )
     assert (progress.rounds, progress.seconds) == (0, 0.0)

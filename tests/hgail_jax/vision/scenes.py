@@ -2,7 +2,6 @@
 
 import functools
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -52,6 +51,6 @@ def poses(count, seed=0):
     """Joint positions, `[count, nq]`, with the cube anywhere on the table."""
     env = push().task
     qpos = np.tile(np.asarray(env._start_qpos, np.float32), (count, 1))
-    places = jax.random.uniform(jax.random.key(seed), (count, 2), minval=-0.12, maxval=0.12)
-    qpos[:, env.qpos_of("cube")] = np.c_[np.asarray(places) + np.array([1.3, 0.75]), np.full(count, 0.425)]
-    return jnp.asarray(qpos)
+    places = np.random.default_rng(seed).uniform(-0.12, 0.12, (count, 2))
+    qpos[:, env.qpos_of("cube")] = np.c_[places + np.array([1.3, 0.75]), np.full(count, 0.425)]
+    return qpos
