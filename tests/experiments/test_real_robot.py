@@ -37,7 +37,7 @@ def test_the_ur5e_reaches_its_target(name):
     from experiments.transfer.robots import make_robot
 
     robot, policy = make_robot("ur5e", "reach"), load_policy(assets_directory() / "policies" / f"{name}.npz")
-    for seed in range(3):
+    for seed in range(2):
         robot.reset(np.random.default_rng(seed))
         goal = robot.target() - robot.offset
         read, past = lambda: robot.features()[:3] - robot.offset, Past(policy.randomization)

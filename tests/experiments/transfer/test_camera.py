@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from experiments.transfer.camera import Camera, intrinsics, look_at
 from hgail_envs.vision.rendering import headless_backend, open_renderer
-from tests.support import SOURCES
+from tests.support import ROOT
 
 WIDTH, HEIGHT = 160, 120
 BALL, BOX = np.array([-0.1, 0.12, 0.1]), np.array([0.1, -0.07, 0.05])
@@ -95,13 +95,14 @@ def test_where_nothing_renders_it_says_what_to_install(monkeypatch, scene):
         open_renderer(scene[0], HEIGHT, WIDTH)
 
 
-OPEN = """
-import mujoco
-from hgail_envs.vision.rendering import RenderingError, open_renderer
+# The file alone, which takes a tenth of the time that importing the package does.
+OPEN = f"""
+import mujoco, runpy
+names = runpy.run_path({str(ROOT / "envs/hgail_envs/vision/rendering.py")!r})
 try:
-    with open_renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
+    with names["open_renderer"](mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
         print(type(renderer._gl_context).__module__)
-except RenderingError as error:
+except names["RenderingError"] as error:
     print(error)
 """
 
@@ -109,7 +110,7 @@ except RenderingError as error:
 def what_opens(**variables):
     """Returns what renders in a process with these environment variables, or why nothing does."""
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
-    environment |= {"PYTHONPATH": SOURCES} | variables
+    environment |= variables
     return subprocess.run(
         [sys.executable, "-c", OPEN], env=environment, capture_output=True, text=True, check=True
     ).stdout.strip()

@@ -26,10 +26,29 @@ def derived(folder, *args, **kwargs):
     return derive(Given(path, **given))
 
 
+def search_fewer_places(patched):
+    """Has the search go through fewer places, which takes most of the time that deriving takes."""
+    patched.setattr(placement, "_SHARES", placement._SHARES[::3])
+
+
+@pytest.fixture
+def fewer_places(monkeypatch):
+    search_fewer_places(monkeypatch)
+
+
+@pytest.fixture
+def shorter_search(fewer_places, monkeypatch):
+    """Of an arm that is too short, which goes through all places for each scale."""
+    monkeypatch.setattr(placement, "_RESTARTS", 2)
+    monkeypatch.setattr(placement, "_SEARCH_STEPS", 50)
+
+
 @pytest.fixture(scope="module")
 def found_and_said(tmp_path_factory):
     """The description that is derived of `arm.xml`, and the lines that are said about it."""
-    return derived(tmp_path_factory.mktemp("arm"), top_speed=(2.0,))
+    with pytest.MonkeyPatch.context() as patched:
+        search_fewer_places(patched)
+        return derived(tmp_path_factory.mktemp("arm"), top_speed=(2.0,))
 
 
 @pytest.fixture
@@ -42,13 +61,6 @@ def written(folder, description, model="arm.xml"):
     (folder / "arm.xml").write_text(arm())
     (folder / "arm.toml").write_text(write_description(dataclasses.replace(description, model=model), ["an arm"]))
     return str(folder / "arm.toml")
-
-
-@pytest.fixture
-def fewer_places(monkeypatch):
-    """Of an arm that is too short the search goes through all places, for each scale."""
-    monkeypatch.setattr(placement, "_SHARES", placement._SHARES[::3])
-    monkeypatch.setattr(placement, "_RESTARTS", 3)
 
 
 def package(name):
@@ -99,7 +111,7 @@ def test_what_is_written_is_what_is_read(tmp_path, found):
             np.testing.assert_allclose(other, one, atol=1e-5) if field.name != "joints" else None
 
 
-def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path, found):
+def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path, fewer_places, found):
     text = arm(compiler='angle="degree"').replace('name="j6" axis="0 0 1"', 'name="j6" axis="0 0 1" limited="false"')
     other = tmp_path / "degrees.xml"
     other.write_text(text)
@@ -200,7 +212,7 @@ WEAK = MOTORS + SERVOS.replace("30 30", "0.1 0.1")
         ({"pads": ("left_finger", "finger")}, "--pads: there is no body 'finger'; the fingers are left_finger"),
     ],
 )
-def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, fewer_places, kwargs, line):
+def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, shorter_search, kwargs, line):
     with pytest.raises(ValueError, match=line) as refused:
         derived(tmp_path, **kwargs)
     assert "\n" not in str(refused.value)
