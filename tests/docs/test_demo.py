@@ -17,6 +17,7 @@ import pytest
 import hgail_envs
 from docs._generate import demo
 from hgail_envs.randomized import randomize
+from hgail_envs.robots.fetch import Fetch
 from hgail_envs.vision.camera_env import known_numbers
 from hgail_envs.vision.pictures import KINDS, Pictures
 from hgail_jax.io.policy import load_policy, save_policy
@@ -203,6 +204,16 @@ def test_a_policy_of_pictures_acts_as_in_python(site, tmp_path, policy):
     np.testing.assert_allclose([each["action"] for each in found], policy(pictures, numbers), atol=1e-5)
     places = policy.centre + OBJECT_SCALE * objects
     np.testing.assert_allclose([each["objects"] for each in found], places, atol=1e-5)
+
+
+def test_a_cube_that_is_up_after_the_lift_test_is_a_success(site):
+    """The grasp policy lifts this one."""
+    arm, cube = Fetch("grasp"), [1.3, 0.65, 0.425]
+    data, first = arm.settle(), int(arm.model.joint("cube").qposadr[0])
+    data.qpos[first : first + 3] = cube
+    start = {"qpos": data.qpos.tolist(), "qvel": data.qvel.tolist(), "goal": cube}
+    given = {"task": "grasp", "policy": path_of("grasp"), "starts": [start]}
+    assert in_node(site, "evaluate", [given]) == [[True]]
 
 
 def test_a_policy_of_depth_is_refused(site, tmp_path):

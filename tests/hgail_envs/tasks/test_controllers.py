@@ -44,7 +44,8 @@ def test_controllers_take_batches():
         ("point", "proportional", 1.0, 1.0),
         ("reach", "proportional", 1.0, 1.0),
         ("grasp", "straight", 0.5, 0.9),  # Gymnasium-Robotics: 0.69 to 0.74
-        ("push", "from-behind", 0.95, 1.0),
+        # as an arm does, in test_servo_arm
+        pytest.param("push", "from-behind", 0.95, 1.0, marks=pytest.mark.slow),
         ("pick-and-place", "from-above", 0.95, 1.0),
         ("slide", "from-above", 0.15, 0.45),  # Gymnasium-Robotics: 0.29 of 128
     ],
