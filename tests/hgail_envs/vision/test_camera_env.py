@@ -29,7 +29,7 @@ def known(task, target):
     return np.asarray(started(task, target).obs)[made(task, target).known]
 
 
-@pytest.mark.parametrize("task", ["reach", "push", "grasp"])
+@pytest.mark.parametrize("task", [pytest.param("reach", marks=pytest.mark.slow), "push", "grasp"])
 def test_the_goal_is_given_unless_it_is_seen(task):
     goal = np.asarray(started(task, "given").info["desired_goal"])
     own = known(task, "given")[: -len(goal)]
@@ -78,8 +78,9 @@ def test_a_late_picture_shows_the_state_before_the_action():
     start = jax.jit(jax.vmap(late.reset))(jax.random.split(jax.random.key(0), 32))
     fraction = start.info["late"].mean()
     assert 0.2 < fraction < 0.8
-    after = jax.jit(jax.vmap(late.step))(start, jnp.ones((32, 4)))
-    again = jax.jit(jax.vmap(late.step))(after, jnp.ones((32, 4)))
+    step = jax.jit(jax.vmap(late.step))
+    after = step(start, jnp.ones((32, 4)))
+    again = step(after, jnp.ones((32, 4)))
     own = np.s_[:, : env.observation_size]
     positions = np.s_[:, env.observation_size : env.observation_size + env.model.nq]
     for before, now in ((start, after), (after, again)):
