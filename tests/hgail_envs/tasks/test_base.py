@@ -12,7 +12,6 @@ import hgail_envs
 from hgail_envs.robots.base import TOP_SPEED
 from hgail_envs.tasks.base import CONTROL_PERIOD, FAST_SUBSTEPS, REFERENCE_SUBSTEPS
 
-
 FEW_TASKS = [pytest.param("reach", marks=pytest.mark.slow), "grasp"]
 """Grasp has what reach has, and a cube and a hand."""
 
