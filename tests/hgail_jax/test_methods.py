@@ -230,18 +230,25 @@ class HeavyPush(Push):
     """A user's task that extends one of the package's, and so has its settings."""
 
 
+OWN: dict = {
+    "ppo": {"cpu": TrainingDefaults({"num_envs": 8}, {"strategy": 1, "reward": 2, "standardize_reward": False})}
+}
+
+
 class OwnSizes(Push):
     """One with its own settings, for PPO alone."""
 
-    training: ClassVar = {
-        "ppo": {
-            "cpu": TrainingDefaults({"num_envs": 8}, {"strategy": 1, "reward": 2, "standardize_reward": False}),
-        }
-    }
+    training: ClassVar = OWN
+
+
+class OwnPoint(Point):
+    """One without an arm, which is made at once."""
+
+    training: ClassVar = OWN
 
 
 def test_a_task_s_own_settings_stay_where_no_option_says_otherwise():
-    task = f"{__name__}:OwnSizes"
+    task = f"{__name__}:OwnPoint"
     own = plan(TrainOptions(task=task), "cpu").hyperparameters
     assert (own.strategy, own.reward, own.standardize_reward) == (1, 2, False)
     given = plan(TrainOptions(task=task, strategy="future", reward="r1"), "cpu").hyperparameters

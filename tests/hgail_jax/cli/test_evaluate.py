@@ -171,7 +171,9 @@ def test_a_policy_of_pictures_sees_the_reference_s_scene_and_its_own_numbers(
     assert row["distance_l1"] == pytest.approx(np.mean([end.distance_l1 for end in ends]), abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", ["colour", *(pytest.param(kind, marks=pytest.mark.slow) for kind in {*KINDS} - {"colour"})]
+)
 def test_look_and_renderer_of_a_policy_of_pictures_are_said(kind, tmp_path, capsys, monkeypatch, rendering):
     monkeypatch.setattr(hgail_envs.find_class("push"), "episode_length", 2)
     save_policy(tmp_path / "p.npz", dataclasses.replace(blind_policy(4, kind), look="varied"))

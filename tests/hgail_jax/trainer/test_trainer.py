@@ -21,16 +21,18 @@ from hgail_jax.settings.defaults import DEFAULTS
 from hgail_jax.trainer import results, training
 from hgail_jax.trainer.folder import open_run_folder
 from hgail_jax.trainer.train_options import plan
+from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
 from tests.hgail_jax.trainer.test_checkpoint import arrays_of, saved_in
-from tests.support import compile_once, make_runs_tiny
+from tests.support import make_runs_tiny
 
-SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)  # as `test_resume` has it
+SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)
 
 
 @pytest.fixture(autouse=True)
-def tiny(monkeypatch, tmp_path):
+def tiny(monkeypatch, tmp_path, request):
     make_runs_tiny(monkeypatch)
-    compile_once(monkeypatch)
+    if not request.node.get_closest_marker("slow"):
+        train_without_a_compiler(monkeypatch)
     monkeypatch.chdir(tmp_path)
 
 
@@ -78,7 +80,7 @@ def trained(tmp_path_factory):
     drawn, draw = [], results.draw_curves
     with pytest.MonkeyPatch.context() as patch:
         make_runs_tiny(patch)
-        compile_once(patch)
+        train_without_a_compiler(patch)
         patch.chdir(tmp_path_factory.mktemp("notebook"))
         patch.setattr(results, "draw_curves", lambda *given: (drawn.append(given), draw(*given)))
         trainer = Trainer(SMALL)
