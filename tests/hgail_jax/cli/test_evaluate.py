@@ -15,6 +15,7 @@ import hgail_envs
 from experiments.transfer.episode import run_episodes
 from experiments.transfer.robots import GymnasiumFetch
 from hgail_envs.base import EpisodeMetrics
+from hgail_envs.randomization import LEVELS
 from hgail_envs.randomized import randomize
 from hgail_envs.vision.pictures import KINDS
 from hgail_envs.vision.rendering import RenderingError
@@ -66,20 +67,36 @@ def test_what_is_printed_is_what_a_roll_out_of_the_policy_gives(capsys, shipped_
     assert (shown["task"], shown["engine"], row["episodes"]) == ("reach", env.impl, 6)
 
 
-def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder, tmp_path):
+def test_seeds_of_a_run_are_measured_one_by_one(capsys, run_folder):
     shown = report(["--policy", str(run_folder), "--episodes", "3"], capsys)
     assert [row["policy"].split("/")[-1] for row in shown["policies"]] == ["seed-9.npz", "seed-10.npz"]
     success = shown["policies"][0]["success"]
     assert success == shown["policies"][1]["success"]
     assert shown["mean"] == {"success": success}  # two have no interval
+
+
+def test_policies_are_measured_where_asked_for_and_three_have_an_interval(
+    capsys, tmp_path, monkeypatch, shipped_policy
+):
+    tasks = []
+
+    class Measured:
+        def __init__(self, env, seed, episodes):
+            tasks.append((env.randomization, seed))
+            self.episodes, self.coming = episodes, iter((0.5, 0.6, 0.7))
+
+        def __call__(self, policy):
+            return EpisodeMetrics(success=next(self.coming))
+
+    monkeypatch.setattr(evaluate, "Evaluation", Measured)
     for seed in (1, 2, 3):
-        shutil.copy(run_folder / "policies" / "seed-9.npz", tmp_path / f"seed-{seed}.npz")
-    evaluate.main(["--policy", str(tmp_path), "--episodes", "3", "--randomize", "mild"])
+        shutil.copy(shipped_policy, tmp_path / f"seed-{seed}.npz")
+    evaluate.main(["--policy", str(tmp_path), "--episodes", "10", "--randomize", "mild", "--seed", "7"])
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 7 and tasks == [(LEVELS["mild"], 7)]
     assert "randomised: mild (trained without), engine" in lines[0]
-    rate = float(lines[1].split()[1])  # equal policies, so the interval over seeds is a point
-    assert lines[-1] == f"mean of 3 seeds: success {rate:.3f} [{rate:.3f}, {rate:.3f}], interval over seeds"
+    assert [line.split()[1] for line in lines[1:6:2]] == ["0.500", "0.600", "0.700"]
+    assert lines[-1] == "mean of 3 seeds: success 0.600 [0.352, 0.848], interval over seeds"
 
 
 def test_policies_that_share_a_program_act_each_by_its_own_weights(capsys, tmp_path, shipped_policy):
