@@ -89,10 +89,10 @@ def test_errors_are_as_large_as_the_noise_of_a_camera_a_metre_away(noise, along,
 
 def test_sources_have_the_cameras_and_the_noise_that_they_are_said_to():
     """Of a target that two cameras see with independent errors, the mean has errors smaller by √2."""
-    place = np.add(OFFSET, [0.1, 0.0, 0.5])
+    place, robot = np.add(OFFSET, [0.1, 0.0, 0.5]), robot_of("reach")
 
     def spread(source):
-        looks = [GOAL_SOURCES[source](robot_of("reach"))(np.random.default_rng(seed))(place) for seed in range(300)]
+        looks = [GOAL_SOURCES[source](robot)(np.random.default_rng(seed))(place) for seed in range(300)]
         return np.linalg.norm(np.std(looks, axis=0))
 
     assert spread("camera") < 1e-9 and spread("one-camera") < 1e-9
