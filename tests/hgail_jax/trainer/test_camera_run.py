@@ -32,6 +32,8 @@ from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation
 from hgail_jax.vision.network import look
 from hgail_jax.vision.policy import CameraPolicy, sizes_of_look
 from tests.hgail_jax.trainer.stand_in import train_without_a_compiler
+from tests.hgail_jax.trainer.test_checkpoint import saved_in
+from tests.hgail_jax.trainer.test_trainer import After
 from tests.hgail_jax.vision.scenes import Map
 from tests.support import make_runs_tiny
 
@@ -56,7 +58,8 @@ def trained(tmp_path_factory):
         train_without_a_compiler(patch)
         whole, stopped = (Trainer(**OPTIONS, out=tmp_path_factory.mktemp("runs") / name) for name in ("whole", "parts"))
         whole.train()
-        stopped.train(_after(1))
+        stopped.train(After(3))
+        assert saved_in(stopped.folder) == [1]
         stopped = Trainer(**OPTIONS, resume=stopped.folder)
         stopped.train()
         return whole, stopped
@@ -68,20 +71,6 @@ def opened(path):
     header, arrays = load_npz(path, "it", {kind: lambda header, arrays: (header, {n: arrays[n] for n in arrays})})
     arrays.pop("header")
     return header, arrays
-
-
-class _after:
-    """An event that is set once it was asked for so often."""
-
-    def __init__(self, times):
-        self.left = times
-
-    def is_set(self):
-        self.left -= 1
-        return self.left < 0
-
-    def set(self):
-        self.left = 0
 
 
 def test_a_resumed_run_ends_with_the_bits_of_one_that_was_not_stopped(trained):
