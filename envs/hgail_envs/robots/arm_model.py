@@ -51,8 +51,7 @@ def attach_arm(
     if arm.scale != 1.0:
         enlarge(spec, arm.scale)
         scene.option.gravity *= arm.scale
-    if full:
-        scene.option.cone, scene.option.impratio = spec.option.cone, spec.option.impratio
+    scene.option.cone, scene.option.impratio = spec.option.cone, spec.option.impratio
     take_options(spec, scene)
     scene.attach(spec, frame=scene.worldbody.add_frame(pos=base), prefix=PREFIX)
     aside = rotation(arm.tool.quat)[:, 1] * (arm.meeting if stays_closed else 0.0)

