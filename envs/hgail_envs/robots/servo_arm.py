@@ -26,7 +26,7 @@ _RAISE = 2.0  # leads per metre below the lowest height, for a tilted hand whose
 _DOWNWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # of the tool, x down and y along y
 _SHARE = 0.5  # of its lead, at least, that a joint covers in an action
 # Iterations of the solver, at least, by the friction cone: fingers that are coupled need more than the Fetch's, and an
-# elliptic cone more again. With 10 the UR5e throws cubes off the table, with 20 one push in a hundred ends 0.5 mm aside.
+# elliptic cone more again. With 10 the UR5e throws cubes off the table; with 20 one push in a hundred is 0.5 mm aside.
 _ITERATIONS = {mujoco.mjtCone.mjCONE_PYRAMIDAL: 10, mujoco.mjtCone.mjCONE_ELLIPTIC: 30}
 _AT_START = 0.01  # metres of the robot, within which the search ends where the start is in reach
 _STRETCH = 0.97  # of the reach: an arm that is stretched shakes, and tilts its hand
