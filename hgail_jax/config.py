@@ -170,12 +170,12 @@ class Hyperparameters(struct.PyTreeNode):
     """Weight of the policy samples in the discriminator's loss, beside 1 of the expert's."""
 
     def as_arrays(self) -> Self:
-        """Returns itself with arrays for leaves, of floats also where whole numbers stand for them."""
+        """Returns itself with arrays for leaves; whole numbers in fields of floats become floats."""
 
         def array(field: dataclasses.Field) -> jax.Array:
-            value = getattr(self, field.name)
-            whole = isinstance(value, int) and isinstance(field.default, float)
-            return jnp.asarray(float(value) if whole else value)
+            value = jnp.asarray(getattr(self, field.name))
+            whole = jnp.issubdtype(value.dtype, jnp.integer) and isinstance(field.default, float)
+            return value.astype(float) if whole else value
 
         return type(self)(**{field.name: array(field) for field in dataclasses.fields(self)})
 

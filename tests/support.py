@@ -108,7 +108,13 @@ def init_once(monkeypatch):
 
 def _init_or_copy(env, config, settings, keys, demonstrations=None):
     pictures = getattr(env, "pictures", None)
-    seen = env.feature_size, env.goal_observation_size, env.action_size, pictures and (pictures.shape, pictures.target)
+    seen = (
+        env.episode_length,
+        env.feature_size,
+        env.goal_observation_size,
+        env.action_size,
+        pictures and (pictures.shape, pictures.target),
+    )
     key = (type(env), seen, config.replace(rounds=0), repr(settings), len(keys))
     if isinstance(keys, jax.core.Tracer):  # shapes alone are asked for
         found = None if demonstrations else _untrained.get(key)

@@ -67,8 +67,8 @@ def _stacking(epsilon: float = 0.2, **sizes: dict[str, Any]) -> dict[str, Preset
     Target networks that follow slowly decide stack: after 781 k steps two seeds had .22 at .02 and .85 at .01. A p_ht
     of .6 ends at .99, one of .8 at .95 (by HER). On a GPU stack's rounds are those after which each of four seeds
     had .99 by the adversary. The discriminator's learning rate falls as that of actor and critics does: the worst of
-    sixteen stacks has .974 for .954 without, two on a CPU .98 and .92 for .97 and .86, tower .945 (worst .925) for .930
-    (.857), with fewer random actions too (docs/adversary.md).
+    sixteen stacks has .974 for .954 without, the mean .993 for .995; tower .945 (worst .925) for .930 (.857), with
+    fewer random actions too (docs/adversary.md); two stacks on a CPU .98 and .92 for .97 and .86 (docs/off-policy.md).
     """
     falling = {"final_discriminator_learning_rate": 0.1}
     changes = {platform: _LARGE_BUFFER | falling | own for platform, own in sizes.items()}

@@ -141,11 +141,12 @@ def test_hyperparameters_may_be_arrays_and_tracers():
 def test_whole_numbers_stand_for_floats(learner):
     usual = learner.hyperparameters()
     floats = [field.name for field in dataclasses.fields(usual) if isinstance(field.default, float)]
-    arrays = usual.replace(**dict.fromkeys(floats, 1)).as_arrays()
+    arrays = usual.replace(**dict.fromkeys(floats, np.int64(1))).as_arrays()
 
     assert {name: getattr(arrays, name).dtype for name in floats} == dict.fromkeys(floats, jnp.float32)
     assert all(getattr(arrays, name) == 1 for name in floats)
     assert arrays.strategy.dtype == jnp.int32 and arrays.include_current.dtype == bool
+    assert usual.replace(exploration_noise=(1, 1)).as_arrays().exploration_noise.dtype == jnp.float32
 
 
 def test_minibatches_must_not_outnumber_samples():

@@ -226,10 +226,9 @@ def test_seeds_and_settings_side_by_side_have_no_part_in_each_other(step_of_two)
     states = states.replace(hyperparameters=states.hyperparameters.replace(p_ht=jnp.array([1.0, 0.0])))
     others = jax.jit(lambda states: jax.tree.map(lambda leaf: leaf[swapped], states))(states)
     (together, metrics), (after, measured) = train(step_of_two, states), train(step_of_two, others)
-    jax.tree.map(
-        lambda one, other: np.testing.assert_array_equal(one, other[swapped]), *map(without_key, (together, after))
-    )
-    jax.tree.map(lambda one, other: np.testing.assert_array_equal(one, other[:, swapped]), metrics, measured)
+    same = functools.partial(np.testing.assert_allclose, rtol=2e-3, atol=2e-4)
+    jax.tree.map(lambda one, other: same(one, other[swapped]), *map(without_key, (together, after)))
+    jax.tree.map(lambda one, other: same(one, other[:, swapped]), metrics, measured)
 
 
 @pytest.mark.slow

@@ -132,8 +132,9 @@ def buffer_sizes(model: mujoco.MjModel, worlds: int) -> dict[str, int]:
     """Returns `make_data`'s bounds: the contacts of all worlds together and the constraint rows of one.
 
     A sphere touches anything in one point, a plane a box in at most four, two boxes touch in eight. A contact takes two
-    rows per direction of its friction pyramid, a weld six rows, a limited joint one for each limit and a joint with
-    friction one. A quarter of the rows is spare: a hand pressed into the cube has exceeded the count.
+    rows per direction of its friction pyramid, with an elliptic cone fewer, a weld six rows, a limited joint one for
+    each limit and a joint with friction one. A quarter of the rows is spare: a hand pressed into the cube has exceeded
+    the count.
     """
     kinds = model.geom_type[np.stack([model.pair_geom1, model.pair_geom2])]
     spheres = (kinds == mujoco.mjtGeom.mjGEOM_SPHERE).any(axis=0)

@@ -29,6 +29,8 @@ def attach_arm(
 ) -> None:
     """Puts the arm into a scene, its base at `base`, `[3]`, metres: on servos of its own, and weightless.
 
+    The scene's contacts get the friction cone of the arm's model.
+
     In a scene in which the hand `stays_closed` the gripper is where the pads meet.
 
     It touches with the geoms `palm`, `right_pad` and `left_pad`, and with those of `hgail_envs.robots.hand_boxes`. The

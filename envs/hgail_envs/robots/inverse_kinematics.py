@@ -37,7 +37,8 @@ def damped_step(
         free, step = state  # joints that move, and the step that the others make
         movable, bias = rows * free, to_home * home * free
         remaining = error - (rows * xp.where(free, bias, step)).sum(axis=1)
-        # Sums of products, which XLA fuses: products and LAPACK take a hundred times as long for matrices of this size.
+        # Sums of products, which XLA fuses: there products and LAPACK take a hundred times as long for matrices of this
+        # size. In NumPy it is LAPACK that is faster.
         normal = (movable[:, None] * movable).sum(axis=2) + _DAMPING * np.eye(6)
         multipliers = _solve(normal, remaining) if xp is jnp else np.linalg.solve(normal, remaining)
         solved = bias + (movable * multipliers[:, None]).sum(axis=0)

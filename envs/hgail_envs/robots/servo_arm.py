@@ -145,7 +145,7 @@ class ServoArm(Robot):
             step = self._step(way, turn, jacobian[:, self._dofs], near - posture, self._limits - posture, np)
             before, posture = posture, (posture + step).astype(posture.dtype)
             if np.array_equal(posture, before):
-                break  # as all further steps would
+                break  # no further step would move a joint
         return posture
 
     def _check_start(self) -> None:

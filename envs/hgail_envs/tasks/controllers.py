@@ -158,8 +158,9 @@ def slide(seen: Seen) -> jax.Array:
 def _launch(remaining: jax.Array) -> jax.Array:
     """Returns the velocity, `[..., 2]` in m/s, from which a puck slides by `remaining`, `[..., 2]` metres.
 
-    MuJoCo's friction cone is a pyramid whose edges lie along x and y. So the puck is slowed along x + y and along x - y
-    by the same deceleration each, independently of the other: v² = 2 µ g d along each diagonal.
+    MuJoCo's default friction cone, which not all hands have, is a pyramid whose edges lie along x and y. So the puck is
+    slowed along x + y and along x - y by the same deceleration each, independently of the other: v² = 2 µ g d along
+    each diagonal.
     """
     x, y = remaining[..., 0], remaining[..., 1]
     diagonals = jnp.stack([x + y, x - y], axis=-1)

@@ -16,9 +16,10 @@ from hgail_jax.seeds import compile_train_step, init_seeds, seed_keys
 from tests.support import TINY
 
 
-def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision_and_mjx_may_promote_where_others_may_not():
+@pytest.mark.parametrize("task", ["reach", pytest.param("grasp", marks=pytest.mark.slow)])
+def test_no_product_of_the_physics_is_left_to_a_gpu_s_default_precision_and_mjx_may_promote_where_others_may_not(task):
     with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
-        env = hgail_envs.make("reach", impl="jax")
+        env = hgail_envs.make(task, impl="jax")
         state = jax.eval_shape(env.reset, jax.random.key(0))
         program = str(jax.make_jaxpr(env.step)(state, jax.ShapeDtypeStruct((4,), np.float32)))
     assert program.count("precision=(Precision.HIGH") == program.count("dot_general[") > 100

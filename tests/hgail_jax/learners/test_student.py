@@ -192,6 +192,13 @@ def test_without_their_weight_the_positions_teach_nothing():
         Student(object_weight=-1.0)
 
 
+def test_a_round_can_be_traced():
+    state, phases = untrained(), phase_table(CONFIG)[1]
+    after_it, metrics = jax.eval_shape(functools.partial(train_step, push(), CONFIG), state, phases)
+    assert jax.tree.map(jnp.shape, after_it) == jax.tree.map(jnp.shape, state)
+    assert metrics.training.success.shape == ()
+
+
 @pytest.mark.slow
 def test_a_seed_learns_as_it_does_beside_another():
     many = jax.jit(jax.vmap(functools.partial(train_step, push(), CONFIG), in_axes=(0, None)))

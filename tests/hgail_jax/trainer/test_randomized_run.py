@@ -1,16 +1,30 @@
 """Runs whose episodes are randomised, and policies of them."""
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hgail_envs.point import Point
 from hgail_envs.randomization import LEVELS, Randomization
 from hgail_envs.randomized import RandomizedEnv
-from hgail_jax import TD3, Config, Preset, Trainer, load_policy
+from hgail_jax import (
+    PPO,
+    TD3,
+    Config,
+    Hyperparameters,
+    Preset,
+    Trainer,
+    init_state,
+    load_policy,
+    phase_table,
+    train_step,
+)
 from hgail_jax.cli import play
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import save_policy
@@ -52,6 +66,15 @@ def test_a_randomised_run_says_so_and_resumes_as_such_alone(capsys):
     assert "physics.randomization.goal_offset is 0.02 there and 0.01 here" in resume("other", capsys)
     run.main([*SIZES[:-2], "--resume", "run", "--randomize", "small"])
     assert "run is complete" in capsys.readouterr().out
+
+
+def test_a_round_of_a_randomised_task_can_be_traced():
+    """The runs above have rounds of another making."""
+    env, config = RandomizedEnv(Point(), SMALL), Config(PPO(), num_envs=4)
+    state = jax.eval_shape(functools.partial(init_state, env, config), Hyperparameters(), jax.random.key(0))
+    after, metrics = jax.eval_shape(functools.partial(train_step, env, config), state, phase_table(config)[0])
+    assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)
+    assert metrics.evaluation.success.shape == ()
 
 
 @pytest.mark.slow
