@@ -151,7 +151,7 @@ def _train(run: Run, folder: RunFolder, stop: threading.Event) -> dict[str, Any]
             wait([compiling])
         return None
     timing["train"] = progress.seconds
-    with _timed(timing, "evaluation"), StatusLine("evaluating the policies in the reference physics"):
+    with _timed(timing, "evaluation"), StatusLine("evaluating the policies"):
         evaluations = {name: evaluate(progress.states) for name, evaluate in compiling.result().items()}
     states = replicate(progress.states)  # all processes take part in this
     if is_first_process():
