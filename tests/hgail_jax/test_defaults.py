@@ -2,6 +2,7 @@ import dataclasses
 import functools
 import itertools
 import json
+import re
 from typing import ClassVar
 
 import pytest
@@ -26,6 +27,7 @@ from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import env_steps, phase_table
 from hgail_jax.trainer.train_options import plan
 from hgail_jax.trainer.training import with_settings
+from tests.support import ROOT
 
 EIGHT = {"substeps": 8}
 
@@ -66,6 +68,14 @@ def test_td3_takes_on_a_cpu_what_the_page_says(task, layers, more_updates, fewer
     assert fewer_samples * cpu.learner.batch == gpu.learner.batch
     published = {run["name"]: run["env_steps"] for run in json.loads((RESULTS / "runs.json").read_text())}
     assert env_steps(env, cpu, phase_table(cpu)).sum() == published[f"{task}-td3-cpu"]
+
+
+def test_the_discriminator_s_rate_falls_on_the_tasks_that_the_page_names():
+    last = {task: of["td3"]["gpu"].config.learner.final_discriminator_learning_rate for task, of in DEFAULTS.items()}
+    falling = [task for task, rate in last.items() if rate != 1.0]
+    assert {last[task] for task in falling} == {0.1}
+    named = re.search(r"falls to a tenth by default on (.*?)\.", (ROOT / "docs" / "adversary.md").read_text())[1]
+    assert sorted(re.findall(r"\w+", named.replace(" and ", ", "))) == sorted(falling)
 
 
 def test_a_task_changes_the_default_preset_and_no_other():
