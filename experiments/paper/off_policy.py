@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
+from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, PART_STEPS, Setting, Study
 from hgail_jax.settings.methods import PAPER_SAMPLES
 
 
@@ -94,11 +94,14 @@ _METHODS = Study(
 _PPO_SAMPLES = Study(
     "ppo-samples",
     "HGAIL with PPO, other samples of the discriminator",
-    (
-        Setting("the paper's: goals achieved against goals pursued"),
-        Setting("95% of the negatives shuffled", hyperparameters={"shuffled_goals": 0.95}),
-        Setting("positives jittered by 0.5 of the tolerance", hyperparameters={"goal_jitter": 0.5}),
-        Setting("both", hyperparameters={"shuffled_goals": 0.95, "goal_jitter": 0.5}),
+    tuple(
+        Setting(name, hyperparameters=samples, steps=PART_STEPS)
+        for name, samples in (
+            ("the paper's: goals achieved against goals pursued", {}),
+            ("95% of the negatives shuffled", {"shuffled_goals": 0.95}),
+            ("positives jittered by 0.5 of the tolerance", {"goal_jitter": 0.5}),
+            ("both", {"shuffled_goals": 0.95, "goal_jitter": 0.5}),
+        )
     ),
     curves=True,
 )

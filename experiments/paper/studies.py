@@ -7,7 +7,7 @@ import dataclasses
 from typing import Any
 
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
-from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, Setting, Study
+from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, PART_STEPS, Setting, Study
 from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
 from hgail_jax.settings.presets import AS_WRITTEN
@@ -177,7 +177,6 @@ _STANDARDIZATION = Study(
         *_both(*(Setting(name, hyperparameters={"reward": form}) for name, form in REWARDS.items())),
     ),
 )
-_PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}  # of the task's own steps: 8 to 10 million
 
 
 def _part(
@@ -185,7 +184,7 @@ def _part(
 ) -> Setting:
     """Returns HGAIL with a part left out or changed, on a task with an object."""
     return Setting(
-        name, config=config or {}, hyperparameters=hyperparameters, task_options=task_options or {}, steps=_PART_STEPS
+        name, config=config or {}, hyperparameters=hyperparameters, task_options=task_options or {}, steps=PART_STEPS
     )
 
 

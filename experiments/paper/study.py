@@ -9,6 +9,8 @@ PAPER_DEMONSTRATIONS = 20
 """Demonstrations of GAIL-demo; the paper does not say how many it has."""
 MOST_DEMONSTRATIONS = 100
 """The most that a setting has; they are recorded together, and the first of them are the smaller sets."""
+PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}
+"""Environment steps of studies of PPO with an object, as multiples of the task's own: 8 to 10 million."""
 REPORTED_SEEDS = range(0, 8)
 """Seeds of the tables and figures. No setting is chosen by their results."""
 TUNING_SEEDS = range(1000, 1004)
