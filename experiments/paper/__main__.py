@@ -28,8 +28,8 @@ class Options:
 
     table: tuple[Literal[1, 2, 3], ...] = ()
     """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
-    figure: tuple[Literal[3, 4, 5, 6, 7], ...] = ()
-    """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards."""
+    figure: tuple[Literal[3, 4, 5, 6, 7, 8], ...] = ()
+    """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards, 8 the methods by TD3."""
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), off-policy, off-policy-samples,

@@ -1,4 +1,4 @@
-"""The paper's figures, drawn from the results of their studies."""
+"""The paper's figures, and one of the methods by TD3, drawn from the results of their studies."""
 
 import itertools
 import json
@@ -10,15 +10,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from experiments.figures import style_axes, write_figure
+from experiments.paper.off_policy import OFF_POLICY_FIGURE
 from experiments.paper.studies import STUDIES
 from hgail_jax.trainer.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
-_PANELS = (
-    ("success", "success rate", (-0.02, 1.02)),
-    ("distance_l1", "L1 distance at the end (m)", (0.0, None)),
-)
+_STEPS, _SECONDS = "environment steps per seed", "seconds of training"
+_SUCCESS = ("success", "success rate", (-0.02, 1.02))
+_PANELS = ((*_SUCCESS, _STEPS), ("distance_l1", "L1 distance at the end (m)", (0.0, None), _STEPS))
+_PANELS_BY = {OFF_POLICY_FIGURE: ((*_SUCCESS, _STEPS), (*_SUCCESS, _SECONDS))}
 
 
 def figure_path(folder: Path, number: int) -> Path:
@@ -29,8 +30,8 @@ def figure_path(folder: Path, number: int) -> Path:
 def draw_figure(folder: Path, number: int) -> Path | None:
     """Draws a figure from the results of its studies in a folder, and returns its path; None if the folder has none.
 
-    A row for each task and panel, success on the left and distance on the right; a line is the mean over the seeds, its
-    band the 95 % interval.
+    A row for each task and panel, success on the left, and on the right the distance, or success over a setting's share
+    of the seconds of its program's training; a line is the mean over the seeds, its band the 95 % interval.
 
     Raises:
       ValueError: a file of the folder is not a study's.
@@ -49,9 +50,9 @@ def draw_figure(folder: Path, number: int) -> Path | None:
     colors = dict(zip(_in_order(row["setting"] for row in rows), itertools.cycle(_COLORS), strict=False))
     for axes, (task, panel) in zip(grid, panels, strict=True):
         of_panel = [row for row in rows if (row["task"], row["panel"]) == (task, panel)]
-        for axis, (column, label, limits) in zip(axes, _PANELS, strict=True):
-            _draw_lines(axis, of_panel, column, colors)
-            axis.set(title=", ".join(filter(None, (task, panel))), xlabel="environment steps per seed", ylabel=label)
+        for axis, (column, label, limits, over) in zip(axes, _PANELS_BY.get(number, _PANELS), strict=True):
+            _draw_lines(axis, of_panel, column, over, colors)
+            axis.set(title=", ".join(filter(None, (task, panel))), xlabel=over, ylabel=label)
             axis.set_ylim(*limits)
             style_axes(axis)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -67,9 +68,11 @@ def _commits(rows: list[dict[str, Any]]) -> str:
     return f" (commits {', '.join(commits)})" if len(commits) > 1 else ""
 
 
-def _draw_lines(axis: plt.Axes, rows: list[dict[str, Any]], column: str, colors: dict[str, tuple]) -> None:
+def _draw_lines(axis: plt.Axes, rows: list[dict[str, Any]], column: str, over: str, colors: dict[str, tuple]) -> None:
     for row in rows:
-        steps, values = row["curves"]["env_steps"], np.array(row["curves"][column])
+        steps, values = np.array(row["curves"]["env_steps"]), np.array(row["curves"][column])
+        if over == _SECONDS:
+            steps = steps * row["seconds"] / steps[-1]
         mean, half = values.mean(axis=1), np.nan_to_num(confidence_interval(values))
         color = colors[row["setting"]]
         axis.plot(steps, mean, color=color, linewidth=1.8, marker="o", markersize=3, label=row["setting"])

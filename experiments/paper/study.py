@@ -60,7 +60,7 @@ class Study:
     table: int | None = None
     """The paper's number, which several studies may have."""
     figure: int | None = None
-    """The paper's number."""
+    """The paper's number, or that of the methods by TD3."""
     curves: bool = False
     """Whether its results have the learning curves; those of a study with a figure always do."""
     reference: str = ""

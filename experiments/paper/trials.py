@@ -23,11 +23,11 @@ _PER_ROLL_OUT = 4  # roll-outs whose episodes fill the best-of buffer
 _MOST_BEST = 1000  # as Guo et al. 2018 keep
 
 _FEW_EPISODES: dict[str, Any] = {"num_envs": 4, "rounds": 1}
+_FEW_STEPS: dict[str, Any] = _FEW_EPISODES | {"rollouts": 1, "updates": 2, "batch": 16, "buffer_episodes": 8}
 _QUICK: dict[str, dict[str, Any]] = {
     "ppo": FEW_UPDATES | _FEW_EPISODES,
-    "td3": _FEW_EPISODES
-    | {"rollouts": 1, "updates": 2, "batch": 16, "buffer_episodes": 8}
-    | {"discriminator_minibatches": 2, "discriminator_batch": 16},
+    "td3": _FEW_STEPS | {"discriminator_minibatches": 2, "discriminator_batch": 16},
+    "crl": _FEW_STEPS,
 }
 _QUICK_EVALUATION_EPISODES = 8
 

@@ -133,8 +133,10 @@ def test_rewards_are_compared_beside_other_goals_and_ppo():
 
 @pytest.mark.parametrize("task", ["push", "pick-and-place"])
 def test_methods_with_td3_have_its_steps_and_none_but_her_a_reward(task):
-    trials = trials_of(BY_NAME["off-policy-methods"], task, "gpu")
+    *trials, contrastive = trials_of(BY_NAME["off-policy-methods"], task, "gpu")
     preset = DEFAULTS[task]["td3"]["gpu"]
+    assert (contrastive.method, contrastive.config.learner.name) == ("crl", "crl")
+    assert contrastive.config.rounds == preset.config.rounds
     for trial in trials:
         penalty = 10.0 if trial.setting.demonstrations else 0.0
         assert trial.config.learner == dataclasses.replace(preset.config.learner, gradient_penalty=penalty)
