@@ -22,7 +22,7 @@ from hgail_jax import init_state, load_policy
 from hgail_jax.cli import train as command
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.policy import from_state, load_any_policy, save_policy
-from hgail_jax.settings.camera import camera_preset
+from hgail_jax.settings.defaults import task_preset
 from hgail_jax.trainer import camera
 from hgail_jax.trainer.checkpoint import AnotherRunError, as_json, refuse_another_run
 from hgail_jax.trainer.teaching import best_policy, teacher_options
@@ -272,7 +272,7 @@ def test_wrong_options_are_printed_in_one_line(words, message, capsys, tmp_path)
 def test_the_help_has_the_numbers_of_the_training_with_pictures(capsys):
     with pytest.raises(SystemExit):
         command.main(["--task", "push", "--observe", "camera", "--help"])
-    preset = camera_preset("push", "cpu").config
+    preset = task_preset(hgail_envs.find_class("push"), "cpu", learner="student").config
     shown = " ".join(capsys.readouterr().out.split())
     assert f"The task push has --num-envs {preset.num_envs} --rounds {preset.rounds} " in shown
 
