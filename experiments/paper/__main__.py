@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import hgail_envs
 from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.study import Study, choose_seeds
-from experiments.paper.tables import write_means_over_tasks
 from experiments.paper.trials import Scale, work_out
 from experiments.paper.work import Unfinished, Work, carry_out, redraw, time_one_program
 from hgail_envs.validation import check_name
@@ -128,8 +127,6 @@ def main(arguments: list[str] | None = None) -> None:
             if stop.is_set():
                 print("stopped; the same command resumes")
                 return
-            for study in works[0].studies if len(works) > 1 else ():
-                write_means_over_tasks(folder, [work.task for work in works], study)
             for work in works if options.sweep else ():
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:
