@@ -100,7 +100,6 @@ class FullArm(Robot):
     )
 
     cube = "cube"
-    marker = "target"
     offset = np.zeros(3)  # the scene is the Fetch's
 
     def __init__(self, task: str, slowdown: int = _SLOWDOWN, start_open: bool = False) -> None:
