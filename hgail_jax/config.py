@@ -107,12 +107,11 @@ class Hyperparameters(struct.PyTreeNode):
 
     fractions: ClassVar[tuple[str, ...]] = (
         *("p_ht", "environment_reward", "discount", "gae_lambda", "include_current", "ties_by_distance"),
-        *("standardize_reward", "standardize_advantage", "standardize_observation"),
-        *("goal_jitter", "shuffled_goals"),
+        *("standardize_reward", "goal_jitter", "shuffled_goals"),
     )
     """Fields that are 0 to 1."""
     positive: ClassVar[tuple[str, ...]] = (
-        *("exploration_noise", "final_exploration_noise", "clip_ratio", "reward_scale", "negative_weight"),
+        *("exploration_noise", "final_exploration_noise", "clip_ratio", "negative_weight"),
         *("policy_learning_rate", "discriminator_learning_rate"),
     )
     """Fields above 0."""
@@ -136,12 +135,6 @@ class Hyperparameters(struct.PyTreeNode):
     standardize_reward: jax.Array | bool = True
     """Whether PPO's reward is shifted and scaled to mean 0 and standard deviation 1 over a roll-out. That removes the
     scale that distinguishes r1 to r4, and makes a rare success large: one among 51,200 steps is worth +226."""
-    reward_scale: jax.Array | float = 1.0
-    """Factor on PPO's reward, which is first divided by the steps of an episode."""
-    standardize_advantage: jax.Array | bool = True
-    """Whether PPO's advantages are shifted and scaled to mean 0 and standard deviation 1 over a roll-out."""
-    standardize_observation: jax.Array | bool = True
-    """Whether observations are shifted and scaled by their statistics so far. They are clipped to ±5 either way."""
     ppo_weight: jax.Array | float = 1.0
     """Weight of PPO's loss for the policy; 0 leaves it to behaviour cloning."""
     bc_weight: jax.Array | float = 1.0

@@ -1,6 +1,5 @@
 """The training state: everything that a round reads and writes, as one pytree."""
 
-import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -40,15 +39,11 @@ class TrainState(struct.PyTreeNode):
             return running_statistics.normalize(observation, self.statistics, max_abs_value=MAX_NORMALIZED)
 
     def count(self, samples: "Samples") -> "TrainState":
-        """Counts samples into the statistics, each of them once, those of weight 0 not at all.
-
-        Where observations are not to be standardised the statistics stay at mean 0 and standard deviation 1.
-        """
+        """Counts samples into the statistics, each of them once, those of weight 0 not at all."""
         weight = (samples.weight > 0).astype(jnp.float32)
         with promotion():
             counted = running_statistics.update(self.statistics, samples.observation, weights=weight)
-        kept = functools.partial(jnp.where, self.hyperparameters.standardize_observation)
-        return self.replace(statistics=jax.tree.map(kept, counted, self.statistics))
+        return self.replace(statistics=counted)
 
 
 class StateKeys(NamedTuple):

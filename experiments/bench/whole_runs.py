@@ -1,10 +1,8 @@
 """Measures whole runs of `hgail train`, each in a separate process: compilation, and the time to a success rate."""
 
 import csv
-import ctypes
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -19,7 +17,6 @@ SUCCESS = {"reach": 0.98}
 """Success rate that every seed must reach, by task."""
 _SUCCESS_ELSE = 0.95
 
-_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 _TRAIN = (sys.executable, "-m", "hgail_jax", "train")
 _QUICK = ("--num-envs", "4", "--seeds", "2", "--rounds", "1")
 
@@ -110,15 +107,9 @@ def train(
     environment["WARP_CACHE_PATH"] = str(kernels or environment.get("WARP_CACHE_PATH") or user_cache() / "warp")
     environment["JAX_COMPILATION_CACHE_DIR"] = str(programs)
     command = [*_TRAIN, *arguments, "--out", str(folder)]
-    subprocess.run(command, env=environment, preexec_fn=_end_with_parent, check=True)
+    subprocess.run(command, env=environment, check=True)
     with (folder / "metrics.csv").open() as file:
         return json.loads((folder / "summary.json").read_text()), list(csv.DictReader(file))
-
-
-def _end_with_parent() -> None:
-    """Makes Linux end this child process with its parent, even if that is killed."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _given(options: Sequence[str]) -> dict[str, str]:

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import hgail_envs
 from experiments.paper.studies import LONGER, STUDIES, studies_of
 from experiments.paper.study import Study, choose_seeds
-from experiments.paper.tables import write_means_over_tasks
 from experiments.paper.trials import Scale, work_out
 from experiments.paper.work import Unfinished, Work, carry_out, redraw, time_one_program
 from hgail_envs.validation import check_name
@@ -34,7 +33,7 @@ class Options:
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), off-policy, off-policy-samples,
     off-policy-sizes, off-policy-rewards and off-policy-methods (of the learner TD3), and those behind the tables and
-    figures; paper-sizes, gail-demo-weight and grasp-sizes, which choose settings, on separate seeds."""
+    figures."""
     all: bool = False
     """All studies that are reported: all of the paper's on reach, table 1 on grasp, the parts on push,
     pick-and-place and slide."""
@@ -46,7 +45,7 @@ class Options:
     """Draw every figure again from the data in the folder; nothing is trained."""
     task: tuple[str, ...] = ()
     """Tasks by name; by default reach, or point with --quick."""
-    seeds: Annotated[int | None, unless_given("8; 4 where settings are chosen; 2 with --quick", "INT")] = None
+    seeds: Annotated[int | None, unless_given("8; 2 with --quick", "INT")] = None
     """Number of seeds."""
     quick: bool = False
     """Take tiny sizes that show in a minute or two that everything runs."""
@@ -62,7 +61,7 @@ def plan(options: Options, platform: str) -> list[Work]:
     """
     tasks = dict.fromkeys(options.task or (["point"] if options.quick else ["reach"]))
     seeds = _QUICK_SEEDS if options.quick and options.seeds is None else options.seeds
-    choose_seeds(tuning=False, count=seeds)
+    choose_seeds(seeds)
     for name in options.study:
         check_name("study", name, [study.name for study in STUDIES])
     folder = options.out or Path("runs") / ("quick" if options.quick else "paper")
@@ -128,8 +127,6 @@ def main(arguments: list[str] | None = None) -> None:
             if stop.is_set():
                 print("stopped; the same command resumes")
                 return
-            for study in works[0].studies if len(works) > 1 else ():
-                write_means_over_tasks(folder, [work.task for work in works], study)
             for work in works if options.sweep else ():
                 time_one_program(work)
         except (OSError, FloatingPointError, OverflowError) as error:

@@ -1,5 +1,6 @@
-"""Estimates over the seeds of several tasks or settings, with bootstrap intervals."""
+"""Estimates over the seeds of one or two settings, with bootstrap intervals."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -12,24 +13,16 @@ _RESAMPLES = 5000
 _TRIMMED = 0.25  # off either end
 
 
-def interquartile_mean(*strata: np.ndarray) -> Estimate:
-    """Returns the mean of the middle half of all values, and its interval by a stratified bootstrap.
+def interquartile_mean(values: np.ndarray) -> Estimate:
+    """Returns the mean of the middle half of values, `[seeds]`, and its interval by a bootstrap.
 
-    As Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", have it: seeds are
-    drawn again within each stratum, and the interval is that of percentiles. With three values or fewer none is
-    trimmed.
-
-    Args:
-      *strata: `[seeds]` each: one array for each task that is averaged over, or a single one.
+    As Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", have it; the
+    interval is that of percentiles. With three values or fewer none is trimmed.
 
     >>> interquartile_mean(np.array([0.0, 0.0, 0.5, 0.6, 0.7, 0.8, 1.0, 1.0])).value
     0.65
     """
-
-    def statistic(*strata: np.ndarray, axis: int) -> Any:
-        return stats.trim_mean(np.concatenate(strata, axis=axis), _TRIMMED, axis=axis)
-
-    return _bootstrap(statistic, strata)
+    return _bootstrap(functools.partial(stats.trim_mean, proportiontocut=_TRIMMED), (values,))
 
 
 def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Estimate:

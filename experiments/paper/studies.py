@@ -8,7 +8,6 @@ from typing import Any
 
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.study import MOST_DEMONSTRATIONS, PAPER_DEMONSTRATIONS, PART_STEPS, Setting, Study
-from experiments.paper.tuning import TUNING_STUDIES
 from hgail_jax.config import FROZEN, REWARDS, STRATEGIES
 from hgail_jax.settings.presets import AS_WRITTEN
 
@@ -204,14 +203,14 @@ _PARTS = Study(
     ),
 )
 _REPORTED = (_METHODS, _LONGER, _CURRICULUM, _STRATEGIES, _P_HT, _REWARDS, _ABLATIONS, _GASIL, _STANDARDIZATION)
-STUDIES = (*_REPORTED, _PARTS, *OFF_POLICY_STUDIES, *TUNING_STUDIES)
+STUDIES = (*_REPORTED, _PARTS, *OFF_POLICY_STUDIES)
 """Every study, in order of training. The paper has table 1 alone of grasp."""
 _TABLE_1_ALONE = ("grasp",)  # tasks of which the paper has no ablations
 _NOT_IN_THE_PAPER = ("push", "pick-and-place", "slide")
 
 
 def studies_of(task: str) -> tuple[Study, ...]:
-    """Returns the studies that are reported of a task, without those that choose settings."""
+    """Returns the studies that are reported of a task."""
     if task in _NOT_IN_THE_PAPER:
         return (_PARTS,)
     return tuple(study for study in _REPORTED if task not in _TABLE_1_ALONE or study.table == 1)

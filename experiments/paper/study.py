@@ -12,9 +12,7 @@ MOST_DEMONSTRATIONS = 100
 PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}
 """Environment steps of studies of PPO with an object, as multiples of the task's own: 8 to 10 million."""
 REPORTED_SEEDS = range(0, 8)
-"""Seeds of the tables and figures. No setting is chosen by their results."""
-TUNING_SEEDS = range(1000, 1004)
-"""Seeds of the studies that choose settings. Their results are never reported as a method's."""
+"""Seeds of the tables and figures. No setting is chosen by their results, but by those of seeds from 1000 on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,8 +63,6 @@ class Study:
     """Whether its results have the learning curves; those of a study with a figure always do."""
     reference: str = ""
     """Name of the setting that the others are compared with; by default the first."""
-    tuning: bool = False
-    """True for a study that chooses settings, on separate seeds, see `choose_seeds`."""
 
     def compared_with(self, setting: Setting) -> Setting | None:
         """Returns the setting to compare with: the reference of the same panel, else the first of that name.
@@ -79,31 +75,13 @@ class Study:
         return None if found.label == setting.label else found
 
 
-def choose_seeds(tuning: bool, count: int | None = None) -> range:
-    """Returns a study's seeds: those above, or the first `count` from the same start.
+def choose_seeds(count: int | None = None) -> range:
+    """Returns the first `count` seeds from 0 on, or those of the tables; a ValueError if `count` is below 1.
 
-    Raises:
-      ValueError: `count` is below 1, or the seeds for reporting would overlap those for choosing.
-
-    >>> choose_seeds(tuning=True), choose_seeds(tuning=False, count=2)
-    (range(1000, 1004), range(0, 2))
+    >>> choose_seeds(), choose_seeds(2)
+    (range(0, 8), range(0, 2))
     """
-    whole = TUNING_SEEDS if tuning else REPORTED_SEEDS
     if count is None:
-        return whole
-    check_seeds(whole.start, count)
-    if not tuning and count > TUNING_SEEDS.start:
-        raise ValueError(f"seeds is {count}; from {TUNING_SEEDS.start} on they are for choosing settings")
-    return range(whole.start, whole.start + count)
-
-
-def describe_seeds(seeds: list[int]) -> str:
-    """Describes the purpose of consecutive seeds.
-
-    >>> describe_seeds([0, 1])
-    'Seeds 0 to 1 are for reporting; settings are chosen on others, from 1000 on.'
-    """
-    these = f"Seeds {seeds[0]} to {seeds[-1]}"
-    if seeds[0] >= TUNING_SEEDS.start:
-        return f"{these} are for choosing settings; what is reported comes from others, from {REPORTED_SEEDS.start} on."
-    return f"{these} are for reporting; settings are chosen on others, from {TUNING_SEEDS.start} on."
+        return REPORTED_SEEDS
+    check_seeds(REPORTED_SEEDS.start, count)
+    return range(count)

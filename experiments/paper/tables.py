@@ -9,7 +9,7 @@ import numpy as np
 from experiments.paper.figures import draw_figure
 from experiments.paper.markdown import study_table, with_bounds
 from experiments.paper.statistics import interquartile_mean, probability_of_improvement
-from experiments.paper.study import Setting, Study, describe_seeds
+from experiments.paper.study import Setting, Study
 from hgail_jax.io.files import replace_file, write_json
 from hgail_jax.trainer.statistics import Estimate, confidence_interval
 
@@ -118,32 +118,16 @@ def _statistics(final: dict[str, list[float]]) -> dict[str, float | None]:
     }
 
 
-def write_means_over_tasks(folder: Path, tasks: list[str], study: Study) -> None:
-    """Writes <study>-<task>-<task>.json if the folder has the study of each task.
-
-    It has the interquartile mean of each setting's success rate over the seeds of all tasks, bootstrapped within tasks.
-    """
-    paths = [json_path(folder, task, study) for task in tasks]
-    if not all(path.exists() for path in paths):
-        return
-    of_tasks = [read_study(path)["settings"] for path in paths]
-    rows = [
-        {"setting": of_setting[0]["setting"], "panel": of_setting[0]["panel"]}
-        | _estimate("success_iqm", interquartile_mean(*(np.array(row["final"]["success"]) for row in of_setting)))
-        for of_setting in zip(*of_tasks, strict=True)
-    ]
-    write_json(folder / f"{'-'.join([study.name, *tasks])}.json", {"study": study.name, "tasks": tasks, "means": rows})
-
-
 def write_markdown(path: Path, task: str, study: Study, rows: list[dict[str, Any]]) -> None:
     """Writes a table, the paper's figures beside ours, with 95 % intervals over the seeds."""
     by_label = {setting.label: row for setting, row in zip(study.settings, rows, strict=True)}
+    seeds = rows[0]["identity"]["seeds"]
     lines = [
         f"# {study.title[0].upper()}{study.title[1:]}, {task}",
         "",
-        f"{describe_seeds(rows[0]['identity']['seeds'])} Final evaluation of the mean action; mean and 95 % interval"
-        " (Student's t) over the seeds, and interquartile mean (IQM) and 95 % interval (stratified bootstrap). P is how"
-        f" probably a seed has a higher success rate than one of {study.reference or study.settings[0].name}, ties"
+        f"Seeds {seeds[0]} to {seeds[-1]}; settings are chosen on others. Final evaluation of the mean action; mean and"
+        " 95 % interval (Student's t) over the seeds, and interquartile mean (IQM) and 95 % interval (bootstrap). P is"
+        f" how probably a seed has a higher success rate than one of {study.reference or study.settings[0].name}, ties"
         " counting half.",
         "",
         study_table([_with_comparison(study, setting, by_label) for setting in study.settings], _HEADER),

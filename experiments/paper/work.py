@@ -50,11 +50,11 @@ class Work:
             save_demonstrations(path, record(env, self.task, MOST_DEMONSTRATIONS))
         return load_demonstrations(path, self.task).first(MOST_DEMONSTRATIONS)
 
-    def trial(self, setting: Setting, tuning: bool = False) -> Trial:
+    def trial(self, setting: Setting) -> Trial:
         """Resolves a setting for the task."""
         count = setting.demonstrations
         identity = self.demonstrations.first(count).sha256 if count else None
-        return work_out(self.scale, setting, choose_seeds(tuning, self.seeds), identity)
+        return work_out(self.scale, setting, choose_seeds(self.seeds), identity)
 
     def made_by(self) -> dict[str, Any]:
         """Returns the provenance of a result made now."""
@@ -145,7 +145,7 @@ def carry_out(unfinished: Sequence[Unfinished], stop: threading.Event) -> None:
 
 
 def _resolved(work: Work) -> list[tuple[Study, list[Trial]]]:
-    return [(study, [work.trial(setting, study.tuning) for setting in study.settings]) for study in work.studies]
+    return [(study, [work.trial(setting) for setting in study.settings]) for study in work.studies]
 
 
 def _is_there(work: Work, study: Study, trials: list[Trial]) -> bool:

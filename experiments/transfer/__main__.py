@@ -11,7 +11,7 @@ from experiments.transfer.episode import trained_under
 from experiments.transfer.goal_sources import EXACT, GOAL_SOURCES, check_source
 from experiments.transfer.measurement import measure, measured
 from experiments.transfer.policies import find_policies, load_policies, robot_options
-from experiments.transfer.results import write_pictures, write_sweep, write_table
+from experiments.transfer.results import write_sweep, write_table
 from experiments.transfer.robots import ROBOTS, make_robot
 from experiments.transfer.robots.base import Robot
 from experiments.transfer.studies import FETCH, measured_pairs, parts
@@ -94,8 +94,6 @@ class Options:
     folder."""
     workers: Annotated[int | None, unless_given("one for each core", "INT")] = None
     """Processes for --table and --sweep."""
-    pictures: bool = False
-    """Draw an episode of each robot and task instead, into transfer-<robot>.png."""
     out: Path = _OUT
     """Folder of these files, made if missing; rows that are measured again are replaced, others stay."""
 
@@ -109,9 +107,6 @@ def main(arguments: list[str] | None = None) -> None:
             _table(options)
         elif options.sweep:
             _sweep(options)
-        elif options.pictures:
-            for picture in write_pictures(_make_folder(options.out), options.seed):
-                print(picture)
         else:
             _run(options)
     except (ValueError, OSError) as error:
@@ -122,14 +117,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _check(options: Options) -> None:
     """Raises a ValueError for options that are out of range or exclude each other."""
-    studies = (options.table is not None) + options.sweep + options.pictures
-    if studies > 1:
-        raise ValueError("choose one of --table, --sweep and --pictures")
+    study = options.table is not None or options.sweep
+    if options.table is not None and options.sweep:
+        raise ValueError("choose one of --table and --sweep")
     defaults = {field.name: field.default for field in dataclasses.fields(Options)}
-    for name in ("to", "task", "policy", "noise", "offset", "delay", "stride", "robot_options"):
-        filters = name in ("to", "task") and not options.pictures
-        if studies and not filters and getattr(options, name) != defaults[name]:
-            raise ValueError(f"--{name.replace('_', '-')} does not go with --table, --sweep or --pictures")
+    for name in ("policy", "noise", "offset", "delay", "stride", "robot_options"):
+        if study and getattr(options, name) != defaults[name]:
+            raise ValueError(f"--{name.replace('_', '-')} does not go with --table or --sweep")
     if options.policies and not options.sweep:
         raise ValueError("--policies goes with --sweep")
     if options.workers is not None and not (options.sweep or options.table):
@@ -138,8 +132,8 @@ def _check(options: Options) -> None:
         raise ValueError(f"--to {FETCH} goes with --sweep")
     if options.workers is not None:
         check_count("workers", options.workers)
-    if options.goal_source and (options.sweep or options.pictures):
-        raise ValueError("--goal-source does not go with --sweep or --pictures")
+    if options.goal_source and options.sweep:
+        raise ValueError("--goal-source does not go with --sweep")
     if options.goal_source not in (None, EXACT) and (options.noise or any(options.offset)):
         raise ValueError("--noise and --offset are of the exact goal; --goal-source is another")
     check_count("episodes", options.episodes)

@@ -1,27 +1,18 @@
-"""Draws the robustness curves of transferred policies, and strips of pictures of their episodes."""
+"""Draws the robustness curves of transferred policies."""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import matplotlib.pyplot as plt
-import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.figures import style_axes, write_figure
-from experiments.transfer.conditions import MeanAction
-from experiments.transfer.episode import episode_rngs, run_episode
-from experiments.transfer.robots.base import Robot
-from hgail_envs.vision.rendering import open_renderer
-from hgail_jax.io.files import replace_file
 
 _COLUMNS = 4  # of panels
 _DASHES = ("-", (0, (6, 3)), (0, (3, 3)), (0, (1, 2)))  # of a line drawn over another, which shows in the gaps
-_SIZE = (240, 240)  # height and width of a picture, pixels
-_DISTANCE, _AZIMUTH, _ELEVATION = 1.25, 140.0, -20.0  # of the camera: metres, degrees, degrees
 
 
 def draw_sweep(path: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, str], policies: Sequence[str]) -> None:
@@ -70,25 +61,6 @@ def _draw_panels(
     return drawn
 
 
-def draw_strip(path: Path, episodes: Sequence[tuple[Robot, MeanAction, Sequence[int]]], seed: int) -> None:
-    """Writes a PNG with a row of pictures for each episode.
-
-    Args:
-      path: of the PNG.
-      episodes: robot, policy, and indices of the steps to show, counted on through the lift test.
-      seed: of the starts.
-
-    Raises:
-      RuntimeError: MuJoCo cannot render here.
-    """
-    strips = []
-    for robot, policy, steps in episodes:
-        frames = _film(robot, policy, seed)
-        strips.append(np.concatenate([frames[step] for step in steps], axis=1))
-    with replace_file(path, "wb") as file:
-        file.write(imageio.imwrite("<bytes>", np.concatenate(strips), extension=".png"))
-
-
 def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], index: int) -> Any:
     rate, low, high = (
         np.array([point[column] for point in points]) for column in ("success_rate", "success_low", "success_high")
@@ -108,23 +80,3 @@ def _draw_line(panel: Axes, points: Sequence[Mapping[str, Any]], index: int) -> 
         elinewidth=1.2,
         capsize=2,
     )
-
-
-def _film(robot: Robot, policy: MeanAction, seed: int) -> list[np.ndarray]:
-    """Returns a picture, `[height, width, 3]`, of an episode's start and one after each step."""
-    start_rng, estimate_rng = episode_rngs(seed, 0)
-    robot.reset(start_rng)
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = robot.features()[:3] - robot.offset
-    camera.distance, camera.azimuth, camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
-    frames: list[np.ndarray] = []
-    with open_renderer(robot.model, *_SIZE) as renderer:
-        run_episode(robot, policy, estimate_rng, watch=lambda: frames.append(_picture(renderer, robot, camera)))
-    return frames
-
-
-def _picture(renderer: "mujoco.Renderer", robot: Robot, camera: mujoco.MjvCamera) -> np.ndarray:
-    mujoco.mj_kinematics(robot.model, robot.data)
-    robot.data.site(robot.marker).xpos = robot.target() - robot.offset
-    renderer.update_scene(robot.data, camera)
-    return renderer.render()

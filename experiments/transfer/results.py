@@ -1,4 +1,4 @@
-"""Writes the files of a folder: table 4, the sweep's curves, and the pictures."""
+"""Writes the files of a folder: table 4 and the sweep's curves."""
 
 import itertools
 import json
@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.transfer.conditions import TASKS
-from experiments.transfer.figures import draw_strip, draw_sweep
+from experiments.transfer.figures import draw_sweep
 from experiments.transfer.measurement import measure_rows
-from experiments.transfer.policies import Policies, load_policies, table_policies
-from experiments.transfer.robots import ROBOTS, make_robot
+from experiments.transfer.policies import Policies, table_policies
+from experiments.transfer.robots import ROBOTS
 from experiments.transfer.studies import (
     FETCH,
     axes,
@@ -105,23 +104,6 @@ def draw_sweeps(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
     paths = {to: folder / f"transfer-sweep-{to}.png" for to in curves}
     for to, points in curves.items():
         draw_sweep(paths[to], points, axes(), policies)
-    return list(paths.values())
-
-
-def write_pictures(folder: Path, seed: int) -> list[Path]:
-    """Writes transfer-<robot>.png for each robot, an episode of each task by its first policy, and returns their paths.
-
-    Raises:
-      RuntimeError: MuJoCo cannot render here.
-    """
-    paths = {to: folder / f"transfer-{to}.png" for to in ROBOTS}
-    for to, path in paths.items():
-        episodes = [
-            (make_robot(to, name), load_policies(name)[0], task.pictured_steps)
-            for name, task in TASKS.items()
-            if name in ROBOTS[to].tasks
-        ]
-        draw_strip(path, episodes, seed)
     return list(paths.values())
 
 

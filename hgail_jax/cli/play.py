@@ -117,7 +117,7 @@ def _serve(options: Options, shown: str) -> None:
         env, policy = _load(task, path, options.randomize, impl="c", robot=options.robot)
         return Session(env, policy, seed)
 
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for what is no request
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # it prints a traceback for all but a GET
     port = free_port(options.host, options.port, _FIRST_PORT)
     others = [task for task in hgail_envs.TASKS if task != shown and shipped(task, options.randomize)]
     say(f"compiling {shown} ...")

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import itertools
+import json
 import shlex
 import shutil
 import sys
@@ -29,11 +30,16 @@ from hgail_jax.trainer.camera import MissingTeacherError
 from hgail_jax.trainer.folder import RunFolder, open_run_folder, student_folder
 from hgail_jax.trainer.run import Run
 from hgail_jax.trainer.statistics import confidence_interval
-from hgail_jax.trainer.teaching import best_policy, teacher_options
 from hgail_jax.trainer.train_options import TrainOptions, plan, task_defaults, unless_given
 from hgail_jax.trainer.training import train_run
 
 PROGRAM = "hgail train"
+
+_OF_TEACHER_TOO = (
+    *("task", "seeds", "first_seed", "robot", "impl", "substeps", "task_options", "devices", "checkpoint_every"),
+    *("evaluation_episodes", "logger"),
+)
+"""Options of a student's training that its teacher's has too."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +107,7 @@ def _announce(run: Run, command: Command, folder: Path) -> None:
 
 def _teacher(options: TrainOptions, words: list[str]) -> Path:
     """Returns the file of a student's teacher, which is trained now."""
-    teacher = teacher_options(options, student_folder(options.task, "camera", options.out, options.resume))
+    teacher = _teacher_options(options, student_folder(options.task, "camera", options.out, options.resume))
     run = plan(teacher, platform_name())
     with open_run_folder(run, teacher.out, teacher.resume) as folder:
         say(f"first the teacher: {run.method} on {teacher.task}, {counted(teacher.seeds, 'seed')} -> {folder.path}")
@@ -110,9 +116,27 @@ def _teacher(options: TrainOptions, words: list[str]) -> Path:
         if summary is None:
             fail(PROGRAM, f"{_stopped(run, folder)} of the teacher; {later}", 1)
         _report(summary, folder.path)
-        best = best_policy(folder.path)
+        best = _best_policy(folder.path)
     say(f"the teacher is {from_here(best)}")
     return best
+
+
+def _teacher_options(options: TrainOptions, folder: Path) -> TrainOptions:
+    """Returns the options of the training of a teacher, by the task's default method, for a student's training.
+
+    The `folder` is the student's. The teacher's is beside it, and resumed where it is there already.
+    """
+    out = folder.with_name(f"{folder.name}-teacher")
+    place: dict[str, Any] = {"resume": str(out)} if out.exists() else {"out": out}
+    return TrainOptions(**place, **{name: getattr(options, name) for name in _OF_TEACHER_TOO})
+
+
+def _best_policy(folder: Path) -> Path:
+    """Returns the policy of the seed of a finished run that had the most success, of equal ones the first."""
+    summary = json.loads((folder / "summary.json").read_text())
+    first = json.loads((folder / "config.json").read_text())["first_seed"]
+    success = summary["success_rate"]["per_seed"]
+    return folder / "policies" / f"seed-{first + success.index(max(success))}.npz"
 
 
 def _description(words: list[str]) -> str:

@@ -253,13 +253,12 @@ def _ppo_batch(
     # Episodes have a fixed length, so shifting and scaling the reward ranks no policy above another. Standardised it
     # keeps returns of order one while the discriminator, and with it the reward, drifts: the value function can follow.
     scaled = jnp.where(hyper.standardize_reward, standardize(reward, weight), reward) / env.episode_length
-    scaled *= hyper.reward_scale
     advantage = generalized_advantages(scaled, value, hyper.discount, hyper.gae_lambda)
     batch = {
         "observation": observation[:-1],
         "action": trajectory.action,
         "log_prob": trajectory.noted,
-        "advantage": jnp.where(hyper.standardize_advantage, standardize(advantage, weight), advantage),
+        "advantage": standardize(advantage, weight),
         "return": advantage + value[:-1],
         "weight": weight,
     }

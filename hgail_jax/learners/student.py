@@ -92,8 +92,8 @@ class Student(Learner):
     convolves: ClassVar[bool] = True
     squashes: ClassVar[bool] = True
     ignored: ClassVar[tuple[str, ...]] = (
-        *("layer_norm", "best_episodes", "final_exploration_noise", "standardize_observation"),
-        *("include_current", "solved_weight", "ties_by_distance", "reward_scale", "standardize_advantage"),
+        *("layer_norm", "best_episodes", "final_exploration_noise"),
+        *("include_current", "solved_weight", "ties_by_distance"),
         *("ppo_weight", "discount", "gae_lambda", "clip_ratio"),
     )
 

@@ -15,7 +15,6 @@ import viser
 from mjviser import ViserMujocoScene
 
 from hgail_envs.validation import MOST_SEED
-from hgail_jax.play.http import any_request
 from hgail_jax.play.session import Phase, Session, Status
 
 _FRAME_PERIOD = 0.02  # seconds
@@ -72,7 +71,7 @@ class Page:
         self._paused, self._speed, self._dragged, self._due = False, 1.0, False, 0.0
         self._seen: viser.GuiImageHandle | None = None
         self.session = open_session(self._task, seed)
-        with contextlib.redirect_stdout(io.StringIO()), any_request():  # without its banner
+        with contextlib.redirect_stdout(io.StringIO()):  # without its banner
             self.server = viser.ViserServer(host=host, port=port, label="hgail_jax", verbose=False)
         self._configure()
         self._add_controls()

@@ -5,6 +5,7 @@ from typing import Any
 
 from hgail_jax.config import BEST, DEMONSTRATIONS
 from hgail_jax.learners.ppo import BC_BATCH
+from hgail_jax.learners.student import Student
 from hgail_jax.settings.presets import Preset
 
 
@@ -108,3 +109,18 @@ METHODS = {
 }
 """Methods by name. Those that relabel nothing by design learn on the goals that they are measured by; `hgail-no` is
 HGAIL in all but the relabelling."""
+
+CAMERA = Method(
+    "taught by a policy that knows the positions (as DAgger, Ross et al. 2011)",
+    without_effect=(
+        *("method", "preset", "demos", "pretrain", "randomize", "p_ht", "strategy", "reward"),
+        *("standardize_reward", "environment_reward", "bc_weight"),
+    ),
+    learners=(Student.name,),
+)
+"""The method `camera`, which `--observe camera` chooses."""
+
+
+def method_of(preset: Preset) -> Method:
+    """Returns the method of a preset, which may be that of a student."""
+    return (METHODS | {"camera": CAMERA})[preset.method]

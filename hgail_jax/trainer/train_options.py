@@ -25,11 +25,11 @@ from hgail_envs.vision.pictures import KINDS, RENDERERS, SIZE, TARGETS
 from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.devices.processes import choose_mesh
 from hgail_jax.learners import LEARNERS, PPO
+from hgail_jax.learners.student import Student
 from hgail_jax.lerobot import find_demonstrations
 from hgail_jax.seeds import check_seeds
-from hgail_jax.settings.camera import camera_preset, method_of
 from hgail_jax.settings.defaults import EVALUATION_EPISODES, default_learner, task_preset
-from hgail_jax.settings.methods import METHODS
+from hgail_jax.settings.methods import METHODS, method_of
 from hgail_jax.settings.presets import PRESETS, Preset, asymmetric
 from hgail_jax.trainer.camera import is_taught, kept_teacher, refuse_camera_options, refuse_missing_teacher, with_camera
 from hgail_jax.trainer.folder import resumed_folder
@@ -231,7 +231,7 @@ def plan(options: TrainOptions, platform: str) -> Run:
 def _choose(options: TrainOptions, platform: str) -> Preset:
     if is_taught(options):
         with _one_error(f"cannot load task {options.task!r}"):
-            return camera_preset(options.task, platform)
+            return task_preset(hgail_envs.find_class(options.task), platform, learner=Student.name)
     preset = choose(options.task, platform, options.method, options.preset, options.learner, options.randomize)
     return asymmetric(preset, platform) if options.observe == "camera" else preset
 

@@ -17,8 +17,6 @@ from hgail_envs.vision.pictures import KINDS
 from hgail_jax.vision.augmentation import AUGMENTATIONS
 from hgail_jax.vision.network import KERNELS, Eyes, look
 
-_PIXEL = {"colour": "red, green, blue", "depth": "depth"}
-
 
 def sizes_of_look(look: str, kind: str) -> dict[str, Any]:
     """Returns the sizes that a look's name stands for in this version: of the scene's, and of the images' variation.
@@ -103,7 +101,7 @@ class CameraPolicy:
         if pictures.shape[-4:] != self.pictures_shape:
             raise ValueError(
                 f"pictures have the shape {pictures.shape}; the policy sees {self.pictures_shape}:"
-                f" {', '.join(self.cameras)}, {self.size} x {self.size}, {_PIXEL[self.kind]}"
+                f" {', '.join(self.cameras)}, {self.size} x {self.size}, {self.kind}"
             )
         if pictures.dtype != np.uint8:
             raise ValueError(f"pictures are {pictures.dtype}; they must be uint8, from 0 to 255")

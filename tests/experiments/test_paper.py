@@ -13,8 +13,8 @@ from experiments.paper import __main__ as paper
 from experiments.paper import statistics, tables, work
 from experiments.paper.off_policy import OFF_POLICY_STUDIES
 from experiments.paper.programs import train_program
-from experiments.paper.studies import SWEEP, studies_of
-from experiments.paper.study import REPORTED_SEEDS, TUNING_SEEDS, Study, choose_seeds
+from experiments.paper.studies import SWEEP
+from experiments.paper.study import Study
 from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json
 from experiments.paper.work import Unfinished
@@ -271,28 +271,12 @@ def test_rows_of_another_commit_than_the_newest_are_marked_as_older(tmp_path):
     assert not any(row["older"] for row in make_rows("point", study, same))
 
 
-def test_several_tasks_are_one_command_and_their_seeds_one_mean(tmp_path, trained):
+def test_several_tasks_are_one_command(tmp_path, trained):
     paper.main([*QUICK, "--study", "gasil", "--task", "point", "reach", "--out", str(tmp_path)])
-    means = json.loads((tmp_path / "gasil-point-reach.json").read_text())["means"]
     of_tasks = [read(tmp_path / f"gasil-{task}.json") for task in ("point", "reach")]
-    for row, *of_setting in zip(means, *of_tasks, strict=True):
-        assert all(row["setting"] == each["setting"] and row["panel"] == each["panel"] for each in of_setting)
-        values = sorted(value for each in of_setting for value in each["final"]["success"])
-        assert row["success_iqm"] == pytest.approx(np.mean(values[1:-1]))  # of six, one off either end
-
-
-def test_seeds_for_choosing_settings_are_others_than_those_for_reporting(tmp_path, trained, capsys):
-    assert not set(REPORTED_SEEDS) & set(TUNING_SEEDS)
-    paper.main(["--quick", "--study", "gasil", "gail-demo-weight", "--out", str(tmp_path)])
-    for name, seeds, purpose in (
-        ("gasil", [0, 1], "reporting"),
-        ("gail-demo-weight", [1000, 1001], "choosing"),
-    ):
-        assert all(row["identity"]["seeds"] == seeds for row in read(tmp_path / f"{name}-point.json"))
-        assert f"Seeds {min(seeds)} to {max(seeds)} are for {purpose}" in (tmp_path / f"{name}-point.md").read_text()
-    with pytest.raises(ValueError, match="from 1000 on they are for choosing"):
-        choose_seeds(tuning=False, count=1001)
-    assert not any(study.tuning for task in ("reach", "grasp") for study in studies_of(task))
+    for rows in of_tasks:
+        assert [row["setting"] for row in rows] == [setting.name for setting in BY_NAME["gasil"].settings]
+    assert len({row["identity"]["task"] for rows in of_tasks for row in rows}) == 2
 
 
 @pytest.mark.parametrize(
@@ -330,24 +314,6 @@ def test_a_program_has_the_task_with_the_options_of_its_trials(tmp_path, monkeyp
     for job in Unfinished(work.Work(scale, 2, tmp_path, (study,))).jobs():
         job.carry_out(threading.Event())
     assert [env.observation for env in made] == ["compact"] * 3 + ["official"]
-
-
-@pytest.mark.slow
-def test_the_paper_s_sizes_are_trained(tmp_path, monkeypatch):
-    """One setting of each size and of each number, but for what takes long."""
-    study = BY_NAME["paper-sizes"]
-    settings = tuple(
-        setting
-        for setting in study.settings
-        if setting.config.get("num_envs", 0) < 64 and setting.panel != "phases 1 + 3"
-    )
-    monkeypatch.setattr(paper, "STUDIES", (dataclasses.replace(study, settings=settings[:18] + settings[-2:]),))
-    paper.main(["--quick", "--study", "paper-sizes", "--out", str(tmp_path)])
-    rows = read(tmp_path / "paper-sizes-point.json")
-    assert len(rows) == 20 and all(row["identity"]["seeds"] == [1000, 1001] for row in rows)
-    assert all(row["diverged_seeds"] == 0 for row in rows)
-    ends = {row["setting"]: row["distance_l1"] for row in rows[:18]}
-    assert len(set(ends.values())) == len(ends)  # each change changes something
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from experiments.paper.study import Study
 from experiments.paper.trials import Scale, work_out
 from hgail_jax import PRESETS, env_steps, phase_table
 from hgail_jax.settings.defaults import DEFAULTS
-from hgail_jax.settings.presets import AS_WRITTEN
 from hgail_jax.train import EVALUATE
 
 BY_NAME = {study.name: study for study in STUDIES}
@@ -176,46 +175,6 @@ def test_bc_is_weighed_as_their_names_say(task):
         assert float(trial.hyperparameters.bc_weight) == weight
         assert trial.config.learner.bc_batch > 0
     assert trials["GAIL-demo (20), no BC"].config.learner.bc_batch == 0
-
-
-def test_the_paper_s_sizes_have_one_change_each_and_the_preset_a_second_one():
-    trials = trials_of(BY_NAME["paper-sizes"], "reach")
-    assert len({trial.key() for trial in trials}) == len(trials) >= 48
-    second = [trial for trial in trials if trial.setting.panel == "phases 1 + 3"]
-    preset = PRESETS["paper"].config
-    for trial in second:
-        assert (trial.config.learner.policy_phases, trial.config.learner.discriminator_phases) == (1, 3)
-        assert (trial.config.num_envs, trial.config.learner.minibatches) == (
-            preset.num_envs,
-            preset.learner.minibatches,
-        )
-    assert len(second) == 6
-    for trial in trials_of(BY_NAME["paper-sizes"], "reach", "cpu"):
-        steps = env_steps(hgail_envs.find_class("reach"), trial.config, phase_table(trial.config)).sum()
-        least, most = (490_000, 510_000) if trial.setting.panel == "phases 1 + 3" else (180_000, 260_000)
-        assert least <= steps <= most
-    for trial in [trial for trial in trials if trial not in second]:
-        wanted = {**trial.setting.config, **trial.setting.hyperparameters}
-        changes = {name: value for name, value in wanted.items() if value != AS_WRITTEN.get(name)}
-        changes.pop("pretrain", None)
-        assert len(changes) <= 2 or trial.setting.name == "raw rewards and advantages"
-        assert trial.config.learner.policy_phases == changes.get("policy_phases", 16)
-        assert float(trial.hyperparameters.exploration_noise) == changes.get("exploration_noise", 1.0)
-        assert float(trial.hyperparameters.policy_learning_rate) == changes.get("policy_learning_rate", 1e-3)
-        samples = trial.config.num_envs * 50 // trial.config.learner.minibatches
-        assert samples == pytest.approx(128, abs=6) or set(changes) <= {"epochs", "minibatches"}
-    programs = group_by_program(trials)
-    assert sorted(map(len, programs))[-2:] == [18, 18]  # what differs in numbers alone, with pre-training and without
-
-
-def test_sizes_of_grasp_are_those_that_their_names_tell():
-    trials = trials_of(BY_NAME["grasp-sizes"], "grasp")
-    assert len({trial.key() for trial in trials}) == len(trials) == 12
-    for trial in trials:
-        sizes = f"{trial.config.num_envs} episodes, {trial.config.rounds} rounds"
-        wide = trial.config.policy_hidden == trial.config.discriminator_hidden == (256, 256)
-        assert trial.setting.panel == sizes + (", 256 wide" if wide else "")
-        assert trial.setting.name == f"BC × {float(trial.hyperparameters.bc_weight):g}"
 
 
 def test_sizes_stay_a_preset_s_where_nothing_is_said():

@@ -24,12 +24,11 @@ COUNTS = {
     sizes: {field.name: int(field.name not in MAY_BE_0) for field in dataclasses.fields(sizes) if field.type is int}
     for sizes in (Config, *LEARNERS.values())
 }
-SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_advantage", "standardize_observation")
+SHARES = ("p_ht", "environment_reward", "discount", "gae_lambda", "standardize_reward")
 POSITIVE = (
     "exploration_noise",
     "final_exploration_noise",
     "clip_ratio",
-    "reward_scale",
     "policy_learning_rate",
     "discriminator_learning_rate",
 )

@@ -29,8 +29,7 @@ from hgail_jax.config import REWARDS, STRATEGIES
 from hgail_jax.learner import DISCRIMINATOR, POLICY, PRETRAIN
 from hgail_jax.play.recording import record
 from hgail_jax.seeds import compile_train_step, init_seeds, init_sweep, seed_keys, split_sweep
-from hgail_jax.settings.camera import camera_preset
-from hgail_jax.settings.defaults import DEFAULTS, SHARED
+from hgail_jax.settings.defaults import DEFAULTS, SHARED, task_preset
 from hgail_jax.trainer.train_options import TrainOptions, choose, plan
 
 SEEDS = 2
@@ -257,10 +256,10 @@ def test_a_task_s_own_settings_stay_where_no_option_says_otherwise():
 
 
 def test_a_student_has_its_settings_on_a_users_task_too():
-    extended, own = (camera_preset(f"{__name__}:{task}", "gpu") for task in ("HeavyPush", "OwnSizes"))
+    extended, own = (task_preset(task, "gpu", learner="student") for task in (HeavyPush, OwnSizes))
     assert extended == DEFAULTS["push"]["student"]["gpu"] and own == SHARED["student"]["gpu"] != extended
     assert (own.method, own.config.learner.name, own.config.num_envs) == ("camera", "student", 512)
-    assert camera_preset("push", "cpu").config == extended.config.replace(num_envs=16)
+    assert task_preset(Push, "cpu", learner="student").config == extended.config.replace(num_envs=16)
 
 
 @pytest.mark.parametrize(

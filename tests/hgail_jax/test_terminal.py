@@ -11,11 +11,8 @@ import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -27,7 +24,7 @@ from hgail_jax.terminal import StatusLine, progress_bar
 from hgail_jax.trainer import loop
 from hgail_jax.trainer.loop import Program, train
 from tests.hgail_jax.trainer.test_loop import measured, start, steps_of
-from tests.support import SOURCES, TINY
+from tests.support import TINY
 
 
 class Terminal(io.StringIO):
@@ -413,26 +410,3 @@ def test_a_lack_of_memory_is_one_line(capsys):
         raise MemoryError
     assert ending.value.code == 1
     assert capsys.readouterr().err == "it: out of memory; take fewer or smaller of what runs at once\n"
-
-
-PARENT = """
-import subprocess, sys, time
-from experiments.bench.whole_runs import _end_with_parent
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"], preexec_fn=_end_with_parent)
-print(child.pid, flush=True)
-time.sleep(100)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone ends a child with its parent")
-def test_what_bench_starts_ends_with_it(tmp_path):
-    parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": SOURCES}
-    )
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    state = Path(f"/proc/{child}/stat")
-    while state.exists() and state.read_text().rsplit(")", 1)[1].split()[0] not in "ZX":  # till the system gets to it
-        pass

@@ -22,7 +22,6 @@ class GymnasiumFetch(reference.ReferenceFetch, Robot):
 
     offset = np.zeros(3)
     cube = "object0"
-    marker = "target0"
 
 
 ROBOTS: dict[str, type[Robot]] = {

@@ -68,8 +68,6 @@ class Robot(abc.ABC):
     """`[3]`: origin of the scene's world frame in the policy's frame, added to positions."""
     cube: str
     """Name of the cube's geom, in a scene for `grasp`."""
-    marker: str
-    """Name of the site that marks the target in pictures; it is a child of the world body."""
 
     @abc.abstractmethod
     def __init__(self, task: str) -> None: ...

@@ -10,7 +10,6 @@ import numpy as np
 
 import hgail_envs
 from experiments.transfer.robots.base import OptionCurve, Robot
-from experiments.transfer.robots.responses import FingerResponse
 from hgail_envs.robots.base import CONTROL_PERIOD
 from hgail_envs.scenes import TABLE_HEIGHT
 from hgail_envs.tasks.base import ArmPhysics
@@ -18,6 +17,48 @@ from hgail_envs.validation import MOST_SEED, check_count
 
 _SLOWDOWN = 4
 _MOST_SLOWDOWN = 100  # actions of 4 s
+
+# A finger and its servo, of assets/robots/fetch_hand.xml and of grasp.xml.
+_MASS = 104.0  # kilograms, with the armature
+_STIFFNESS = 30_000.0  # newtons per metre
+_DAMPING = 1_000.0  # newton seconds per metre
+_FARTHEST = 0.2  # metres, farthest target of the servo
+_OPEN = 0.05  # metres from the middle, of a finger of an open hand
+_SQUEEZE = 0.01  # metres, most distance between a finger and its reference, which bounds its squeeze of a cube
+
+
+class FingerResponse:
+    """A gap that opens and closes as the one between the Fetch's fingers: policies trained on it expect that pace.
+
+    Args:
+      gap: at the start, metres.
+    """
+
+    def __init__(self, gap: float) -> None:
+        self._finger, self._velocity = gap / 2, 0.0
+
+    @property
+    def gap(self) -> float:
+        """The gap, metres."""
+        return 2 * self._finger
+
+    def lead(self, measured: float, command: float) -> float:
+        """Starts an action, and returns the target of each finger, metres from the middle.
+
+        Args:
+          measured: the robot's gap, metres.
+          command: the action's last number, by which a finger's servo leads the finger, metres.
+        """
+        self._finger = min(max(self._finger, measured / 2 - _SQUEEZE), measured / 2 + _SQUEEZE)
+        return min(max(self._finger + command, 0.0), _FARTHEST)
+
+    def follow(self, target: float, time: float) -> None:
+        """Moves each finger towards a target, metres, for a short time, seconds: about a physics step."""
+        self._velocity += time * (_STIFFNESS * (target - self._finger) - _DAMPING * self._velocity) / _MASS
+        moved = self._finger + time * self._velocity
+        self._finger = min(max(moved, 0.0), _OPEN)
+        if moved != self._finger:  # at its limit
+            self._velocity = 0.0
 
 
 class FullArm(Robot):
@@ -59,7 +100,6 @@ class FullArm(Robot):
     )
 
     cube = "cube"
-    marker = "target"
     offset = np.zeros(3)  # the scene is the Fetch's
 
     def __init__(self, task: str, slowdown: int = _SLOWDOWN, start_open: bool = False) -> None:

@@ -1,14 +1,13 @@
 """The command line: its checks, a single run, and where it writes by default."""
 
 import dataclasses
-from unittest import mock
 
 import numpy as np
 import pytest
 
 from experiments import RESULTS
 from experiments.transfer import __main__ as transfer
-from experiments.transfer.conditions import TASKS, NoisyEstimate
+from experiments.transfer.conditions import NoisyEstimate
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
@@ -33,7 +32,6 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
         (["--offset", "0", "0", "nan"], "each number must be from -1.0 to 1.0 m"),
         (["--policy", "none.npz"], "none.npz"),
         (["--table", "4", "--sweep"], "choose one of"),
-        (["--pictures", "--to", "ur5e"], "--to does not go with"),
         (["--table", "4", "--robot-options", "slowdown=1"], "--robot-options does not go with"),
         (["--table", "4", "--task", "push"], "table 4 has no rows of this"),
         (
@@ -200,16 +198,9 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
             ["--sweep", "--task", "reach", "--to", "gymnasium", "--workers", "1", "--episodes", "1"],
             {"transfer-sweep.json", "transfer-sweep-gymnasium.png"},
         ),
-        (["--pictures"], {"transfer-gymnasium.png"}),
     ],
 )
-def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp_path, monkeypatch, request, capsys):
-    if "--pictures" in arguments:
-        request.getfixturevalue("rendering")
-        # A picture takes long where there is no GPU. The tasks come back in order, which `monkeypatch` would lose.
-        reach_alone = mock.patch.dict(TASKS, {"reach": TASKS["reach"]}, clear=True)
-        reach_alone.start()
-        request.addfinalizer(reach_alone.stop)
+def test_by_default_the_committed_results_are_left_alone(arguments, written, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for robot in ("ur5e", "franka"):
         monkeypatch.delitem(ROBOTS, robot)

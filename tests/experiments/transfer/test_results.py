@@ -13,12 +13,12 @@ from matplotlib import colors
 from experiments.transfer import __main__ as transfer
 from experiments.transfer import goal_sources, policies, results
 from experiments.transfer.conditions import NoisyEstimate
-from experiments.transfer.figures import draw_strip, draw_sweep
+from experiments.transfer.figures import draw_sweep
 from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.policies import FILES, find_policies
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.results import write_sweep, write_table
-from experiments.transfer.robots import ROBOTS, GymnasiumFetch, make_robot
+from experiments.transfer.robots import ROBOTS, GymnasiumFetch
 from experiments.transfer.robots.base import OptionCurve, Robot
 from hgail_jax.io.policy import load_policy, save_policy
 
@@ -213,15 +213,6 @@ def test_curves_of_another_task_stay(tmp_path, monkeypatch, few_values):
     }
 
 
-@pytest.mark.slow
-def test_pictures_of_the_ur5e(tmp_path):
-    transfer.main(["--pictures", "--out", str(tmp_path)])
-    picture = imageio.imread(tmp_path / "transfer-ur5e.png")
-    assert picture.shape == (3 * 240, 6 * 240, 3)
-    assert (picture[:, :240] != picture[:, -240:]).mean() > 0.1
-    assert (tmp_path / "transfer-ur5e.png").stat().st_size < 300_000
-
-
 ROW = {"robot": "A, b", "task": "reach", "policy": "plain", "quantity": "noise", "value": 0.0, "success_rate": 0.5}
 ROW |= {"success_low": 0.4, "success_high": 0.6}
 AXES = {"noise": "noise (m)", "speed": "speed (m/s)"}
@@ -262,14 +253,3 @@ def test_equal_curves_do_not_hide_one_another(tmp_path):
     for name in ("C0", "C1", "C2", "C3"):
         off = np.abs(pixels - 255 * np.array(colors.to_rgb(name))).max(axis=-1)  # a thin line's ink is a little off
         assert (off < 40).sum() > 20, name
-
-
-def test_a_strip_shows_the_place_that_the_cube_is_brought_to(tmp_path):
-    """In Gymnasium's scene too, whose marker is not a child of the world."""
-    robot = make_robot("gymnasium", "pick-and-place")
-    draw_strip(tmp_path / "strip.png", [(robot, lambda observation: np.zeros(4), [0, 1])], seed=0)
-    red, green, blue = np.moveaxis(imageio.imread(tmp_path / "strip.png").astype(int), -1, 0)
-    assert red.shape == (240, 2 * 240)
-    ball = (red > 100) & (green < 40) & (blue < 40)
-    assert ball[:, :240].sum() > 20
-    assert ball[:, 240:].sum() > 20

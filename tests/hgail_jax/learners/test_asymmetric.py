@@ -1,13 +1,16 @@
 """TD3 with an actor that sees pictures: which picture belongs to which sample, and what is learnt from it."""
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.base import GoalEnv
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax import Config, init_state, phase_table, train_step
 from hgail_jax.buffer import draw
@@ -17,11 +20,64 @@ from hgail_jax.learners.td3 import TD3Hyperparameters
 from hgail_jax.learners.td3_step import Batch, critic_network
 from hgail_jax.vision.network import look
 from hgail_jax.vision.training import LEAST_STD, OBJECT_SCALE
-from tests.hgail_jax.vision.puck import LENGTH, SIZE, Puck, Spot, puck
 
+SIZE, LENGTH = 16, 8
+_MODEL = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
 LEARNER = AsymmetricTD3(rollouts=1, updates=2, batch=32, buffer_episodes=6, channels=(4, 4, 4, 4))
 CONFIG = Config(LEARNER, num_envs=4, rounds=2, discriminator_minibatches=0, policy_hidden=(16,), layer_norm=True)
 HYPER = TD3Hyperparameters(p_ht=0.8, environment_reward=1.0, bc_weight=0.0, discount=0.9)
+
+
+class Physics(NamedTuple):
+    qpos: jax.Array
+
+
+class Puck(GoalEnv):
+    """Actions move it by up to 0.3 m along each axis; places and goals are within 1 m of the middle.
+
+    Its place is in its picture and in none of the actor's numbers.
+    """
+
+    episode_length, feature_size, goal_size, action_size, success_threshold = LENGTH, 2, 2, 2, 0.2
+
+    def reset_physics(self, rng):
+        place = jax.random.uniform(rng, (2,), minval=-1.0, maxval=1.0)
+        return Physics(jnp.concatenate([place, jnp.array([0.0, 1.0, 0.0, 0.0, 0.0])]))
+
+    def step_physics(self, physics, action):
+        return Physics(physics.qpos.at[:2].set(jnp.clip(physics.qpos[:2] + 0.3 * action, -1.2, 1.2)))
+
+    def features(self, physics):
+        return physics.qpos[:2]
+
+    def achieved_goal(self, physics):
+        return physics.qpos[:2]
+
+    def sample_goal(self, rng, physics):
+        return jax.random.uniform(rng, (2,), minval=-1.0, maxval=1.0)
+
+
+class Spot:
+    """Its picture: a bright spot, or nothing at all if it is `hidden`."""
+
+    cameras, size, look, renderer, target, kind = ("above",), SIZE, "plain", "spot", "given", "colour"
+    shape, draws, joints, marker = (1, SIZE, SIZE, 3), 1, 7, False
+    model = mujoco.MjModel.from_xml_string(_MODEL)
+
+    def __init__(self, hidden=False):
+        self.hidden = hidden
+
+    def __call__(self, qpos, draws):
+        x, y = jnp.moveaxis((qpos[..., :2] + 1.3) / 2.6 * SIZE, -1, 0)
+        grid = jnp.arange(SIZE) + 0.5
+        across, down = (jnp.exp(-jnp.square(grid - at[..., None]) / 2.0) for at in (x, y))
+        spot = jnp.where(self.hidden, 0.0, across[..., None, :] * down[..., :, None])
+        return (255.0 * spot[..., None, :, :, None] * jnp.ones(3)).astype(jnp.uint8)
+
+
+def puck(hidden=False):
+    """Returns the task with pictures."""
+    return CameraEnv(Puck(), Spot(hidden))
 
 
 @functools.cache

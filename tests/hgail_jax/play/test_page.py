@@ -132,36 +132,6 @@ def test_a_port_that_is_taken_is_refused_and_another_is_found():
         assert port < web.free_port("127.0.0.1", None, port) <= port + 100
 
 
-@pytest.mark.parametrize(
-    ("request_line", "more", "status", "length"),
-    [
-        ("GET / HTTP/1.1", "", 200, None),
-        ("GET / HTTP/1.0", "", 200, None),
-        ("HEAD / HTTP/1.1", "", 200, 0),
-        ("HEAD /nothing HTTP/1.1", "", 404, 0),
-        ("OPTIONS * HTTP/1.0", "", 405, 0),
-        ("POST / HTTP/1.1", "hello", 405, 0),
-        ("PUT / HTTP/1.1", "GET / HTTP/1.1\r\n\r\n", 405, 0),
-    ],
-)
-def test_a_request_is_answered_by_http(page, request_line, more, status, length):
-    with socket.create_connection(("127.0.0.1", page.port), timeout=60) as client:
-        client.sendall(request_line[:3].encode())
-        time.sleep(0.05)  # a second packet
-        client.sendall(f"{request_line[3:]}\r\nHost: it\r\nContent-Length: {len(more)}\r\n\r\n{more}".encode())
-        received = b"".join(iter(lambda: client.recv(1 << 20), b""))
-    head, _, body = received.partition(b"\r\n\r\n")
-    first, *lines = head.decode().split("\r\n")
-    fields = dict(line.split(": ", 1) for line in lines)
-    assert first.split()[:2] == ["HTTP/1.1", str(status)]
-    assert len(body) == (int(fields["Content-Length"]) if length is None else length)
-    if status == 200:
-        assert int(fields["Content-Length"]) > 1000
-        assert fields["Content-Type"].startswith("text/html")
-    if status == 405:
-        assert fields["Allow"] == "GET, HEAD"
-
-
 def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
     port = free_port()
     command = "import sys; from hgail_jax.cli import main; main(sys.argv[1:])"

@@ -22,10 +22,9 @@ from hgail_jax import init_state, load_policy
 from hgail_jax.cli import train as command
 from hgail_jax.io.files import load_npz, save_npz
 from hgail_jax.io.policy import from_state, load_any_policy, save_policy
-from hgail_jax.settings.camera import camera_preset
+from hgail_jax.settings.defaults import task_preset
 from hgail_jax.trainer import camera
 from hgail_jax.trainer.checkpoint import AnotherRunError, as_json, refuse_another_run
-from hgail_jax.trainer.teaching import best_policy, teacher_options
 from hgail_jax.trainer.train_options import TrainOptions
 from hgail_jax.trainer.training import Trainer
 from hgail_jax.vision.augmentation import AUGMENTATIONS, Augmentation
@@ -272,7 +271,7 @@ def test_wrong_options_are_printed_in_one_line(words, message, capsys, tmp_path)
 def test_the_help_has_the_numbers_of_the_training_with_pictures(capsys):
     with pytest.raises(SystemExit):
         command.main(["--task", "push", "--observe", "camera", "--help"])
-    preset = camera_preset("push", "cpu").config
+    preset = task_preset(hgail_envs.find_class("push"), "cpu", learner="student").config
     shown = " ".join(capsys.readouterr().out.split())
     assert f"The task push has --num-envs {preset.num_envs} --rounds {preset.rounds} " in shown
 
@@ -298,14 +297,14 @@ def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(
     make_runs_tiny(monkeypatch)
     if not trains:
         train_without_a_compiler(monkeypatch)
-    options = functools.partial(_with_tiny_learner, command.teacher_options)
-    monkeypatch.setattr(command, "teacher_options", options)
+    options = functools.partial(_with_tiny_learner, command._teacher_options)
+    monkeypatch.setattr(command, "_teacher_options", options)
     if not trains:
         monkeypatch.setattr(command, "train_run", functools.partial(_train_the_student_alone, command.train_run))
     sizes = ["--seeds", "2", "--num-envs", "2", "--rounds", "2", "--evaluation-episodes", "2"]
     sizes += ["--settings", "updates=2", "batch=8", "channels=[4,4,4,4]", "policy_hidden=[8]"]
     command.main(["--task", "push", "--observe", "camera", "--out", "student", *sizes])
-    best = best_policy(tmp_path / "student-teacher")
+    best = command._best_policy(tmp_path / "student-teacher")
     assert trains or best.name == "seed-1.npz"
     assert (tmp_path / "student" / "teacher.npz").read_bytes() == best.read_bytes()
     assert f"the teacher is {best.relative_to(tmp_path)}" in capsys.readouterr().out
@@ -314,7 +313,7 @@ def test_without_a_teacher_one_is_trained_first_and_its_best_seed_teaches(
 def test_the_best_policy_is_of_the_first_seed_with_the_most_success(tmp_path):
     (tmp_path / "summary.json").write_text('{"success_rate": {"per_seed": [0.2, 0.9, 0.5, 0.9]}}')
     (tmp_path / "config.json").write_text('{"first_seed": 5}')
-    assert best_policy(tmp_path) == tmp_path / "policies" / "seed-6.npz"
+    assert command._best_policy(tmp_path) == tmp_path / "policies" / "seed-6.npz"
 
 
 def _train_the_student_alone(train_run, run, folder, stop):
@@ -372,7 +371,7 @@ def test_faults_are_printed_before_a_teacher_is_trained(words, message, capsys, 
 @pytest.mark.parametrize(("out", "folder"), [(["--out", "student"], "student"), ([], "runs/push-camera-1")])
 def test_a_stopped_teacher_is_resumed_by_the_command_that_is_printed(out, folder, capsys, tmp_path, monkeypatch):
     make_runs_tiny(monkeypatch)
-    monkeypatch.setattr(command, "teacher_options", functools.partial(_with_tiny_learner, command.teacher_options))
+    monkeypatch.setattr(command, "_teacher_options", functools.partial(_with_tiny_learner, command._teacher_options))
     opened = []
     monkeypatch.setattr(command, "train_run", lambda run, folder, stop: opened.append(folder.path))
     words = ["--task", "push", "--observe", "camera", *out]
@@ -420,5 +419,5 @@ def test_pictures_are_those_that_the_options_ask_for(monkeypatch):
 
 def test_a_teacher_is_trained_by_the_tasks_own_settings():
     options = TrainOptions(task="push", observe="camera", seeds=3, num_envs=7, rounds=2, settings=("updates=1",))
-    teacher = teacher_options(options, Path("runs/push-camera-2"))
+    teacher = command._teacher_options(options, Path("runs/push-camera-2"))
     assert teacher == TrainOptions(task="push", seeds=3, out=Path("runs/push-camera-2-teacher"))
