@@ -14,6 +14,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from experiments import FEW_UPDATES
 from hgail_jax import PPO, PRESETS, Config, Hyperparameters, Preset, init_state, phase_table, train_step
@@ -44,6 +45,16 @@ def own_tasks(folder):
     sys.path.remove(str(folder))
     for name in files:
         sys.modules.pop(name.removesuffix(".py"), None)
+
+
+def refused(main, arguments, message, capsys, code=2):
+    """Asserts that a command ends with a code and one line with a message on stderr, and returns the line."""
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count("\n")) == (code, 1)
+    assert message in error
+    return error
 
 
 SOURCES = f"{ROOT}:{ROOT / 'envs'}"

@@ -1,14 +1,20 @@
 """The house is as it is drawn: rooms on floors, short modules and functions."""
 
 import ast
+import functools
 import graphlib
 
 from tests.support import ROOT
 
 ALGORITHM, TASKS = ROOT / "hgail_jax", ROOT / "envs" / "hgail_envs"
-MODULES = {path: ast.parse(path.read_text()) for path in [*ALGORITHM.rglob("*.py"), *TASKS.rglob("*.py")]}
 FLOORS = 9
 MODULE_LINES, FUNCTION_LINES = 350, 50
+
+
+@functools.cache
+def parsed():
+    """Returns the modules of both packages, by their paths."""
+    return {path: ast.parse(path.read_text()) for path in [*ALGORITHM.rglob("*.py"), *TASKS.rglob("*.py")]}
 
 
 def imported(tree):
@@ -29,9 +35,9 @@ def used(tree, modules):
 def test_rooms_stand_on_one_another_and_on_few_floors():
     """The rooms are the files and folders of `hgail_jax/`, doors included; a circle is an error that names it."""
     rooms = {}
-    for path in MODULES:
+    for path in parsed():
         if path.is_relative_to(ALGORITHM):
-            names = [f"{name}.__init__".split(".") for name in imported(MODULES[path])]
+            names = [f"{name}.__init__".split(".") for name in imported(parsed()[path])]
             room = path.relative_to(ALGORITHM).parts[0].removesuffix(".py")
             rooms.setdefault(room, set()).update(name for package, name, *_ in names if package == "hgail_jax")
     below = {room: {name if name in rooms else "__init__" for name in rooms[room]} - {room} for room in rooms}
@@ -43,14 +49,14 @@ def test_rooms_stand_on_one_another_and_on_few_floors():
 
 def test_the_training_step_stands_on_few_modules_and_no_files():
     """Those of `hgail_jax` that `train.py` imports, and that those import."""
-    by_name = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in MODULES}
+    by_name = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in parsed()}
     reached, ahead = set(), {"hgail_jax.train"}
     while ahead:
         name = ahead.pop()
         reached.add(name)
-        modules = imported(MODULES[by_name[name]])
+        modules = imported(parsed()[by_name[name]])
         assert not {"pathlib", "shutil", "signal", "subprocess", "tempfile", "open"} & used(
-            MODULES[by_name[name]], modules
+            parsed()[by_name[name]], modules
         )
         ahead |= {part for module in modules for part in (module, module.rpartition(".")[0])} & by_name.keys() - reached
     assert {"hgail_jax.rollout", "hgail_jax.config"} < reached
@@ -58,13 +64,15 @@ def test_the_training_step_stands_on_few_modules_and_no_files():
 
 
 def test_tasks_stand_below_the_algorithm():
-    assert not [path for path in MODULES if path.is_relative_to(TASKS) and "hgail_jax" in str(imported(MODULES[path]))]
+    assert not [
+        path for path in parsed() if path.is_relative_to(TASKS) and "hgail_jax" in str(imported(parsed()[path]))
+    ]
 
 
 def test_modules_and_functions_are_short():
     """Docstrings of functions are not counted."""
-    long = [path for path in MODULES if len(path.read_text().splitlines()) > MODULE_LINES]
-    for path, tree in MODULES.items():
+    long = [path for path in parsed() if len(path.read_text().splitlines()) > MODULE_LINES]
+    for path, tree in parsed().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 body = node.body[ast.get_docstring(node) is not None :]

@@ -13,6 +13,7 @@ from hgail_envs.scenes import assets_directory
 from hgail_envs.vision.look import FIELDS, LOOKS, draws_of, varied
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.vision.policy import CameraPolicy
+from tests.support import refused
 
 MODEL = Fetch("push").load(visual=True)
 
@@ -65,10 +66,8 @@ def test_the_figure_is_written(tmp_path):
 )
 def test_wrong_options_are_printed_in_one_line(words, message, tmp_path, capsys):
     policy = assets_directory() / "policies" / "push.npz"
-    with pytest.raises(SystemExit):
-        main(["--policy", str(policy), "--out", str(tmp_path / "out"), *words])
-    printed = capsys.readouterr().err
-    assert message in printed and printed.count("\n") == 1 and not (tmp_path / "out").exists()
+    refused(main, ["--policy", str(policy), "--out", str(tmp_path / "out"), *words], message, capsys)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture
@@ -118,6 +117,5 @@ def test_where_nothing_can_be_rendered_no_folder_is_made(measured, tmp_path, mon
         raise RenderingError("MuJoCo cannot render here")
 
     monkeypatch.setattr(camera_moved, "Pictures", refuse)
-    with pytest.raises(SystemExit):
-        main(["--policy", "policy.npz"])
-    assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())
+    refused(main, ["--policy", "policy.npz"], "MuJoCo cannot render here", capsys)
+    assert not list(tmp_path.iterdir())

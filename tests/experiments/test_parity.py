@@ -9,6 +9,7 @@ from gymnasium_robotics.utils import mujoco_utils
 
 from experiments import parity
 from hgail_envs.tasks.reference import make_reference
+from tests.support import refused
 
 
 def test_rows_are_written_with_what_made_them(tmp_path, monkeypatch):
@@ -22,10 +23,8 @@ def test_rows_are_written_with_what_made_them(tmp_path, monkeypatch):
 def test_a_file_that_cannot_be_written_is_noticed_before_anything_is_measured(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(parity, "measure", lambda *arguments: pytest.fail("it measured"))
     (tmp_path / "file").touch()
-    with pytest.raises(SystemExit) as stop:
-        parity.main(["--out", str(tmp_path / "file" / "parity.json")])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err == f"parity: {tmp_path}/file: Not a directory\n"
+    words = ["--out", str(tmp_path / "file" / "parity.json")]
+    refused(parity.main, words, f"parity: {tmp_path}/file: Not a directory\n", capsys)
 
 
 def test_the_reference_knows_joints_by_numbers():

@@ -89,12 +89,15 @@ def test_make_vec_steps_as_gymnasium_s_own_vectorisation(mode, length):
     theirs = SyncVectorEnv([lambda: gymnasium.make(POINT, **limit)] * 2, autoreset_mode=mode)
     assert isinstance(ours, GoalVectorEnv)
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == mode
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
     same(ours.reset(seed=7), theirs.reset(seed=7))
     rng, truncations = np.random.default_rng(0), 0
     for _ in range(2 * (length or LENGTH) + 5):
         actions = rng.uniform(-1, 1, (2, 3)).astype(np.float32)
         mine, other = ours.step(actions), theirs.step(actions)
         same(mine, other)
+        assert {"is_success", "_is_success"} <= mine[4].keys()
         truncations += mine[3].sum()
     assert truncations == 4
 
@@ -111,6 +114,7 @@ def same(left, right):
             same(one, other)
     else:
         np.testing.assert_allclose(left, right, atol=1e-6)
+        assert np.asarray(left).dtype == np.asarray(right).dtype
 
 
 def test_pictures_follow_the_arm_and_the_target(rendering):

@@ -1,4 +1,4 @@
-"""The vector environment against Gymnasium's checker, its own vectorisation of single environments, and the task."""
+"""The vector environment against the task; against Gymnasium's own vectorisation it is in `test_gymnasium`."""
 
 import copy
 import pickle
@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hgail_envs
 from hgail_envs.point import Point
@@ -17,58 +15,6 @@ from hgail_envs.vector import GoalVectorEnv
 
 TASK = hgail_envs.make("point")
 NUM_ENVS = 3
-
-
-class Single(gymnasium.Env):
-    """One of them as a plain environment, for Gymnasium's own tools."""
-
-    metadata = {"render_modes": []}  # noqa: RUF012
-
-    def __init__(self):
-        self.vector = GoalVectorEnv(TASK, 1)
-        self.observation_space = self.vector.single_observation_space
-        self.action_space = self.vector.single_action_space
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        observation, info = self.vector.reset(seed=seed)
-        return {name: value[0] for name, value in observation.items()}, {name: value[0] for name, value in info.items()}
-
-    def step(self, action):
-        observation, reward, terminated, truncated, info = self.vector.step(np.asarray(action)[None])
-        return (
-            {name: value[0] for name, value in observation.items()},
-            float(reward[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            {name: value[0] for name, value in info.items()},
-        )
-
-
-@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes.*")
-@pytest.mark.filterwarnings("ignore:.*A Box observation space (m|min|max).*")
-def test_gymnasium_s_checker_is_content():
-    check_env(Single(), skip_render_check=True)
-
-
-def test_steps_and_resets_as_gymnasium_s_own_vectorisation():
-    """Over more than two episodes, with the resets between them, all that is returned agrees."""
-    ours, theirs = GoalVectorEnv(TASK, NUM_ENVS), SyncVectorEnv([Single] * NUM_ENVS)
-    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-    assert ours.observation_space == theirs.observation_space
-    assert ours.action_space == theirs.action_space
-    rng, truncations = np.random.default_rng(0), 0
-    same(ours.reset(seed=7)[0], theirs.reset(seed=7)[0])
-    for _ in range(2 * TASK.episode_length + 5):
-        actions = rng.uniform(-1.3, 1.3, (NUM_ENVS, TASK.action_size)).astype(np.float32)
-        mine, other = ours.step(actions), theirs.step(actions)
-        same(mine[0], other[0])
-        for left, right in zip(mine[1:4], other[1:4], strict=True):
-            np.testing.assert_array_equal(left, right)
-            assert left.dtype == right.dtype
-        np.testing.assert_array_equal(mine[4]["is_success"], other[4]["is_success"])
-        truncations += mine[3].sum()
-    assert truncations == 2 * NUM_ENVS
 
 
 def same(left, right):

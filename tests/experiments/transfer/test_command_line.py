@@ -14,7 +14,7 @@ from experiments.transfer.robots import ROBOTS, make_robot
 from hgail_envs.randomization import Randomization
 from hgail_jax import save_policy
 from hgail_jax.policy import MeanPolicy
-from tests.support import ROOT
+from tests.support import ROOT, refused
 
 SWEEP = ["--sweep", "--to", "gymnasium", "--workers", "1"]
 GRASP = ROOT / "assets" / "policies" / "grasp.npz"
@@ -65,13 +65,7 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
 )
 def test_bad_input_is_one_line(arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as exit_info:
-        transfer.main(arguments)
-    assert exit_info.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("transfer: ")
-    assert error.count("\n") == 1
-    assert message in error
+    assert refused(transfer.main, arguments, message, capsys).startswith("transfer: ")
     assert not list(tmp_path.iterdir())
 
 
@@ -84,10 +78,8 @@ def test_help_lists_what_can_be_chosen(capsys):
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
-    with pytest.raises(SystemExit) as exit_info:
-        transfer.main(["--task", "grasp", "--policy", str(shipped_policy)])
-    assert exit_info.value.code == 2
-    assert "the policy is for 'reach', not for 'grasp'" in capsys.readouterr().err
+    words = ["--task", "grasp", "--policy", str(shipped_policy)]
+    refused(transfer.main, words, "the policy is for 'reach', not for 'grasp'", capsys)
 
 
 def test_one_run(capsys):

@@ -10,7 +10,7 @@ from hgail_jax.cli import demos
 from hgail_jax.cli import train as run
 from hgail_jax.io.policy import load_policy
 from hgail_jax.trainer.train_options import plan
-from tests.support import ROOT
+from tests.support import ROOT, refused
 
 POLICIES = ROOT / "assets" / "policies"
 
@@ -79,12 +79,7 @@ def test_bad_demonstrations_are_one_line_and_write_nothing(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demos, "record", lambda *arguments: pytest.fail("it was noticed late"))
     (tmp_path / "file").write_text("")
-    with pytest.raises(SystemExit) as exit_info:
-        demos.main(arguments)
-    error = capsys.readouterr().err
-    assert exit_info.value.code == 2
-    assert error.count("\n") == 1
-    assert message in error
+    refused(demos.main, arguments, message, capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -93,8 +88,5 @@ def test_bad_demonstrations_are_one_line_and_write_nothing(tmp_path, monkeypatch
 )
 def test_a_method_has_the_demonstrations_it_needs(tmp_path, monkeypatch, capsys, arguments):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as exit_info:
-        run.main(["--task", "point", *arguments])
-    assert exit_info.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    refused(run.main, ["--task", "point", *arguments], "hgail train: ", capsys)
     assert not list(tmp_path.iterdir())

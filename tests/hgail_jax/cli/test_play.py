@@ -23,6 +23,7 @@ from hgail_jax.play.playback import play as play_episodes
 from hgail_jax.play.session import Session
 from tests.hgail_jax.test_terminal import Terminal
 from tests.support import ROOT
+from tests.support import refused as refused_by
 
 REACH = "hgail_envs.tasks.reach:Reach"
 
@@ -180,13 +181,7 @@ def test_bad_input_is_one_line(arguments, message, capsys, tmp_path, monkeypatch
 
 
 def refused(arguments, message, capsys, code=2, program=play.main):
-    with pytest.raises(SystemExit) as exit_info:
-        program(arguments)
-    assert exit_info.value.code == code
-    error = capsys.readouterr().err
-    assert error.startswith("hgail play: ")
-    assert error.count("\n") == 1
-    assert message in error
+    assert refused_by(program, arguments, message, capsys, code).startswith("hgail play: ")
 
 
 @pytest.fixture
@@ -333,11 +328,8 @@ def test_help_says_which_task_is_played(capsys):
 
 
 def test_a_policy_of_another_task_is_refused(shipped_policy, capsys):
-    with pytest.raises(SystemExit) as exit_info:
-        play.main(["--task", "grasp", "--policy", str(shipped_policy)])
-    assert exit_info.value.code == 2
-    numbers = "the policy reads 9 numbers; observations of grasp have 12"
-    assert capsys.readouterr().err == f"hgail play: the policy is for 'reach', not for 'grasp': {numbers}\n"
+    line = "the policy is for 'reach', not for 'grasp': the policy reads 9 numbers; observations of grasp have 12\n"
+    refused(["--task", "grasp", "--policy", str(shipped_policy)], line, capsys)
 
 
 def test_a_policy_of_a_task_that_got_another_name_is_played(shipped_policy, in_folder, capsys):

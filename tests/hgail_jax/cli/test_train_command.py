@@ -20,7 +20,7 @@ from hgail_jax.trainer.checkpoint import Checkpoints
 from hgail_jax.trainer.folder import RunFolder
 from hgail_jax.trainer.train_options import plan
 from tests.hgail_jax.trainer.test_checkpoint import saved_in
-from tests.support import compile_once, make_runs_tiny
+from tests.support import compile_once, make_runs_tiny, refused
 
 TINY = ["--seeds", "2", "--num-envs", "2", "--rounds", "1"]
 
@@ -201,21 +201,14 @@ def test_folders_are_numbered(in_folder, monkeypatch):
 def test_bad_input_is_one_line_and_writes_nothing(in_folder, capsys, arguments, message):
     Path("there").mkdir()
     Path("file").write_text("")
-    with pytest.raises(SystemExit) as exit_info:
-        run.main(arguments)
-    assert exit_info.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("hgail train: ")
-    assert error.count("\n") == 1
-    assert message in error
+    assert refused(run.main, arguments, message, capsys).startswith("hgail train: ")
     assert {path.name for path in in_folder.rglob("*")} == {"there", "file"}
 
 
 def test_double_precision_is_refused_before_anything_begins(in_folder, capsys):
-    with jax.enable_x64(True), pytest.raises(SystemExit) as exit_info:
-        run.main(["--task", "point", "--seeds", "1"])
-    assert exit_info.value.code == 2
-    assert capsys.readouterr().err == "hgail train: JAX_ENABLE_X64 is set, and training is in float32; unset it\n"
+    line = "hgail train: JAX_ENABLE_X64 is set, and training is in float32; unset it\n"
+    with jax.enable_x64(True):
+        refused(run.main, ["--task", "point", "--seeds", "1"], line, capsys)
     assert not list(in_folder.iterdir())
 
 
@@ -224,10 +217,7 @@ def test_an_unwritable_folder_is_refused(in_folder, capsys, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "mkdir", refuse)  # root may write anywhere, so no mode of a folder would do
-    with pytest.raises(SystemExit) as exit_info:
-        run.main(["--out", "closed/run"])
-    assert exit_info.value.code == 2
-    assert "cannot make the folder closed/run" in capsys.readouterr().err
+    refused(run.main, ["--out", "closed/run"], "cannot make the folder closed/run", capsys)
 
 
 @pytest.mark.parametrize(("seeds", "envs", "said"), [(1, 1, "1 seed × 1 env"), (8, 2, "8 seeds × 2 envs")])
@@ -332,10 +322,7 @@ def test_options_of_several_processes_are_handed_on(in_folder, capsys, monkeypat
 
     monkeypatch.setattr(run, "join", join)
     words = ["--coordinator", "here:1", "--num-processes", "3", "--process-id", "2", "--heartbeat-timeout", "7"]
-    with pytest.raises(SystemExit) as exit_info:
-        run.main([*words, "--distributed", "auto"])
-    assert exit_info.value.code == 2
-    assert capsys.readouterr().err == "hgail train: nobody answers\n"
+    refused(run.main, [*words, "--distributed", "auto"], "hgail train: nobody answers\n", capsys)
     assert joined == [(("here:1", 3, 2), {"auto": True, "heartbeat_timeout": 7})]
     assert not list(in_folder.iterdir())
 
@@ -426,12 +413,7 @@ def test_a_mistake_in_a_user_s_task_is_one_line_and_writes_nothing(in_folder, ca
     Path("mistaken.py").write_text(TASK_WITH_A_MISTAKE)
     monkeypatch.syspath_prepend(str(in_folder))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    with pytest.raises(SystemExit) as exit_info:
-        run.main(["--task", f"mistaken:{name}"])
-    assert exit_info.value.code == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert message in error
+    refused(run.main, ["--task", f"mistaken:{name}"], message, capsys)
     assert [path.name for path in in_folder.iterdir()] == ["mistaken.py"]
 
 

@@ -9,6 +9,7 @@ from hgail_envs.scenes import assets_directory
 from hgail_jax.cli import demos, export, train
 from hgail_jax.io.policy import load_any_policy
 from hgail_jax.lerobot import check_shown
+from tests.support import refused
 
 
 @pytest.mark.parametrize(
@@ -27,11 +28,8 @@ def test_what_is_missing_is_one_line_and_nothing_is_written(tmp_path, monkeypatc
     find = importlib.util.find_spec
     parts = dict.fromkeys(("lerobot", "datasets", "av"), True) | {part: None}
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: parts[name] if name in parts else find(name))
-    with pytest.raises(SystemExit) as ended:
-        command.main(arguments)
-    error = capsys.readouterr().err
-    assert (ended.value.code, error.count("\n")) == (2, 1)
-    assert f"LeRobot is missing, or a part of it ({part}): pip install 'lerobot[training,evaluation]~=0.6.1'" in error
+    line = f"LeRobot is missing, or a part of it ({part}): pip install 'lerobot[training,evaluation]~=0.6.1'"
+    refused(command.main, arguments, line, capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["meta"]
 
 
@@ -45,8 +43,5 @@ def test_a_policy_that_sees_depth_is_not_exported():
 
 
 def test_a_folder_of_anything_else_is_no_dataset(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        train.main(["--task", "reach", "--method", "gail-demo", "--demos", str(tmp_path)])
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "is no LeRobotDataset: it has no meta/info.json" in error
+    words = ["--task", "reach", "--method", "gail-demo", "--demos", str(tmp_path)]
+    refused(train.main, words, "is no LeRobotDataset: it has no meta/info.json", capsys)

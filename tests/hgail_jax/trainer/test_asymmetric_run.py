@@ -15,6 +15,7 @@ from hgail_jax.io.policy import load_any_policy
 from hgail_jax.train import train_step
 from hgail_jax.trainer import camera, loop
 from tests.hgail_jax.vision.scenes import Map
+from tests.support import refused
 
 TEACHER = assets_directory() / "policies" / "push.npz"
 WITHOUT_TEACHER = ["--observe", "camera", "--learner", "td3"]
@@ -88,10 +89,7 @@ def test_a_whole_run_is_trained_evaluated_and_exported(trains, tmp_path, monkeyp
 def test_wrong_options_are_printed_in_one_line(words, message, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(camera, "Pictures", lambda env, *how: Map(env, target=how[4]))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        train.main(["--task", "push", *WITHOUT_TEACHER, *words])
-    printed = capsys.readouterr().err
-    assert ended.value.code == 2 and message in printed and printed.count("\n") == 1
+    refused(train.main, ["--task", "push", *WITHOUT_TEACHER, *words], message, capsys)
     assert not list(tmp_path.iterdir())
 
 

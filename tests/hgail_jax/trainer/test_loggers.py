@@ -14,8 +14,6 @@ from pathlib import Path
 import imageio
 import numpy as np
 import pytest
-import tensorboardX
-import wandb
 from scipy import stats
 
 from hgail_jax import Trainer, TrainOptions
@@ -157,8 +155,10 @@ def test_dashboards_have_all_of_the_table_and_more():
 
 @pytest.mark.parametrize("stopped", ["by an event", "killed"])
 def test_a_resumed_run_continues_in_the_same_log(monkeypatch, stopped):
+    import wandb
+
     one_second = types.SimpleNamespace(**vars(time) | {"time": lambda: 1.7e9})
-    monkeypatch.setattr(tensorboardX.event_file_writer, "time", one_second)  # which names the files
+    monkeypatch.setattr("tensorboardX.event_file_writer.time", one_second)  # which names the files
     options = {"logger": "csv,tensorboard,wandb", "checkpoint_every": 2}
     first = Trainer(SMALL, out=Path("run"), **options)
     if stopped == "killed":

@@ -26,7 +26,7 @@ from hgail_jax.trainer.checkpoint import AnotherRunError, Checkpoints, as_json, 
 from hgail_jax.trainer.folder import sole_user
 from hgail_jax.trainer.train_options import TrainOptions, plan
 from tests.hgail_jax.trainer.test_checkpoint import arrays_of, record_of, saved_in
-from tests.support import SOURCES, TINY_RUN, compile_once, make_runs_tiny, small_files_only
+from tests.support import SOURCES, TINY_RUN, compile_once, make_runs_tiny, refused, small_files_only
 
 ROUNDS = 4  # and the pre-training
 
@@ -271,12 +271,7 @@ def test_another_run_is_refused_in_one_line(tmp_path, capsys, complete, argument
             shutil.rmtree("run/checkpoints")
         before = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*")}
         capsys.readouterr()
-        with pytest.raises(SystemExit) as exit_info:
-            start("--resume", "run", *arguments)
-        assert exit_info.value.code == 2
-        error = capsys.readouterr().err
-        assert message in error
-        assert error.count("\n") == 1
+        refused(lambda words: start(*words), ["--resume", "run", *arguments], message, capsys)
         assert {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*")} == before
 
 
@@ -284,12 +279,7 @@ def test_another_run_is_refused_in_one_line(tmp_path, capsys, complete, argument
 def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, capsys, content):
     Path("run").mkdir()
     Path("run/config.json").write_text(content)
-    with pytest.raises(SystemExit) as exit_info:
-        start("--resume", "run")
-    assert exit_info.value.code == 2
-    error = capsys.readouterr().err
-    assert "run" in error
-    assert error.count("\n") == 1
+    refused(lambda words: start(*words), ["--resume", "run"], "run", capsys)
     assert [path.name for path in Path("run").iterdir()] == ["config.json"]
 
 
