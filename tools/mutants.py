@@ -28,8 +28,8 @@ TIMEOUT = 120.0  # seconds
 LIBRARIES = ["jax", "brax.training.acme.running_statistics", "brax.envs.base", "flax.linen", "mujoco.mjx", "optax"]
 LIBRARIES += ["orbax.checkpoint", "scipy.stats", "pytest"]
 SAMPLES, LEARNING, EXPERTS = (f"tests/hgail_jax/test_{name}.py" for name in ("samples", "learning", "experts"))
-ROLLOUT, ROUNDS, TRAIN, DISCRIMINATOR = (
-    f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "rounds", "train", "discriminator")
+ROLLOUT, ROUNDS, TRAIN, DIVERGENCE, DISCRIMINATOR = (
+    f"tests/hgail_jax/test_{name}.py" for name in ("rollout", "rounds", "train", "divergence", "discriminator")
 )
 PPO, TD3, CRL = (f"tests/hgail_jax/learners/test_{name}.py" for name in ("ppo", "td3", "crl"))
 BUFFER, HINDSIGHT, METHODS = (f"tests/hgail_jax/test_{name}.py" for name in ("buffer", "hindsight", "methods"))
@@ -53,10 +53,10 @@ TESTS = {
     "hgail_jax/learners/td3": [TD3],
     "hgail_jax/learners/td3_step": [TD3],
     "hgail_jax/learners/crl": [CRL],
-    "hgail_jax/train": [ROUNDS, TRAIN, LEARNING],
+    "hgail_jax/train": [ROUNDS, DIVERGENCE, TRAIN, LEARNING],
     "hgail_jax/rollout": [ROLLOUT, ROUNDS],
     "hgail_jax/evaluate": [ROLLOUT, ROUNDS, TRAIN, EVALUATE],
-    "hgail_jax/state": [PPO, ROUNDS, TRAIN, LEARNING],
+    "hgail_jax/state": [PPO, ROUNDS, DIVERGENCE, TRAIN, LEARNING],
     "hgail_jax/settings/methods": [LEARNING, EXPERTS, METHODS],
     "envs/hgail_envs/base": [GOALS, SAMPLES, ROLLOUT],
     "envs/hgail_envs/layout": [LAYOUT],
