@@ -28,7 +28,8 @@ class Options:
     table: tuple[Literal[1, 2, 3], ...] = ()
     """Tables: 1 the methods, 2 the curriculum, 3 future or final; a figure of the same training comes with each."""
     figure: tuple[Literal[3, 4, 5, 6, 7, 8], ...] = ()
-    """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards, 8 the methods by TD3."""
+    """Figures: 3 the methods, 4 the curriculum, 5 future or final, 6 p_ht, 7 the rewards, 8 the methods by TD3 and
+    contrastive RL."""
     study: tuple[str, ...] = ()
     """Studies by name, one table each: ablations (all of them), gasil (with the environment's reward), standardization
     (of rewards), parts (left out or changed, of a task with an object), off-policy, off-policy-samples,
@@ -72,6 +73,7 @@ def plan(options: Options, platform: str) -> list[Work]:
         for study in studies:
             _check_options(study, task)
             _check_her(study, scale)
+            _check_contrastive(study, scale)
         works.append(Work(scale, seeds, folder, studies, options.sweep))
     if not (any(work.studies for work in works) or options.sweep or options.plots_only):
         raise ValueError("nothing to make; name a --table, a --figure or a --study, or --all, --sweep or --plots-only")
@@ -91,6 +93,13 @@ def _check_her(study: Study, scale: Scale) -> None:
         trial = work_out(scale, setting, range(1))
         if trial.method == "her" and (first := names.setdefault(trial.key(), setting.name)) != setting.name:
             raise ValueError(f"study {study.name!r} on {scale.task!r}: {first!r} and {setting.name!r} are both HER")
+
+
+def _check_contrastive(study: Study, scale: Scale) -> None:
+    """Raises a ValueError if a study has contrastive RL, and the task's observation depends on the goal."""
+    for setting in study.settings:
+        if setting.learner == "crl":
+            work_out(scale, setting, range(1)).config.validate(scale.make_env(1))
 
 
 def _wanted(options: Options, task: str) -> tuple[Study, ...]:

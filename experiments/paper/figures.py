@@ -16,7 +16,7 @@ from hgail_jax.trainer.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
-_STEPS, _SECONDS = "environment steps per seed", "seconds of training"
+_STEPS, _SECONDS = "environment steps per seed", "seconds of training, a setting's share of its program's"
 _SUCCESS = ("success", "success rate", (-0.02, 1.02))
 _PANELS = ((*_SUCCESS, _STEPS), ("distance_l1", "L1 distance at the end (m)", (0.0, None), _STEPS))
 _PANELS_BY = {OFF_POLICY_FIGURE: ((*_SUCCESS, _STEPS), (*_SUCCESS, _SECONDS))}
@@ -70,13 +70,13 @@ def _commits(rows: list[dict[str, Any]]) -> str:
 
 def _draw_lines(axis: plt.Axes, rows: list[dict[str, Any]], column: str, over: str, colors: dict[str, tuple]) -> None:
     for row in rows:
-        steps, values = np.array(row["curves"]["env_steps"]), np.array(row["curves"][column])
+        along, values = np.array(row["curves"]["env_steps"]), np.array(row["curves"][column])
         if over == _SECONDS:
-            steps = steps * row["seconds"] / steps[-1]
+            along = along * row["seconds"] / along[-1]
         mean, half = values.mean(axis=1), np.nan_to_num(confidence_interval(values))
         color = colors[row["setting"]]
-        axis.plot(steps, mean, color=color, linewidth=1.8, marker="o", markersize=3, label=row["setting"])
-        axis.fill_between(steps, mean - half, mean + half, color=color, alpha=0.15, linewidth=0)
+        axis.plot(along, mean, color=color, linewidth=1.8, marker="o", markersize=3, label=row["setting"])
+        axis.fill_between(along, mean - half, mean + half, color=color, alpha=0.15, linewidth=0)
 
 
 def _read_rows(folder: Path, study: str) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ MOST_DEMONSTRATIONS = 100
 PART_STEPS = {"pick-and-place": 1 / 2, "push": 1 / 3, "slide": 1 / 5}
 """Environment steps of studies of PPO with an object, as multiples of the task's own: 8 to 10 million."""
 REPORTED_SEEDS = range(0, 8)
-"""Seeds of the tables and figures. No setting is chosen by their results, but by those of seeds from 1000 on."""
+"""Seeds of the tables and figures. Settings are chosen by the results of others, from 1000 on."""
 
 
 @dataclasses.dataclass(frozen=True)

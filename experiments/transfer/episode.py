@@ -2,7 +2,7 @@
 
 import collections
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -20,7 +20,6 @@ def run_episode(
     policy: MeanAction,
     rng: np.random.Generator,
     conditions: Conditions | None = None,
-    watch: Callable[[], None] = lambda: None,
 ) -> EpisodeMetrics:
     """Runs one episode from the robot's present state, and the lift test if the task has one.
 
@@ -29,19 +28,16 @@ def run_episode(
       policy: decides the actions.
       rng: for the estimate of the target's position.
       conditions: of the episode; None is nominal.
-      watch: called at the start and after each step.
 
     Returns:
       Metrics of the last step, as `GoalEnv.outcome` of the robot's task defines them, as plain numbers.
     """
     conditions = conditions or Conditions()
     with changed(robot, conditions.friction, conditions.object_mass, conditions.gravity):
-        return _run(robot, policy, rng, conditions, watch)
+        return _run(robot, policy, rng, conditions)
 
 
-def _run(
-    robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions, watch: Callable[[], None]
-) -> EpisodeMetrics:
+def _run(robot: Robot, policy: MeanAction, rng: np.random.Generator, conditions: Conditions) -> EpisodeMetrics:
     """Runs the episode in the robot's present model; see `run_episode`."""
     action_size = find_class(robot.task).action_size
     pending = collections.deque([np.zeros(action_size, np.float32)] * conditions.delay)
@@ -57,7 +53,7 @@ def _run(
         pending.append(action * factors)
         return pending.popleft()
 
-    return numpy_episode.run_episode(robot, act, watch)
+    return numpy_episode.run_episode(robot, act)
 
 
 def run_episodes(
@@ -73,16 +69,10 @@ def run_episodes(
     """
     outcomes = []
     for index in indices:
-        start_rng, estimate_rng = episode_rngs(seed, index)
+        start_rng, estimate_rng = np.random.default_rng((seed, index)).spawn(2)
         robot.reset(start_rng)
         outcomes.append(run_episode(robot, policies[index % len(policies)], estimate_rng, conditions))
     return outcomes
-
-
-def episode_rngs(seed: int, index: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Returns an episode's random generators, for its start and for the estimate of the target's position."""
-    start_rng, estimate_rng = np.random.default_rng((seed, index)).spawn(2)
-    return start_rng, estimate_rng
 
 
 @contextlib.contextmanager

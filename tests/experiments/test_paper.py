@@ -10,8 +10,8 @@ import pytest
 
 import hgail_envs
 from experiments.paper import __main__ as paper
-from experiments.paper import statistics, tables, work
-from experiments.paper.off_policy import OFF_POLICY_STUDIES
+from experiments.paper import figures, statistics, tables, work
+from experiments.paper.off_policy import OFF_POLICY_FIGURE, OFF_POLICY_STUDIES
 from experiments.paper.programs import train_program
 from experiments.paper.studies import SWEEP
 from experiments.paper.study import Study
@@ -284,13 +284,17 @@ def test_several_tasks_are_one_command(tmp_path, trained):
     [
         ([], "nothing to make; name a --table, a --figure or a --study"),
         (["--table", "4"], "invalid choice '4'"),
-        (["--figure", "8"], "invalid choice '8'"),
+        (["--figure", "9"], "invalid choice '9'"),
         (["--task", "poke", "--all"], "choose from"),
         (["--seeds", "0", "--all"], "seeds is 0; it must be at least 1"),
         (["--study", "dreams"], "study is 'dreams'; choose from table1, table1-longer"),
         (
             ["--study", "off-policy", "--task", "grasp"],
             "study 'off-policy' on 'grasp': 'as it is' and 'HER' are both HER",
+        ),
+        (
+            ["--study", "off-policy-methods", "--task", "tower"],
+            "needs a task whose observation is its features and its goal",
         ),
         (["--study", "parts"], "study 'parts' is for tasks with the option 'observation'; 'reach' has none"),
         (["--plots-only"], "holds no figure's data"),
@@ -324,3 +328,15 @@ def test_everything_runs_and_the_sweep_is_timed(tmp_path):
     assert len(timed["settings"]) == len(SWEEP)
     assert len(read(tmp_path / "table1-point.json")) == len(BY_NAME["table1"].settings)
     assert not [path for path in (tmp_path / "parts").iterdir() if path.is_dir()]  # no checkpoint is left
+
+
+def test_methods_by_td3_are_drawn_over_steps_and_over_a_setting_s_seconds(tmp_path, monkeypatch):
+    curves = {"env_steps": [10, 20], "success": [[0.0, 0.5], [1.0, 1.0]]}
+    row = {"setting": "HGAIL", "panel": "", "seconds": 8.0, "curves": curves, "made_by": {"commit": "abc"}}
+    content = {"study": "off-policy-methods", "task": "push", "settings": [row]}
+    (tmp_path / "off-policy-methods-push.json").write_text(json.dumps(content))
+    drawn = []
+    monkeypatch.setattr(figures, "write_figure", lambda figure, path, dpi: drawn.append(figure))
+    figures.draw_figure(tmp_path, OFF_POLICY_FIGURE)
+    lines = [axis.lines[0].get_xydata().tolist() for axis in drawn[0].axes]
+    assert lines == [[[10, 0.25], [20, 1.0]], [[4, 0.25], [8, 1.0]]]

@@ -32,20 +32,16 @@ class Robot(Protocol):
         """Carries out an action, `[4]`."""
 
 
-def run_episode(
-    robot: Robot, act: Callable[[], np.ndarray], watch: Callable[[], None] = lambda: None
-) -> EpisodeMetrics:
+def run_episode(robot: Robot, act: Callable[[], np.ndarray]) -> EpisodeMetrics:
     """Runs an episode from the robot's present state, and the lift test if the task has one.
 
-    `act` returns the next action, `[4]`; `watch` is called at the start and after each step. Returns the metrics of the
-    last step, as `GoalEnv.outcome` of the task defines them, as plain numbers.
+    `act` returns the next action, `[4]`. Returns the metrics of the last step, as `GoalEnv.outcome` of the task defines
+    them, as plain numbers.
     """
     task, start = find_class(robot.task), robot.target()
-    watch()
     for _ in range(task.episode_length):
         action = act()
         robot.step(action)
-        watch()
     position, target = robot.carried(), robot.target()
     if task.lift_test_steps:
         achieved = bool(robot.features()[task.features_layout["hand holds the cube"]])
@@ -53,7 +49,6 @@ def run_episode(
         achieved = robot.reached()
     for _ in range(task.lift_test_steps):
         robot.step(np.array([0.0, 0.0, 1.0, action[3]]))  # straight up, the hand as it was: `Grasp.lift_test_action`
-        watch()
     rise = robot.target()[2] - start[2] if task.lift_test_steps else np.inf
     l1 = float(np.abs(position - target).sum())
     return EpisodeMetrics(

@@ -112,3 +112,10 @@ def test_a_camera_that_cannot_be(change, message):
 def test_looking_straight_down_is_refused():
     with pytest.raises(ValueError, match="straight up or down"):
         look_at(np.array([0.0, 0.0, 1.0]), np.zeros(3), 45.0, 64, 48)
+
+
+def test_the_angle_of_view_is_from_the_top_row_to_the_bottom_row():
+    camera = look_at(np.array([0.0, -2.0, 0.0]), np.zeros(3), 30.0, 64, 48)
+    half = 2.0 * np.tan(np.radians(15.0))
+    (top, right), _ = camera.to_pixels(half * np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
+    np.testing.assert_allclose([top, right], [[32.0, 0.0], [56.0, 24.0]], atol=1e-9)

@@ -47,14 +47,15 @@ def to_the_goal(observation):
 
 
 class Watcher:
-    """Stands still, or rises with `up`; notes what it is shown. It was trained with a tracked cube."""
+    """Stands still, or rises with `up`; notes what it is shown and what is there. It was trained with a tracked cube."""
 
-    def __init__(self, cube, history=0, up=0.0):
+    def __init__(self, cube, history=0, up=0.0, look=lambda: None):
         self.task_options, self.randomization = {"cube": cube}, Randomization(history=history)
-        self.seen, self.up = [], up
+        self.seen, self.places, self.up, self.look = [], [], up, look
 
     def __call__(self, observation):
         self.seen.append(observation)
+        self.places.append(self.look())
         return np.array([0.0, 0.0, self.up, 0.5])
 
 
@@ -63,10 +64,9 @@ def run(robot, policy=to_the_goal, **conditions):
 
 
 def test_an_episode_has_the_task_s_steps_and_is_measured_at_its_end():
-    robot, seen = Dot(), []
-    outcome = run_episode(robot, to_the_goal, np.random.default_rng(0), watch=lambda: seen.append(robot.position))
+    robot = Dot()
+    outcome = run(robot)
     assert len(robot.commands) == 50
-    assert len(seen) == 51
     assert outcome.success == outcome.success_l1 == 1.0
     assert outcome.distance_l2 == pytest.approx(0.0, abs=1e-6)
     assert np.max(np.abs(robot.commands)) <= 1.0
@@ -206,14 +206,10 @@ def test_a_policy_that_knows_its_delay_is_shown_the_actions_on_their_way(delay):
 
 def watched(history=0, up=0.0, **conditions):
     """Returns what a policy that tracks the cube is shown, and where gripper and cube were."""
-    robot, policy = Dot("grasp"), Watcher("tracked", history, up)
-    places = []
-    run_episode(robot, policy, np.random.default_rng(0), Conditions(**conditions), lambda: places.append(where(robot)))
-    return np.array(policy.seen), *np.array(places[:50]).transpose(1, 0, 2)
-
-
-def where(robot):
-    return robot.position, robot.goal
+    robot = Dot("grasp")
+    policy = Watcher("tracked", history, up, lambda: (robot.position, robot.goal))
+    run(robot, policy, **conditions)
+    return np.array(policy.seen), *np.array(policy.places).transpose(1, 0, 2)
 
 
 def test_a_policy_that_tracks_the_cube_is_shown_where_it_is_at_each_step():

@@ -86,11 +86,11 @@ def test_they_touch_objects_alone():
         model, fetch = made("ur5e", task).model, made("fetch", task).model
         assert model.npair == fetch.npair + 4 * objects
         assert model.ngeom - fetch.ngeom <= 4
-        pad = next((pair for pair in range(model.npair) if _touches(model, pair, "right_pad")), None)
         of_boxes = [pair for pair in range(model.npair) if _touches(model, pair, "hand_")]
         assert len(of_boxes) == 4 * objects
         for pair in of_boxes:
             assert _touches(model, pair, "cube")
+            pad = next(pair for pair in range(model.npair) if _touches(model, pair, "right_pad"))
             np.testing.assert_array_equal(model.pair_friction[pair], model.pair_friction[pad])
 
 
