@@ -47,7 +47,7 @@ def to_the_goal(observation):
 
 
 class Watcher:
-    """Stands still, or rises with `up`; notes what it is shown and what is there. It was trained with a tracked cube."""
+    """Stands still, or rises with `up`; notes what it sees and what is there. It was trained with a tracked cube."""
 
     def __init__(self, cube, history=0, up=0.0, look=lambda: None):
         self.task_options, self.randomization = {"cube": cube}, Randomization(history=history)
