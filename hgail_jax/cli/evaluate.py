@@ -77,7 +77,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(_report(task, where, options, policies[0][1], rows), indent=2))
         return
     for (path, policy), row in zip(policies, rows, strict=True):
-        described = describe_policy(path, policy, "none" if options.reference else options.randomize)
+        level = "none" if options.reference else options.randomize
+        described = describe_policy(path, policy, level, options.robot)
         print(", ".join([described, *(f"{name} {value}" for name, value in where.items())]))
         print(_text(row))
     if len(rows) > 1:

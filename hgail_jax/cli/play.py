@@ -99,7 +99,7 @@ def _load(
     """Returns the task and the policy, and prints the policy's file and level; see `find_policies` and `make_task`."""
     file, policy = find_policies(task, path, level)[0]
     env = make_task(policy, task, level, **physics)
-    say(describe_policy(file, policy, level))
+    say(describe_policy(file, policy, level, physics.get("robot")))
     return env, policy
 
 

@@ -190,11 +190,16 @@ def randomization(policy: AnyPolicy, level: str | None) -> Randomization:
     return dataclasses.replace(LEVELS[level], history=trained.history, known_delay=trained.known_delay)
 
 
-def describe_policy(path: Path, policy: AnyPolicy, level: str | None) -> str:
-    """Returns a line that names the policy's file and the level, and says if its training had no disturbance."""
+def describe_policy(path: Path, policy: AnyPolicy, level: str | None, robot: str | None = None) -> str:
+    """Returns a line that names the policy's file and the level, and says if its training had no disturbance.
+
+    It says, too, if the policy was trained on another robot than the one that it is to have here.
+    """
     sizes, trained = randomization(policy, level), policy.randomization
     new = " (trained without)" if trained == trained.nominal() and sizes != sizes.nominal() else ""
-    return f"policy {from_here(path)}, {_disturbances(sizes, level)}{new}"
+    own = str(policy.task_options.get("robot", "fetch"))
+    other = "" if robot in (None, own) else f", trained on {own}, here on {robot}"
+    return f"policy {from_here(path)}{other}, {_disturbances(sizes, level)}{new}"
 
 
 def _disturbances(sizes: Randomization, level: str | None) -> str:

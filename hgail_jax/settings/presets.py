@@ -178,10 +178,14 @@ def student(rounds: int) -> dict[str, Preset]:
         Student(), rounds=rounds, training_goals=False, discriminator_minibatches=0, policy_hidden=(256, 256)
     )
     hyperparameters = Hyperparameters(exploration_noise=0.1, policy_learning_rate=1e-3, environment_reward=1.0)
-    # a picture takes a CPU a hundredth of a second: enough to try it out, not to solve a task
+    # A picture takes a CPU a hundredth of a second, a gradient step of 64 samples five: enough to try it out, no more.
+    sizes: dict[str, dict[str, Any]] = {
+        "cpu": {"num_envs": 16, "updates": 8, "batch": 64},
+        "gpu": {"num_envs": 512},
+    }
     return {
-        platform: Preset(config.replace(num_envs=envs), hyperparameters, "camera", OBJECT_SUBSTEPS, evaluate_every=5)
-        for platform, envs in (("cpu", 16), ("gpu", 512))
+        platform: Preset(config.replace(**size), hyperparameters, "camera", OBJECT_SUBSTEPS, evaluate_every=5)
+        for platform, size in sizes.items()
     }
 
 

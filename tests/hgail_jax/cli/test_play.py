@@ -108,6 +108,16 @@ def test_pictures_say_the_time_and_the_distance_and_show_the_zone_of_success(mon
     assert said == [*times, *["success"] * 15]
 
 
+def test_a_policy_of_another_robot_is_said_to_be_one(shipped_policy):
+    policy = load_policy(shipped_policy)
+    assert policies.describe_policy(shipped_policy, policy, None, "so101").endswith(
+        ", trained on fetch, here on so101, nominal"
+    )
+    assert policies.describe_policy(shipped_policy, policy, None, "fetch") == policies.describe_policy(
+        shipped_policy, policy, None
+    )
+
+
 OF_ITS_OWN = Randomization(delay=(0, 2), history=1)
 
 
