@@ -15,7 +15,7 @@ import pytest
 import hgail_envs
 from hgail_envs.robots import ROBOTS, arm_model, grip
 from hgail_envs.robots.description import read_description, text_of
-from hgail_envs.robots.hand import PADS
+from hgail_envs.robots.hand import PADS, rotation
 from hgail_envs.variation import ModelFactors
 from hgail_jax.play.recording import run_controller
 
@@ -95,6 +95,18 @@ def test_the_hand_starts_above_the_table_pointing_downward(robot):
     # those of a linkage end farther down if it is closed, and a closed jaw's pad is aslant
     below = {"ur5e": 0.0215, "so101": 0.0245}.get(robot, 0.0185)
     assert data.site("grip").xpos[2] - lowest == pytest.approx(below, abs=1e-3)
+
+
+def test_the_pads_of_the_so101_are_those_of_its_file():
+    theirs, arm = as_the_maker_has_it("so101"), read_description("so101")
+    data, boxes = mujoco.MjData(theirs), {"moving_jaw_pad": arm.right_pad, "fixed_jaw_pad": arm.left_pad}
+    mujoco.mj_kinematics(theirs, data)
+    for name, pad in boxes.items():
+        geom, body = data.geom(name), data.body(pad.body)
+        turn = body.xmat.reshape(3, 3)
+        ours, file_s = turn @ rotation(pad.quat) * pad.size, geom.xmat.reshape(3, 3) * theirs.geom(name).size
+        np.testing.assert_allclose(body.xpos + turn @ pad.pos, geom.xpos, atol=1e-4)
+        np.testing.assert_allclose(ours @ ours.T, file_s @ file_s.T, atol=1e-7)  # of a box, whose axes have no order
 
 
 def test_what_the_model_weighs_is_what_it_weighed():

@@ -108,8 +108,11 @@ def test_pictures_say_the_time_and_the_distance_and_show_the_zone_of_success(mon
     assert said == [*times, *["success"] * 15]
 
 
-def test_a_policy_of_another_robot_is_said_to_be_one(shipped_policy):
+def test_a_policy_of_another_robot_is_said_to_be_one(shipped_policy, monkeypatch, capsys):
     policy = load_policy(shipped_policy)
+    monkeypatch.setattr(play, "make_task", lambda *_, **physics: physics)
+    assert play._load("reach", shipped_policy, "none", robot="so101")[0] == {"robot": "so101"}
+    assert capsys.readouterr().out.endswith(", trained on fetch, here on so101, nominal\n")
     assert policies.describe_policy(shipped_policy, policy, None, "so101").endswith(
         ", trained on fetch, here on so101, nominal"
     )
