@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import functools
 import shutil
 import threading
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from experiments.paper.trials import Scale, Trial, hash_json, work_out
 from hgail_jax.io.demonstrations import Demonstrations, load_demonstrations, save_demonstrations
 from hgail_jax.io.files import write_json
 from hgail_jax.io.provenance import provenance
+from hgail_jax.learners import PPO
 from hgail_jax.play.recording import make_for_demonstrations, record
 from hgail_jax.trainer.checkpoint import AnotherRunError, refuse_another_run
 
@@ -40,11 +40,11 @@ class Work:
         """The task's name."""
         return self.scale.task
 
-    @functools.cached_property
-    def demonstrations(self) -> Demonstrations:
-        """All demonstrations of the task, recorded if the folder has none."""
-        path = self.folder / "demonstrations" / f"{self.task}.npz"
-        env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS)
+    def demonstrations(self, learner: str) -> Demonstrations:
+        """Returns all demonstrations of the task as a learner observes it, recorded if the folder has none."""
+        name = self.task if learner == PPO.name else f"{self.task}-{learner}"
+        path = self.folder / "demonstrations" / f"{name}.npz"
+        env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS, learner=learner)
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             save_demonstrations(path, record(env, self.task, MOST_DEMONSTRATIONS))
@@ -53,7 +53,7 @@ class Work:
     def trial(self, setting: Setting) -> Trial:
         """Resolves a setting for the task."""
         count = setting.demonstrations
-        identity = self.demonstrations.first(count).sha256 if count else None
+        identity = self.demonstrations(setting.learner).first(count).sha256 if count else None
         return work_out(self.scale, setting, choose_seeds(self.seeds), identity)
 
     def made_by(self) -> dict[str, Any]:
@@ -82,8 +82,8 @@ class Job:
         work, first = self.work, self.trials[0]
         worlds = len(self.trials) * len(first.seeds) * first.config.num_envs
         env = work.scale.make_env(worlds, **first.task_options)
-        count = first.setting.demonstrations
-        samples = work.demonstrations.first(count).samples(env) if count else None
+        count, learner = first.setting.demonstrations, first.setting.learner
+        samples = work.demonstrations(learner).first(count).samples(env) if count else None
         checkpoints = work.folder / "parts" / hash_json([trial.key() for trial in self.trials])
         results = train_program(env, self.trials, samples, checkpoints, stop)
         if results is None:

@@ -14,6 +14,7 @@ from hgail_envs.validation import check_count, check_name, counted
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_jax.io.demonstrations import Demonstrations
 from hgail_jax.io.provenance import installed
+from hgail_jax.learners import PPO
 from hgail_jax.policy import MeanPolicy
 from hgail_jax.rollout import Trajectory, rollout
 from hgail_jax.settings.defaults import platform_name, task_preset
@@ -40,17 +41,18 @@ def _run(env: hgail_envs.GoalEnv, act: Callable[[jax.Array], jax.Array], episode
 
 
 def make_for_demonstrations(
-    task: str, episodes: int, robot: str | None = None, policy: MeanPolicy | None = None
+    task: str, episodes: int, robot: str | None = None, policy: MeanPolicy | None = None, learner: str = PPO.name
 ) -> hgail_envs.GoalEnv:
     """Makes a task to record so many demonstrations, on its own robot or another.
 
-    For a controller it has its training physics, for a policy the reference ones, as in an evaluation.
+    For a controller it has the training physics and the observation of a learner, for a policy the reference physics,
+    as in an evaluation.
     """
     options: dict[str, Any] = {}
     if policy is not None:
         options |= policy.task_options
     elif hgail_envs.find_class(task).controllers:
-        options |= task_preset(hgail_envs.find_class(task), platform_name()).task_options
+        options |= task_preset(hgail_envs.find_class(task), platform_name(), learner=learner).task_options
     else:
         raise ValueError(f"no controller demonstrates {task!r}")
     if "worlds" in hgail_envs.accepted_options(task):

@@ -18,7 +18,7 @@ from experiments.paper.study import Study
 from experiments.paper.tables import make_rows, write_markdown
 from experiments.paper.trials import Scale, hash_json
 from experiments.paper.work import Unfinished
-from hgail_jax import env_steps, phase_table
+from hgail_jax import Demonstrations, env_steps, load_demonstrations, phase_table
 from hgail_jax.trainer.loop import Program
 from tests.experiments.test_paper_studies import BY_NAME, trials_of
 
@@ -277,6 +277,21 @@ def test_several_tasks_are_one_command(tmp_path, trained):
     for rows in of_tasks:
         assert [row["setting"] for row in rows] == [setting.name for setting in BY_NAME["gasil"].settings]
     assert len({row["identity"]["task"] for rows in of_tasks for row in rows}) == 2
+
+
+def test_demonstrations_are_of_what_the_learner_observes(tmp_path, trained, monkeypatch):
+    """TD3 observes where the cube is, three numbers, at each step of grasp."""
+
+    def record(env, task, episodes):
+        sizes = {"features": env.feature_size, "goal": env.goal_size, "action": env.action_size}
+        of_steps = {name: np.zeros((episodes, 2, size), np.float32) for name, size in sizes.items()}
+        of_episodes = dict.fromkeys(("success", "returns", "distance_l1"), np.ones(episodes, np.float32))
+        return Demonstrations(task, **of_steps, **of_episodes, made_by={})
+
+    monkeypatch.setattr(work, "record", record)
+    paper.main([*QUICK, "--study", "table1", "off-policy-methods", "--task", "grasp", "--out", str(tmp_path)])
+    recorded = [load_demonstrations(path, "grasp") for path in sorted((tmp_path / "demonstrations").iterdir())]
+    assert [one.features.shape for one in recorded] == [(100, 2, 11), (100, 2, 8)]  # grasp-td3.npz, grasp.npz
 
 
 @pytest.mark.parametrize(
