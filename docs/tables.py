@@ -102,18 +102,12 @@ def headline() -> list[list[str]]:
 def _headline(run: Row, name: str, her: Row | None, beside: Iterable[str]) -> list[str]:
     elsewhere = "; ".join(_elsewhere(run["task"], what) for what in beside)
     figures = [name, run["learner"].upper(), _success(run), f"{run['worst']:.3f}", *_steps(run)]
-    return [*figures, _seconds(run["seconds"]["train"]), _beside(her, run), elsewhere]
+    return [*figures, _seconds(run["seconds"]["train"]), _beside(her), elsewhere]
 
 
-def _beside(her: Row | None, run: Row) -> str:
-    """Returns success and steps to .95 of a run by HER, with a dagger if it is of another version of MuJoCo."""
-    if her is None:
-        return ""
-    return f"{her['success']['mean']:.3f}, {_steps(her)[0]}" + _other_version(her, run)
-
-
-def _other_version(row: Row, other: Row) -> str:
-    return "" if _mujoco(row) == _mujoco(other) else " †"
+def _beside(her: Row | None) -> str:
+    """Returns success and steps to .95 of a run by HER."""
+    return f"{her['success']['mean']:.3f}, {_steps(her)[0]}" if her else ""
 
 
 def _elsewhere(task: str, what: str) -> str:
@@ -154,7 +148,7 @@ def adversary() -> list[list[str]]:
 
 def _adversary(run: Row, her: Row) -> list[str]:
     figures = [part for each in (run, her) for part in (_success(each), f"{each['worst']:.3f}", _steps(each)[0])]
-    return [run["task"] + _other_version(her, run), *figures, _steps(run)[1]]
+    return [run["task"], *figures, _steps(run)[1]]
 
 
 def on_a_cpu() -> list[list[str]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from experiments.figures import style_axes, write_figure
 from experiments.paper.off_policy import OFF_POLICY_FIGURE
@@ -16,7 +17,7 @@ from hgail_jax.trainer.statistics import confidence_interval
 
 _COLORS = [plt.colormaps["tab20"](index) for index in (*range(0, 20, 2), *range(1, 20, 2))]  # the strong ones first
 _TASKS = ("reach", "grasp")  # in the paper's order; others follow
-_STEPS, _SECONDS = "environment steps per seed", "seconds of training, a setting's share of its program's"
+_STEPS, _SECONDS = "environment steps per seed", "seconds of training, a setting's share"
 _SUCCESS = ("success", "success rate", (-0.02, 1.02))
 _PANELS = ((*_SUCCESS, _STEPS), ("distance_l1", "L1 distance at the end (m)", (0.0, None), _STEPS))
 _PANELS_BY = {OFF_POLICY_FIGURE: ((*_SUCCESS, _STEPS), (*_SUCCESS, _SECONDS))}
@@ -54,6 +55,8 @@ def draw_figure(folder: Path, number: int) -> Path | None:
             _draw_lines(axis, of_panel, column, over, colors)
             axis.set(title=", ".join(filter(None, (task, panel))), xlabel=over, ylabel=label)
             axis.set_ylim(*limits)
+            axis.xaxis.set_major_locator(MaxNLocator(5))
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k
             style_axes(axis)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.suptitle(f"Figure {number}: {studies[0].title}{_commits(rows)}", fontsize=11)

@@ -79,7 +79,7 @@ def _method(name: str, method: str, demonstrations: int = 0, **changes: float) -
 
 _METHODS = Study(
     "off-policy-methods",
-    "methods by TD3, and contrastive RL, the goal test in HER's reward alone",
+    "methods off-policy; a reward of the task in HER alone",
     (
         _method("HGAIL", "hgail"),
         _method("HGAIL-no", "hgail-no"),
