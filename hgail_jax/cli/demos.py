@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from hgail_envs import GoalEnv
 from hgail_envs.robots import ROBOTS, check_robot
-from hgail_envs.validation import MOST_SEED, check_count, counted
+from hgail_envs.validation import MOST_SEED, check_count, check_name, counted
 from hgail_envs.vision.camera_env import CameraEnv
 from hgail_envs.vision.parallel import start_server
 from hgail_envs.vision.pictures import Pictures
@@ -16,6 +16,7 @@ from hgail_jax.cli.policies import find_policies
 from hgail_jax.io.demonstrations import save_demonstrations
 from hgail_jax.io.files import check_new_file, from_here
 from hgail_jax.io.provenance import installed, own_command
+from hgail_jax.learners import LEARNERS, PPO
 from hgail_jax.lerobot import check_installed
 from hgail_jax.play.recording import made_by, make_for_demonstrations, record, successes
 from hgail_jax.policy import MeanPolicy
@@ -33,6 +34,8 @@ class Options:
     """A task's name, e.g. reach or grasp."""
     policy: Annotated[Path | None, unless_given("the task's scripted controller", "FILE|FOLDER|NAME")] = None
     """The policy that demonstrates it, in the task's reference physics; by name one that comes with the package."""
+    learner: Annotated[str | None, unless_given(PPO.name, f"{{{','.join(LEARNERS)}}}")] = None
+    """The learner that is to be trained on a controller's; in grasp td3 sees the cube at each step, ppo once."""
     episodes: int = 100
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0
@@ -65,7 +68,9 @@ def main(arguments: list[str] | None = None) -> None:
             check_robot(options.robot)
         _check_pictures(options)
         policy = _policy(options)
-        env = make_for_demonstrations(options.task, options.episodes, options.robot, policy)
+        learner = options.learner or PPO.name
+        check_name("learner", learner, LEARNERS)
+        env = make_for_demonstrations(options.task, options.episodes, options.robot, policy, learner)
         if options.camera or options.target != "given":
             cameras = [name.strip() for name in options.camera.split(",") if name]
             env = CameraEnv(env, Pictures(env, cameras, options.picture_size, target=options.target))
@@ -102,6 +107,8 @@ def _policy(options: Options) -> MeanPolicy | None:
     """Returns the policy that demonstrates the task, if there is one; a ValueError says that it cannot."""
     if options.policy is None:
         return None
+    if options.learner is not None:
+        raise ValueError("--learner is for a controller; a policy observes what it did in its training")
     (path, policy), *others = find_policies(options.task, options.policy)
     if others:
         raise ValueError(f"{options.policy} has {1 + len(others)} policies; name one, e.g. {from_here(path)}")

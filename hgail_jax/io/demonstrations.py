@@ -75,7 +75,10 @@ class Demonstrations:
         sizes = (env.feature_size, env.goal_size, env.action_size)
         found = tuple(getattr(self, name).shape[-1] for name in _STEPS)
         if found != sizes:
-            raise ValueError(f"demonstrations have features, goals and actions of the sizes {found}; the task: {sizes}")
+            raise ValueError(
+                f"demonstrations have features, goals and actions of the sizes {found}; the task: {sizes}. hgail demos"
+                " has a --learner, whose observation they hold"
+            )
         return self
 
     def samples(self, env: GoalEnv) -> Samples:

@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 from typing import ClassVar
 
@@ -39,6 +40,20 @@ def test_another_robot_demonstrates(tmp_path, monkeypatch):
     np.testing.assert_allclose(recorded.features[:, 0, :3], [[1.344, 0.749, 0.6]] * 3, atol=1e-3)
 
 
+def test_a_controller_demonstrates_what_a_learner_observes(tmp_path, monkeypatch):
+    """TD3 sees the cube of grasp at each step: the goal's place, since the cube is grasped where it lies."""
+    monkeypatch.chdir(tmp_path)
+    demos.main(["--task", "grasp", "--learner", "td3", "--episodes", "2", "--out", "d.npz"])
+    recorded = load_demonstrations("d.npz", "grasp")
+    cube = recorded.features[..., 8:] + recorded.features[..., :3]
+    np.testing.assert_allclose(cube[:, 0], recorded.goal[:, 0, :3], atol=1e-3)
+    assert np.ptp(cube[..., :2], axis=1).max() > 1e-4  # the closing hand moves it
+    options = TrainOptions(task="grasp", learner="td3", method="gail-demo", demos=Path("d.npz"), seeds=1)
+    assert plan(options, "cpu").identity()["demonstrations"] == recorded.sha256
+    with pytest.raises(ValueError, match="hgail demos has a --learner"):
+        plan(dataclasses.replace(options, learner="ppo"), "cpu")
+
+
 def test_a_policy_demonstrates(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = POLICIES / "reach.npz"
@@ -68,6 +83,8 @@ class Silent(Point):
         (["--robot", "panda"], "robot is 'panda'; choose from fetch, franka"),
         (["--task", "push", "--policy", str(POLICIES / "reach.npz")], "the policy is for 'reach', not for 'push'"),
         (["--task", "reach", "--policy", str(POLICIES / "reach-robust.npz")], "the policy reads 39 numbers"),
+        (["--task", "reach", "--policy", "reach", "--learner", "td3"], "--learner is for a controller"),
+        (["--task", "reach", "--learner", "sac"], "learner is 'sac'; choose from ppo, td3, crl"),
         (["--task", "reach", "--camera", "front"], "--camera goes with --format lerobot"),
         (["--task", "reach", "--target", "seen"], "--target goes with --format lerobot"),
         (["--task", "reach", "--picture-size", "64"], "--picture-size goes with --format lerobot"),
