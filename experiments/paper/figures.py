@@ -56,7 +56,8 @@ def draw_figure(folder: Path, number: int) -> Path | None:
             axis.set(title=", ".join(filter(None, (task, panel))), xlabel=over, ylabel=label)
             axis.set_ylim(*limits)
             axis.xaxis.set_major_locator(MaxNLocator(5))
-            axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k
+            if over == _STEPS:
+                axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k
             style_axes(axis)
         axes[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.suptitle(f"Figure {number}: {studies[0].title}{_commits(rows)}", fontsize=11)

@@ -44,8 +44,8 @@ class Work:
         """Returns all demonstrations of the task as a learner observes it, recorded if the folder has none."""
         name = self.task if learner == PPO.name else f"{self.task}-{learner}"
         path = self.folder / "demonstrations" / f"{name}.npz"
-        env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS, learner=learner)
         if not path.exists():
+            env = make_for_demonstrations(self.task, MOST_DEMONSTRATIONS, learner=learner)
             path.parent.mkdir(parents=True, exist_ok=True)
             save_demonstrations(path, record(env, self.task, MOST_DEMONSTRATIONS))
         return load_demonstrations(path, self.task).first(MOST_DEMONSTRATIONS)

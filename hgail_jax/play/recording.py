@@ -45,8 +45,8 @@ def make_for_demonstrations(
 ) -> hgail_envs.GoalEnv:
     """Makes a task to record so many demonstrations, on its own robot or another.
 
-    For a controller it has the training physics and the observation of a learner, for a policy the reference physics,
-    as in an evaluation.
+    For a controller it has the training physics and the observation of the `learner`, a name in `hgail_jax.LEARNERS`,
+    for a policy the reference physics, as in an evaluation, and the policy's observation.
     """
     options: dict[str, Any] = {}
     if policy is not None:

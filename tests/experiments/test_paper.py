@@ -292,6 +292,8 @@ def test_demonstrations_are_of_what_the_learner_observes(tmp_path, trained, monk
     paper.main([*QUICK, "--study", "table1", "off-policy-methods", "--task", "grasp", "--out", str(tmp_path)])
     recorded = [load_demonstrations(path, "grasp") for path in sorted((tmp_path / "demonstrations").iterdir())]
     assert [one.features.shape for one in recorded] == [(100, 2, 11), (100, 2, 8)]  # grasp-td3.npz, grasp.npz
+    made = {row["identity"]["demonstrations"] for row in read(tmp_path / "off-policy-methods-grasp.json")}
+    assert made == {None, *(recorded[0].first(count).sha256 for count in (20, 100))}
 
 
 @pytest.mark.parametrize(

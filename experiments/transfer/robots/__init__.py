@@ -44,6 +44,8 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
         raise ValueError(f"{name} cannot do {task!r}; it does {', '.join(robot.tasks)}")
     accepted = list(inspect.signature(robot).parameters)[1:]
     for option in options:
+        if option == "robot" and option not in accepted:
+            raise ValueError(f"policies of {options[option]!r} do not go to {name}; those of the Fetch do")
         if option not in accepted:
             raise ValueError(f"{name} has no option {option!r}; it has {', '.join(accepted) or 'none'}")
     try:

@@ -64,19 +64,19 @@ class FingerResponse:
 
 
 class ServoResponse:
-    """A gap that opens and closes as between fingers with servos, an arm's own.
+    """A gap that opens and closes as that of an arm's own hand, whose servos lead its fingers.
 
     Args:
       gap: at the start, metres.
-      lag: seconds by which it is behind its target.
-      widest: gap, metres.
+      lag: seconds by which the fingers are behind their target.
+      widest: the widest gap, metres.
     """
 
     def __init__(self, gap: float, lag: float, widest: float) -> None:
         self.gap, self._lag, self._widest = gap, lag, widest
 
     def lead(self, measured: float, command: float) -> float:
-        """Starts an action, and returns the target of each finger; see `FingerResponse`."""
+        """Starts an action, and returns the target of each finger, within the hand's range; see `FingerResponse`."""
         self.gap = measured
         return min(max(measured / 2 + command, 0.0), self._widest / 2)
 
@@ -94,8 +94,8 @@ class FullArm(Robot):
     Hands are narrower and slower than the Fetch's, so an action lasts `slowdown` times longer; velocities are metres an
     action. With actions as fast as the Fetch's the hand hardly opens on the way; let it start open.
 
-    For policies that were trained on this arm, `robot`, it starts as in their training, and in an action its hand opens
-    and closes as far as there.
+    For policies that were trained on this arm, `robot`, it starts as in their training, and an action leads its hand as
+    far as there. A slower hand follows more closely: where it starts or turns it goes up to 15 mm farther.
 
     A subclass sets `arm`.
 
@@ -135,9 +135,7 @@ class FullArm(Robot):
     ) -> None:
         check_count("slowdown", slowdown, most=_MOST_SLOWDOWN)
         if robot not in (None, self.arm):
-            raise ValueError(
-                f"policies trained on {robot!r} do not go to {self.arm}; those of the Fetch do, and its own"
-            )
+            raise ValueError(f"policies of {robot!r} do not go to {self.arm}; those of the Fetch or of {self.arm} do")
         if not isinstance(start_open, bool):
             raise ValueError(f"start_open is {start_open!r}; it must be true or false")
         self.task, self.slowdown, self.starts_closed = task, slowdown, task == "reach" or not start_open
@@ -201,7 +199,7 @@ class FullArm(Robot):
         mujoco.mj_forward(self.model, self.data)
 
     def _hand_control(self, finger: float, time: float) -> np.ndarray:
-        """Returns the hand's controls once the Fetch's fingers have moved towards `finger`, metres, for `time`."""
+        """Returns the hand's controls once the fingers have moved towards `finger`, metres, for `time`."""
         before = self._fingers.gap
         self._fingers.follow(finger, time)
         rate = (self._fingers.gap - before) / self.model.opt.timestep

@@ -9,6 +9,7 @@ import pytest
 import hgail_envs
 from experiments.transfer.episode import changed, run_episode, run_episodes
 from experiments.transfer.robots import GymnasiumFetch, make_robot
+from experiments.transfer.robots.servo_arm import FingerResponse
 from hgail_envs.scenes import TABLE_HEIGHT, assets_directory
 from hgail_envs.tasks.base import CONTROL_PERIOD
 from hgail_envs.tasks.grasp import Grasp
@@ -85,12 +86,11 @@ def test_targets_are_drawn_as_the_fetch_s():
     np.testing.assert_allclose(robot.target()[2], 0.425, atol=1e-3)
 
 
-@pytest.mark.parametrize("slowdown", [1, 4])
-def test_for_its_own_policies_an_arm_moves_as_in_its_reference(slowdown):
-    """The hand too; at a quarter of the pace it goes farther where it starts or turns, with longer to speed up."""
+@pytest.mark.parametrize(("slowdown", "place", "gap"), [(1, 1e-5, 1e-4), (4, 2e-3, 9e-3)])
+def test_for_its_own_policies_an_arm_moves_as_in_its_reference(slowdown, place, gap):
+    """The hand too; at a quarter of the pace its first action takes it farther, since it has longer to speed up."""
     actions = [[0.5, 0.3, -0.2, 0.04]] * 2 + [[0.0, 0.0, -1.0, 1.0]] * 3 + [[0.0, 0.0, 0.3, -1.0]] * 3
-    robot = make_robot("ur5e", "pick-and-place", slowdown=slowdown, robot="ur5e")
-    seen = move(robot, actions)
+    seen = move(make_robot("ur5e", "pick-and-place", slowdown=slowdown, robot="ur5e"), actions)
     env = hgail_envs.make("pick-and-place", robot="ur5e", impl="reference")
     state = env.reset(jax.random.key(int(np.random.default_rng(0).integers(MOST_SEED + 1))))
     expected = [env.features(state.pipeline_state)]
@@ -98,14 +98,33 @@ def test_for_its_own_policies_an_arm_moves_as_in_its_reference(slowdown):
         state = env.step(state, np.array(action, np.float32))
         expected.append(env.features(state.pipeline_state))
     expected = np.array(expected)
-    np.testing.assert_allclose(seen[:, :15], expected[:, :15], atol=1e-5 if slowdown == 1 else 2e-3)
-    gaps = np.diff(seen[:, 15]), np.diff(expected[:, 15])
-    np.testing.assert_allclose(*(gap[slowdown > 1 :] for gap in gaps), atol=1e-4 if slowdown == 1 else 9e-3)
+    np.testing.assert_allclose(seen[:, :15], expected[:, :15], atol=place)
+    more = np.diff(seen[:, 15]) - np.diff(expected[:, 15])
+    np.testing.assert_allclose(more[1:], 0.0, atol=gap)
+    assert abs(more[0]) < (gap if slowdown == 1 else 15e-3)
 
 
-def test_policies_of_another_arm_are_refused():
-    with pytest.raises(ValueError, match="policies trained on 'franka' do not go to ur5e"):
-        make_robot("ur5e", "reach", robot="franka")
+@pytest.mark.parametrize("arm", ["ur5e", "franka"])
+def test_a_hand_follows_its_servos_from_where_it_is(arm):
+    """Its lag is damping over stiffness of the maker's servos; an action starts from the gap that is measured."""
+    robot = make_robot(arm, "grasp", robot=arm)
+    model, servo = robot.model, robot._engine.hand_servos[0]
+    _, stiffness, damping = -model.actuator_biasprm[servo, :3]
+    if arm == "franka":  # its joint has the damping
+        damping += model.dof_damping[model.jnt_dofadr[model.actuator_trnid[servo, 0]]]
+    assert robot.hand_lag == pytest.approx(damping / stiffness)
+    response = robot._response(0.02)
+    assert response.lead(0.06, -0.02) == pytest.approx(0.01)
+    response.follow(0.01, 0.04)
+    assert response.gap == pytest.approx(0.02 + 0.04 * np.exp(-0.04 / robot.hand_lag))
+    assert response.lead(0.06, 1.0) == pytest.approx(robot._widest / 2) and response.lead(0.06, -1.0) == 0.0
+    assert isinstance(make_robot(arm, "grasp")._response(0.02), FingerResponse)
+
+
+@pytest.mark.parametrize("to", ["ur5e", "gymnasium"])
+def test_policies_of_another_arm_are_refused(to):
+    with pytest.raises(ValueError, match=f"policies of 'franka' do not go to {to}; those of the Fetch"):
+        make_robot(to, "reach", robot="franka")
 
 
 @pytest.mark.slow  # as the policy does, below
