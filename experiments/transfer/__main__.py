@@ -1,4 +1,4 @@
-"""Runs policies that were trained on this package's Fetch, unchanged, in another simulator and on another robot."""
+"""Runs trained policies, unchanged, in another simulator or on another robot: the Fetch's, and an arm's own there."""
 
 import dataclasses
 from pathlib import Path
@@ -53,7 +53,7 @@ class Options:
         RobotName | None,
         tyro.conf.arg(
             help=_ROBOT_HELP,
-            help_behavior_hint="(default: gymnasium; all with --table and --sweep)",
+            help_behavior_hint="(default: the policy's own arm, or gymnasium; all with --table and --sweep)",
             metavar=f"{{{','.join(get_args(RobotName))}}}",
         ),
     ] = None
@@ -190,7 +190,10 @@ def _run(options: Options) -> None:
     for policy in policies:
         Past(trained_under(policy), options.delay)  # refuses a delay that the policy does not know
     given = dict(parse_option("robot", option) for option in options.robot_options)
-    robot = make_robot(options.to or "gymnasium", task, **{**robot_options(policies[0]), **given})
+    if "robot" in given:
+        raise ValueError("robot is no option of --robot-options: it is that of the policy's training")
+    own = robot_options(policies[0])
+    robot = make_robot(options.to or own.get("robot", "gymnasium"), task, **{**own, **given})
     conditions = Conditions(NoisyEstimate(options.noise, options.offset), options.delay, options.stride)
     if source != EXACT:
         conditions = dataclasses.replace(conditions, estimate=GOAL_SOURCES[source](robot))

@@ -98,7 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
 def _announce(run: Run, command: Command, folder: Path) -> None:
     """Prints what is trained, and whether it is with settings that were not chosen for the task."""
     size = f"{counted(command.seeds, 'seed')} × {counted(run.config.num_envs, 'env')}"
-    say(f"{run.method} on {command.task}, {size} -> {folder}")
+    robot = "" if command.robot == Command.robot else f" with {command.robot}"
+    say(f"{run.method} on {command.task}{robot}, {size} -> {folder}")
     learner = run.config.learner.name
     of_task = learner in LEARNERS and command.preset == Command.preset
     if of_task and not has_own_settings(find_class(command.task), learner, platform_name()):

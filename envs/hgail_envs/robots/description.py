@@ -110,7 +110,9 @@ def text_of(name: str) -> str:
     try:
         return _path_of(name).read_text()
     except OSError:
-        raise ValueError(f"robot {name!r}: there is no file {name}; hgail robot makes one of an MJCF") from None
+        raise ValueError(
+            f"robot {name!r}: there is no file {name}; name it by its place from here, or make one by hgail robot"
+        ) from None
 
 
 def _path_of(name: str) -> Path:
@@ -135,7 +137,8 @@ def _parsed(name: str, text: str) -> Description:
     except KeyError as missing:
         raise ValueError(f"robot {name!r}: {path} has no [{missing.args[0]}]") from None
     except (tomllib.TOMLDecodeError, TypeError) as error:
-        raise ValueError(f"robot {name!r}: {path}: {str(error).replace('.__init__()', '')}") from None
+        line = str(error).replace(".__init__() got an unexpected keyword argument", " has no field")
+        raise ValueError(f"robot {name!r}: {path}: {line.replace('.__init__()', '')}") from None
     try:
         _check(arm)
     except ValueError as error:

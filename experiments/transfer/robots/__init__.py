@@ -39,6 +39,8 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
     Raises:
       ValueError: the robot lacks the task, an option, or an installed package.
     """
+    if name not in ROBOTS:
+        raise ValueError(f"policies go to {', '.join(ROBOTS)}, not to {name}: hgail evaluate --reference is for it")
     robot = ROBOTS[name]
     if task not in robot.tasks:
         raise ValueError(f"{name} cannot do {task!r}; it does {', '.join(robot.tasks)}")
@@ -47,7 +49,8 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
         if option == "robot" and option not in accepted:
             raise ValueError(f"policies of {options[option]!r} do not go to {name}; those of the Fetch do")
         if option not in accepted:
-            raise ValueError(f"{name} has no option {option!r}; it has {', '.join(accepted) or 'none'}")
+            others = ", ".join(each for each in accepted if each != "robot")  # which is the policy's
+            raise ValueError(f"{name} has no option {option!r}; it has {others or 'none'}")
     try:
         return robot(task, **options)
     except ModuleNotFoundError as error:

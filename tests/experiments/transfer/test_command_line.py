@@ -12,7 +12,7 @@ from experiments.transfer.goal_sources import GOAL_SOURCES
 from experiments.transfer.quantities import QUANTITIES
 from experiments.transfer.robots import ROBOTS, make_robot
 from hgail_envs.randomization import Randomization
-from hgail_jax import save_policy
+from hgail_jax import load_policy, save_policy
 from hgail_jax.policy import MeanPolicy
 from tests.support import ROOT, refused
 
@@ -43,6 +43,7 @@ GRASP = ROOT / "assets" / "policies" / "grasp.npz"
         (["--robot-options", "observation=official"], "observation is 'official'; choose from compact\n"),
         (["--to", "ur5e", "--robot-options", "slowdown=0"], "slowdown is 0; it must be at least 1"),
         (["--to", "ur5e", "--robot-options", "start_open=1"], "start_open is 1; it must be true or false"),
+        (["--to", "ur5e", "--robot-options", "robot=ur5e"], "robot is no option of --robot-options"),
         (["--policies", "a=b.npz"], "--policies goes with --sweep"),
         (["--workers", "2"], "--workers goes with --table and --sweep"),
         (["--to", "fetch"], "--to fetch goes with --sweep"),
@@ -176,7 +177,28 @@ def test_a_policy_of_the_official_observation_runs_in_the_official_environment(t
     save_policy(tmp_path / "lifts.npz", dataclasses.replace(policy, task="pick-and-place"))
     with pytest.raises(SystemExit):
         transfer.main(["--task", "pick-and-place", "--to", "ur5e", "--policy", str(tmp_path / "lifts.npz")])
-    assert "ur5e has no option 'observation'; it has slowdown, start_open" in capsys.readouterr().err
+    assert "ur5e has no option 'observation'; it has slowdown, start_open\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("robot", "to", "line"),
+    [
+        ("so101", [], "policies go to gymnasium, ur5e, franka, not to so101: hgail evaluate --reference is for it"),
+        ("franka", ["--to", "ur5e"], "policies of 'franka' do not go to ur5e; those of the Fetch or of ur5e do"),
+        ("ur5e", ["--to", "gymnasium"], "policies of 'ur5e' do not go to gymnasium; those of the Fetch do"),
+    ],
+)
+def test_an_arm_s_policy_goes_to_that_arm(robot, to, line, tmp_path, capsys, shipped_policy):
+    policy = load_policy(shipped_policy)
+    save_policy(tmp_path / "p.npz", dataclasses.replace(policy, task_options={"robot": robot}))
+    refused(transfer.main, ["--policy", str(tmp_path / "p.npz"), *to], line, capsys)
+
+
+def test_an_arm_s_policy_is_measured_there_unless_said_otherwise(tmp_path, capsys, shipped_policy):
+    policy = load_policy(shipped_policy)
+    save_policy(tmp_path / "p.npz", dataclasses.replace(policy, task_options={"robot": "ur5e"}))
+    transfer.main(["--policy", str(tmp_path / "p.npz"), "--episodes", "1"])
+    assert capsys.readouterr().out.startswith("UR5e with Robotiq 2F-85, C MuJoCo, reach")
 
 
 @pytest.mark.parametrize(

@@ -218,6 +218,12 @@ def test_what_cannot_be_derived_is_said_in_a_line(tmp_path, shorter_search, kwar
     assert "\n" not in str(refused.value)
 
 
+def test_a_file_without_joints_is_no_arm(tmp_path):
+    (tmp_path / "part.xml").write_text("<mujoco/>")
+    with pytest.raises(ValueError, match="the file has no joint; name the arm's own file"):
+        derive(Given(tmp_path / "part.xml"))
+
+
 def test_an_unknown_flange_is_refused_with_those_that_there_are(tmp_path):
     (tmp_path / "hand.xml").write_text(f"<mujoco><worldbody><body name='hand'>{FINGERS}</body></worldbody></mujoco>")
     with pytest.raises(ValueError, match="the arm has no site or body 'wrist_3' as its flange; it has flange, base"):
@@ -261,7 +267,7 @@ def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
         (('["left", ', '["thumb", '), "its model has no joint 'thumb'; it has j1, j2"),
         (('body = "palm"', 'body = "plam"'), "its model has no body 'plam'; it has base, turret"),
         (("reach = [", "reach = [2.0, 0.0] # "), r"the gripper stays 1\d\d\d mm away from its start above the table"),
-        (("reach =", "reech ="), "unexpected keyword argument 'reech'"),
+        (("reach =", "reech ="), "Description has no field 'reech'"),
         (("reach =", "reach"), "Expected '='"),
     ],
 )
@@ -276,5 +282,5 @@ def test_a_bad_file_is_refused_in_a_line(tmp_path, found, change, line):
 
 
 def test_a_file_that_is_not_there_is_refused():
-    with pytest.raises(ValueError, match=r"there is no file nowhere\.toml; hgail robot makes one"):
+    with pytest.raises(ValueError, match=r"there is no file nowhere\.toml; name it by its place"):
         hgail_envs.make("reach", robot="nowhere.toml")

@@ -227,6 +227,13 @@ def test_a_run_says_how_large_it_is(in_folder, capsys, monkeypatch, seeds, envs,
     assert capsys.readouterr().out.splitlines()[0] == f"hgail on point, {said} -> run"
 
 
+def test_a_run_says_which_robot_it_has(in_folder, capsys, monkeypatch):
+    pytest.importorskip("gymnasium_robotics")
+    monkeypatch.setattr(run, "train_run", lambda *_: None)
+    run.main(["--task", "reach", "--robot", "franka", "--seeds", "1", "--num-envs", "1", "--out", "run"])
+    assert capsys.readouterr().out.splitlines()[0] == "hgail on reach with franka, 1 seed × 1 env -> run"
+
+
 @pytest.mark.parametrize(
     ("words", "shared"),
     [

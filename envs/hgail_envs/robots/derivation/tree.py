@@ -72,8 +72,10 @@ def _children(model: mujoco.MjModel) -> dict[int, list[int]]:
         if model.body_jntnum[body]:
             before = [one for one in _ancestors(model, body)[1:] if one == 0 or model.body_jntnum[one]]
             children.setdefault(before[0], []).append(body)
-    if len(children.get(0, [])) != 1:
-        roots = ", ".join(model.body(body).name for body in children.get(0, [])) or "none"
+    if not children:
+        raise ValueError("the file has no joint; name the arm's own file, not a part that others include")
+    if len(children[0]) != 1:
+        roots = ", ".join(model.body(body).name for body in children[0])
         raise ValueError(f"the file must have one arm alone; its trees of joints begin at {roots}")
     return children
 
