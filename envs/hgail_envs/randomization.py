@@ -202,6 +202,7 @@ LEVELS: dict[str, Randomization] = {
     "other-arms": _OTHER_ARMS,
     "mild": _MILD,
     "full": _FULL,
+    "none-history": Randomization(history=1),
     "mild-history": dataclasses.replace(_MILD, history=3),
     "full-history": dataclasses.replace(_FULL, history=3),
     "full-known-delay": dataclasses.replace(_FULL, known_delay=_FULL.delay[1]),

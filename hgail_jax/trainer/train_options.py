@@ -146,7 +146,8 @@ def choose(
         learner = default_learner(task_class) if preset == "parallel" else PPO.name
         if method is not None and learner not in METHODS[method].learners:
             learner = METHODS[method].learners[0]
-    found = task_preset(task_class, platform, preset, learner, randomize != TrainOptions.randomize)
+    level = LEVELS[randomize]
+    found = task_preset(task_class, platform, preset, learner, randomized=level != level.nominal())
     chosen = method or found.method
     return dataclasses.replace(METHODS[chosen].apply(found), method=chosen)
 

@@ -317,6 +317,17 @@ def test_a_randomisation_of_an_earlier_release_has_a_nominal_hand():
     assert older != LEVELS["full-history"]
 
 
+def test_a_level_that_varies_nothing_adds_the_last_step_to_the_observation():
+    """The last action, and what was seen before it; all else is as without it."""
+    plain, env = hgail_envs.make("point"), randomize(hgail_envs.make("point"), "none-history")
+    action, key = jnp.array([0.4, -0.3, 0.2]), jax.random.key(0)
+    before, state = plain.reset(key), env.reset(key)
+    sizes = (plain.action_size, plain.feature_size)
+    np.testing.assert_allclose(state.obs[sum(sizes) :], before.obs)
+    after, state = plain.step(before, action), env.step(state, action)
+    np.testing.assert_allclose(state.obs, jnp.concatenate([action, before.obs[: sizes[1]], after.obs]), atol=1e-6)
+
+
 def test_what_the_levels_have_of_full():
     full, arms = LEVELS["full"], vars(LEVELS["other-arms"])
     assert LEVELS["full-known-delay"] == dataclasses.replace(full, known_delay=full.delay[1])

@@ -183,6 +183,7 @@ def test_randomised_episodes_have_settings_of_their_own_with_td3_alone(platform)
     assert settings("pick-and-place", randomize="full") == (36, 0.6, 1.0)
     for same in ("slide", "grasp"):  # the latter's learner is PPO
         assert settings(same) == settings(same, randomize="full")
+    assert settings("push", randomize="none-history") == usual  # which only adds to the observation
     grasp = plan(TrainOptions(task="grasp", learner="td3", randomize="mild"), platform)
     rounds = 24 if platform == "gpu" else 36
     assert (grasp.config.rounds, grasp.task_options, grasp.hyperparameters.p_ht) == (rounds, {"cube": "tracked"}, 0.6)
