@@ -348,12 +348,15 @@ def test_everything_runs_and_the_sweep_is_timed(tmp_path):
 
 
 def test_methods_by_td3_are_drawn_over_steps_and_over_a_setting_s_seconds(tmp_path, monkeypatch):
-    curves = {"env_steps": [10, 20], "success": [[0.0, 0.5], [1.0, 1.0]]}
-    row = {"setting": "HGAIL", "panel": "", "seconds": 8.0, "curves": curves, "made_by": {"commit": "abc"}}
+    curves = {"env_steps": [100_000, 200_000], "success": [[0.0, 0.5], [1.0, 1.0]]}
+    row = {"setting": "HGAIL", "panel": "", "seconds": 1.0, "curves": curves, "made_by": {"commit": "abc"}}
     content = {"study": "off-policy-methods", "task": "push", "settings": [row]}
     (tmp_path / "off-policy-methods-push.json").write_text(json.dumps(content))
     drawn = []
     monkeypatch.setattr(figures, "write_figure", lambda figure, path, dpi: drawn.append(figure))
     figures.draw_figure(tmp_path, OFF_POLICY_FIGURE)
     lines = [axis.lines[0].get_xydata().tolist() for axis in drawn[0].axes]
-    assert lines == [[[10, 0.25], [20, 1.0]], [[4, 0.25], [8, 1.0]]]
+    assert lines == [[[100_000, 0.25], [200_000, 1.0]], [[0.5, 0.25], [1.0, 1.0]]]
+    ticks = [[label.get_text() for label in axis.get_xticklabels()] for axis in drawn[0].axes]
+    assert "150k" in ticks[0] and not any("m" in label for label in ticks[1])  # half a second is no 500m
+    assert all(len(labels) <= 8 for labels in ticks)  # they would overlap

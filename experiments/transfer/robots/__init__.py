@@ -45,11 +45,11 @@ def make_robot(name: str, task: str, **options: Any) -> Robot:
     if task not in robot.tasks:
         raise ValueError(f"{name} cannot do {task!r}; it does {', '.join(robot.tasks)}")
     accepted = list(inspect.signature(robot).parameters)[1:]
+    if "robot" in options and "robot" not in accepted:
+        raise ValueError(f"policies of {options['robot']!r} do not go to {name}; those of the Fetch do")
     for option in options:
-        if option == "robot" and option not in accepted:
-            raise ValueError(f"policies of {options[option]!r} do not go to {name}; those of the Fetch do")
         if option not in accepted:
-            others = ", ".join(each for each in accepted if each != "robot")  # which is the policy's
+            others = ", ".join(each for each in accepted if each != "robot")  # which the policy's file sets
             raise ValueError(f"{name} has no option {option!r}; it has {others or 'none'}")
     try:
         return robot(task, **options)
