@@ -35,7 +35,7 @@ class Options:
     policy: Annotated[Path | None, unless_given("the task's scripted controller", "FILE|FOLDER|NAME")] = None
     """The policy that demonstrates it, in the task's reference physics; by name one that comes with the package."""
     learner: Annotated[str | None, unless_given(PPO.name, f"{{{','.join(LEARNERS)}}}")] = None
-    """The learner that is to be trained on a controller's; in grasp td3 sees the cube at each step, ppo once."""
+    """The learner that a controller's demonstrations are for: in grasp td3 sees the cube at each step, ppo once."""
     episodes: int = 100
     """Successful episodes to record; the first of them are the smaller sets."""
     seed: int = 0

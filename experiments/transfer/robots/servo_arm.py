@@ -94,8 +94,8 @@ class FullArm(Robot):
     Hands are narrower and slower than the Fetch's, so an action lasts `slowdown` times longer; velocities are metres an
     action. With actions as fast as the Fetch's the hand hardly opens on the way; let it start open.
 
-    For policies that were trained on this arm, `robot`, it starts as in their training, and an action leads its hand as
-    far as there. A slower hand follows more closely: where it starts or turns it goes up to 15 mm farther.
+    With `robot`, for policies that were trained on this arm, it starts as in their training, and an action leads its
+    hand as far as there. A slower hand follows more closely: where it starts or turns it goes up to 15 mm farther.
 
     A subclass sets `arm`.
 
