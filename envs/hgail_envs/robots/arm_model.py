@@ -21,6 +21,7 @@ HAND_PREFIX = "hand/"
 
 HIDDEN = 4
 """Group of geoms that pictures leave out."""
+_CONTACT = ("friction", "solref", "solimp", "margin")  # fields of a geom
 _POSES = 50  # random ones, over which a joint's largest inertia is sought
 
 
@@ -43,6 +44,7 @@ def attach_arm(
     compiled = _compiled(name, text_of(name))
     _add_servos(spec, arm, compiled)
     _keep_inertias(spec, compiled[0])
+    touching = {pad: _with_priority(spec.body(getattr(arm, pad).body)) for pad in PADS}
     for geom in list(spec.geoms):
         if not (geom.contype or geom.conaffinity):
             geom.group = VISUAL_GROUP
@@ -63,6 +65,32 @@ def attach_arm(
         place = _add_part(scene, title, part, arm.scale)
         geom = scene.body(PREFIX + part.body).add_geom(**place, size=arm.scale * np.asarray(part.size), mass=0.0)
         geom.type, geom.contype, geom.conaffinity = mujoco.mjtGeom.mjGEOM_BOX, 0, 0
+        for field, value in touching.get(title, {}).items():
+            setattr(geom, field, value)
+
+
+def _with_priority(body: mujoco.MjsBody) -> dict[str, Any]:
+    """Returns how a body touches, fields of a geom: the mean of its colliding geoms of the highest priority above 0."""
+    geoms = [geom for geom in body.geoms if geom.priority > 0 and (geom.contype or geom.conaffinity)]
+    if not geoms:
+        return {}
+    highest = max(geom.priority for geom in geoms)
+    geoms = [geom for geom in geoms if geom.priority == highest]
+    means = {name: np.mean([getattr(geom, name) for geom in geoms], axis=0) for name in _CONTACT}
+    return means | {"priority": highest, "condim": max(geom.condim for geom in geoms)}
+
+
+def touch_by_priority(scene: mujoco.MjSpec) -> None:
+    """Lets a pad with priority touch by its own numbers, as MuJoCo would without the scene's pairs.
+
+    Without priority the scene's pairs keep theirs, which are those of the Fetch's pads.
+    """
+    for pad in [scene.geom(name) for name in PADS]:
+        of_pad = [pair for pair in scene.pairs if pad.priority > 0 and pad.name in (pair.geomname1, pair.geomname2)]
+        for pair in of_pad:
+            slide, spin, roll = pad.friction
+            pair.friction, pair.condim, pair.margin = [slide, slide, spin, roll, roll], pad.condim, pad.margin
+            pair.solref, pair.solimp = pad.solref, pad.solimp
 
 
 def _add_part(scene: mujoco.MjSpec, title: str, part: Part, scale: float) -> dict[str, Any]:

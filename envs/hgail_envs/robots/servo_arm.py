@@ -9,7 +9,7 @@ import numpy as np
 from brax import math
 
 from hgail_envs.engines import Control, Engine
-from hgail_envs.robots.arm_model import PREFIX, attach_arm
+from hgail_envs.robots.arm_model import PREFIX, attach_arm, touch_by_priority
 from hgail_envs.robots.base import BASE_X, CONTROL_PERIOD, START_HEIGHT, ArmPhysics, Robot
 from hgail_envs.robots.description import read_description
 from hgail_envs.robots.full_model import FullModel, touch_with_bodies
@@ -91,6 +91,7 @@ class ServoArm(Robot):
             touch_with_bodies(spec, bodies, PREFIX)
         else:
             add_hand_boxes(spec, self.name)
+            touch_by_priority(spec)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0
         pedestal.group, pedestal.rgba = VISUAL_GROUP, [0.36, 0.36, 0.38, 1.0]
