@@ -90,6 +90,40 @@ def test_servos_joints_and_contacts_are_those_of_the_maker_s_file(robot, file, p
         assert (training.opt.cone, training.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio)
 
 
+def pairs_of_pads(model):
+    pads = {model.geom(name).id for name in ("right_pad", "left_pad")}
+    touch = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    return [pair for pair, geoms in enumerate(touch) if pads & {*geoms}]
+
+
+def test_pads_with_priority_touch_in_training_as_c_mujoco_lets_the_maker_s():
+    """The 2F-85's file gives both boxes of a pad priority; in training there is one, with the mean of their numbers."""
+    full, training = engine_of("ur5e").model, ROBOTS["ur5e"]("grasp").model
+    data, cube, touching = mujoco.MjData(full), full.geom("cube").id, []
+    for name in ("right_pad1", "right_pad2"):
+        mujoco.mj_resetData(full, data)
+        mujoco.mj_kinematics(full, data)
+        data.qpos[:3] = data.geom(f"arm/hand/{name}").xpos  # the cube's
+        mujoco.mj_forward(full, data)
+        of_both = (np.sort(data.contact.geom) == np.sort([full.geom(f"arm/hand/{name}").id, cube])).all(axis=1)
+        fields = ("friction", "solref", "solimp", "dim", "includemargin")
+        touching.append([getattr(data.contact, field)[of_both][0].copy() for field in fields])
+    expected = [np.mean(values, axis=0) for values in zip(*touching, strict=True)]
+    pairs = pairs_of_pads(training)
+    assert len(pairs) == 4  # two pads touch the cube and the table
+    for field, theirs in zip(("friction", "solref", "solimp", "dim", "margin"), expected, strict=True):
+        ours = getattr(training, f"pair_{field}")[pairs]
+        np.testing.assert_allclose(ours, np.broadcast_to(theirs, ours.shape), rtol=1e-6, err_msg=field)
+
+
+@pytest.mark.parametrize("robot", ["franka", "so101"])
+def test_pads_without_priority_touch_as_the_fetch_s(robot):
+    arm, fetch = ROBOTS[robot]("grasp").model, ROBOTS["fetch"]("grasp").model
+    for field in ("friction", "solref", "solimp", "dim", "margin"):
+        ours, theirs = (getattr(model, f"pair_{field}")[pairs_of_pads(model)] for model in (arm, fetch))
+        np.testing.assert_array_equal(np.sort(ours, axis=0), np.sort(theirs, axis=0))
+
+
 def test_a_push_ends_where_it_does_with_many_more_iterations_of_the_solver(monkeypatch):
     """The cone of the UR5e's hand needs many: with too few the cube is thrown off the table."""
     policy = load_policy(assets_directory() / "policies" / "push.npz")
