@@ -33,9 +33,9 @@ class Options:
     """Derives the description of an arm of your own from its MJCF, and shows a scripted pick with it."""
 
     model: Annotated[Path, tyro.conf.Positional]
-    """MJCF of the arm, or of the arm and its hand."""
+    """MJCF or URDF of the arm, or of the arm and its hand."""
     hand: Annotated[Path | None, unless_given("the arm's file has it", "FILE")] = None
-    """MJCF of the hand of a bare arm."""
+    """MJCF or URDF of the hand of a bare arm."""
     flange: Annotated[str, unless_given("none", "NAME")] = ""
     """Site or body of the arm that takes the hand."""
     pads: Annotated[tuple[str, ...], unless_given("the two fingers", "NAME NAME")] = ()

@@ -36,15 +36,15 @@ def attach_arm(
 
     It touches with the geoms `palm`, `right_pad` and `left_pad`, and with those of `hgail_envs.robots.hand_boxes`. The
     first three, sites on the pads of the same names and the site `grip` are added to its model, whose own names get a
-    prefix. A `full` model keeps the maker's position servos, joints and colliding geoms, and touches with these, see
-    `hgail_envs.robots.full_model`. A ValueError says that the package with the model is not installed, or that its
-    model is none.
+    prefix. Pads have the contact parameters of the model's where those have priority. A `full` model keeps the maker's
+    position servos, joints and colliding geoms, and touches with these, see `hgail_envs.robots.full_model`. A
+    ValueError says that the package with the model is not installed, or that its model is none.
     """
     arm, spec = read_description(name), read_model(name, full)
     compiled = _compiled(name, text_of(name))
     _add_servos(spec, arm, compiled)
     _keep_inertias(spec, compiled[0])
-    touching = {pad: _with_priority(spec.body(getattr(arm, pad).body)) for pad in PADS}
+    contacts = {pad: _contact_by_priority(spec.body(getattr(arm, pad).body)) for pad in PADS}
     for geom in list(spec.geoms):
         if not (geom.contype or geom.conaffinity):
             geom.group = VISUAL_GROUP
@@ -65,12 +65,12 @@ def attach_arm(
         place = _add_part(scene, title, part, arm.scale)
         geom = scene.body(PREFIX + part.body).add_geom(**place, size=arm.scale * np.asarray(part.size), mass=0.0)
         geom.type, geom.contype, geom.conaffinity = mujoco.mjtGeom.mjGEOM_BOX, 0, 0
-        for field, value in touching.get(title, {}).items():
+        for field, value in contacts.get(title, {}).items():
             setattr(geom, field, value)
 
 
-def _with_priority(body: mujoco.MjsBody) -> dict[str, Any]:
-    """Returns how a body touches, fields of a geom: the mean of its colliding geoms of the highest priority above 0."""
+def _contact_by_priority(body: mujoco.MjsBody) -> dict[str, Any]:
+    """Returns fields of a geom that touches as a body does: means over its geoms of the highest priority, if any."""
     geoms = [geom for geom in body.geoms if geom.priority > 0 and (geom.contype or geom.conaffinity)]
     if not geoms:
         return {}
@@ -81,7 +81,7 @@ def _with_priority(body: mujoco.MjsBody) -> dict[str, Any]:
 
 
 def touch_by_priority(scene: mujoco.MjSpec) -> None:
-    """Lets a pad with priority touch by its own numbers, as MuJoCo would without the scene's pairs.
+    """Lets a pad with priority touch by its own numbers alone, as by MuJoCo's rule without the scene's pairs.
 
     Without priority the scene's pairs keep theirs, which are those of the Fetch's pads.
     """
@@ -192,9 +192,22 @@ def complete(spec: mujoco.MjSpec) -> None:
             joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-turn, turn]
 
 
+def read_file(path: Path) -> mujoco.MjSpec:
+    """Reads an MJCF, or a URDF, whose bodies have no names in a MjSpec before it is compiled."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    if path.suffix != ".urdf":
+        return spec
+    spec.compile()
+    compiled = mujoco.MjSpec.from_string(spec.to_xml())
+    compiled.modelfiledir = str(path.parent)
+    for geom in compiled.worldbody.geoms:  # the base, which would touch the link on it: they overlap in most files
+        geom.contype, geom.conaffinity = 0, 0
+    return compiled
+
+
 def _read(model: str, folder: str) -> mujoco.MjSpec:
-    if model.endswith(".xml"):
-        return mujoco.MjSpec.from_file(f"{folder}/{model}")
+    if model.endswith((".xml", ".urdf")):
+        return read_file(Path(folder) / model)
     return mujoco.MjSpec.from_string(model.replace("{package}", folder))
 
 

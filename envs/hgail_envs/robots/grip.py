@@ -13,8 +13,8 @@ from hgail_envs.robots.hand import PADS
 WEIGHT_PER_FORCE = 0.1
 """Most weight of an object for a force with which each pad presses on it.
 
-Two pads with a friction of 1 carry twenty times that at rest. A full action accelerates it by three or four g, and at
-twice the weight a script drops the cube in 3 to 6 % of its pick and place.
+Two pads with a friction of 1 carry twenty times that at rest, and a 2F-85's thirteen times. A full action accelerates
+it by three or four g, and at twice the weight a script drops the cube in 3 to 6 % of its pick and place.
 """
 
 _LEAST_MASS = 0.02  # kg of an object worth holding

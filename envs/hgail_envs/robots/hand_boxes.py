@@ -36,7 +36,7 @@ class HandBox(NamedTuple):
 def add_hand_boxes(scene: mujoco.MjSpec, name: str) -> None:
     """Lets the hand of an arm that is in a scene touch with boxes, too: the bodies of free joints that its pads touch.
 
-    The friction and the solver's numbers are those of the pads.
+    The friction and the solver's numbers are those of the scene's pairs with the pads.
     """
     objects = {}
     for pair in scene.pairs:

@@ -90,7 +90,7 @@ class ServoArm(Robot):
             bodies = {part: PREFIX + getattr(self._arm, part).body for part in ("palm", *PADS)}
             touch_with_bodies(spec, bodies, PREFIX)
         else:
-            add_hand_boxes(spec, self.name)
+            add_hand_boxes(spec, self.name)  # first: they touch as the scene's pads
             touch_by_priority(spec)
         pedestal = spec.worldbody.add_geom(pos=[x, y, TABLE_HEIGHT / 2], size=[0.1, TABLE_HEIGHT / 2, 0.0])
         pedestal.type, pedestal.contype, pedestal.conaffinity = mujoco.mjtGeom.mjGEOM_CYLINDER, 0, 0

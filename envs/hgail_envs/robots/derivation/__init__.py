@@ -9,7 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hgail_envs.robots.arm_model import attach_hand, complete
+from hgail_envs.robots.arm_model import attach_hand, complete, read_file
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.limits import for_each, limit_of, torques
 from hgail_envs.robots.derivation.motion import Motion, move_hand
@@ -67,10 +67,10 @@ def derive(given: Given) -> Derived:
 
 def _read(given: Given) -> mujoco.MjSpec:
     with explained(str(given.model)):
-        spec = mujoco.MjSpec.from_file(str(given.model))
+        spec = read_file(given.model)
     if given.hand is not None:
         with explained(str(given.hand)):
-            hand = mujoco.MjSpec.from_file(str(given.hand))
+            hand = read_file(given.hand)
         for element in (*hand.keys, *hand.lights, *hand.cameras, *hand.sensors):
             hand.delete(element)
         attach_hand(spec, hand, given.flange)

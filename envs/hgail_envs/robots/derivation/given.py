@@ -10,9 +10,9 @@ class Given:
     """What a user says about an arm."""
 
     model: Path
-    """MJCF of the arm, or of the arm and its hand."""
+    """MJCF or URDF of the arm, or of the arm and its hand."""
     hand: Path | None = None
-    """MJCF of a hand that is attached at the `flange`."""
+    """MJCF or URDF of a hand that is attached at the `flange`."""
     flange: str = ""
     """Site or body of the arm."""
     pads: Sequence[str] = ()
