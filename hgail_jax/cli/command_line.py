@@ -77,7 +77,7 @@ def _in_one_line(box: str) -> str:
     rules = r"(?m)[─-]{3,}\s*$"  # of ASCII, and without sides, where the output takes no other
     title, *parts = re.split(rules, re.sub("[│╭╮╰╯]", "", box))
     message, *others = parts or [title]
-    message = re.sub("'None', |, 'None'", "", " ".join(message.split()))  # a default, no choice
+    message = re.sub("'None', |, 'None'", "", " ".join(message.split()))  # the default, not a choice
     for heading, *lines in (other.strip().splitlines() or [""] for other in others):
         if heading.startswith("Argument helptext:"):
             why = message.split(": ", 1)[-1]

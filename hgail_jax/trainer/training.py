@@ -163,7 +163,7 @@ def trace_evaluations(run: Run) -> dict[str, Callable[[], SeedsEvaluation]]:
     """Traces the final evaluations, of a randomised task the nominal one too; returns functions that compile them."""
     states = jax.eval_shape(run.init)
     tasks: dict[str, GoalEnv] = {"final": run.env}
-    if isinstance(run.env, RandomizedEnv):
+    if isinstance(run.env, RandomizedEnv) and run.env.randomization != run.env.randomization.nominal():
         tasks["nominal"] = run.env.nominal()
     return {
         name: trace_evaluation(env, run.config, states, run.evaluation_episodes, run.mesh)

@@ -52,6 +52,12 @@ def resume(level, capsys):
     return capsys.readouterr().err
 
 
+def test_a_run_that_only_remembers_is_evaluated_once(capsys):
+    run.main([*SIZES, "--randomize", "none-history"])
+    assert "nominal" not in capsys.readouterr().out
+    assert load_policy("run/policies/seed-1.npz").randomization == Randomization(history=1)
+
+
 def test_a_randomised_run_says_so_and_resumes_as_such_alone(capsys):
     run.main([*SIZES, "--randomize", "small"])
     assert "nominal: success" in capsys.readouterr().out
