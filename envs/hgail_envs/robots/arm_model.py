@@ -45,13 +45,15 @@ def attach_arm(
     _add_servos(spec, arm, compiled)
     _keep_inertias(spec, compiled[0])
     contacts = {pad: _contact_by_priority(spec.body(getattr(arm, pad).body)) for pad in PADS}
+    shown = {geom.parent.name for geom in spec.geoms if not (geom.contype or geom.conaffinity)}
     for geom in list(spec.geoms):
-        if not (geom.contype or geom.conaffinity):
-            geom.group = VISUAL_GROUP
-        elif full:
+        touches = geom.contype or geom.conaffinity
+        if touches and full:
             geom.group = HIDDEN
-        else:
+        elif touches and geom.parent.name in shown:
             spec.delete(geom)
+        else:  # pictures show what touches of a body that has nothing else, as in a URDF
+            geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, 0, 0
     if arm.scale != 1.0:
         enlarge(spec, arm.scale)
         scene.option.gravity *= arm.scale

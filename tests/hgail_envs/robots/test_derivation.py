@@ -17,6 +17,7 @@ from hgail_envs.robots.derivation.writing import write_description
 from hgail_envs.robots.description import read_description
 from hgail_envs.robots.hand import PADS, rotation
 from hgail_envs.robots.servo_arm import ServoArm
+from hgail_envs.scenes import VISUAL_GROUP
 from tests.hgail_envs.robots.arms import FINGERS, MOTORS, SERVOS, arm
 
 
@@ -113,6 +114,15 @@ def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path, 
     assert (right - left)[1] - thickness == pytest.approx(0.05, abs=1e-3)
     fingers = [data.body(f"arm/{side}_finger").xpos[1] for side in ("right", "left")]
     assert fingers[0] - fingers[1] - 0.016 == pytest.approx(0.05, abs=1e-3)  # as the maker's boxes are
+
+
+def test_pictures_show_what_touches_of_an_arm_without_other_geoms(tmp_path, found):
+    robot, links = ServoArm(written(tmp_path, found), "grasp"), ("turret", "upper", "fore", "palm", "left_finger")
+    pictures = robot.load(visual=True)
+    for link in links:
+        shown = (pictures.geom_bodyid == pictures.body(f"arm/{link}").id) & (pictures.geom_group == VISUAL_GROUP)
+        assert shown.any() and not pictures.geom_contype[shown].any(), link
+    assert not (robot.model.geom_group == VISUAL_GROUP).any()
 
 
 def test_what_is_written_is_what_is_read(tmp_path, found):
