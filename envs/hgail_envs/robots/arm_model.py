@@ -1,4 +1,4 @@
-"""The MjSpec of an arm's model, on servos of its own and under the names that a scene knows."""
+"""The MjSpec of an arm, read from its MJCF or URDF: on servos of its own and under the names that a scene knows."""
 
 import dataclasses
 import functools

@@ -1,4 +1,4 @@
-"""A description of an arm, derived from its MJCF: what the tree of bodies, the joints and the shapes of the hand say.
+"""A description of an arm, derived from its MJCF or URDF: what its bodies, joints and the shapes of its hand say.
 
 The hand is moved through its range. Its pads are where the fingers' ends face each other at the width of the cube. The
 arm stands at the table where it reaches the largest workspace.
@@ -26,6 +26,9 @@ _LEAST_CHANGE = 0.004  # metres by which the gap of a hand changes at least
 _LOAD = 0.15  # of the strongest joint's torque, that of the heaviest object at the start
 _GRAVITY = 9.81  # m/s²
 _HEAVIEST = 2.0  # kg, of the tasks' objects
+_FASTEST_DRIVE = (
+    70.0  # rad/s, of the hand's servo by itself: with twice that it shakes, and drops cubes
+)
 _FAINT, _LIGHTEST = 30.0, 0.02  # newtons where a model names no force; kg, less than which no object weighs
 
 
@@ -157,7 +160,7 @@ def _hand(found: _Found) -> tuple[Hand, float]:
     force = min((force for force in found.forces if force), default=_FAINT * lever)
     stiffness = force / 0.1 if turns else force / (0.025 / scale)
     of_model = float(model.dof_armature[model.jnt_dofadr[motion.joints]].max())
-    armature = max(0.005 / scale**2, of_model) if turns else 1.0
+    armature = max(0.005 / scale**2, of_model, stiffness / _FASTEST_DRIVE**2) if turns else 1.0
     damping = 2.0 * np.sqrt(stiffness * armature)
     hand = Hand(
         [model.joint(joint).name for joint in motion.joints], closed, opened, force, stiffness, float(damping), armature

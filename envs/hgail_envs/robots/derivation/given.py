@@ -1,4 +1,4 @@
-"""The options of `hgail robot`, from which with the MJCF a description is derived."""
+"""The options of `hgail robot`, from which with the MJCF or URDF a description is derived."""
 
 import dataclasses
 from collections.abc import Sequence
