@@ -112,7 +112,7 @@ def whole(folders):
 
 @pytest.fixture
 def complete(folders, tmp_path):
-    """A complete run in the folder `run`."""
+    """A complete run in the folder `run`; ask for it before `capsys`, which would hear its training."""
     return shutil.copytree(folders("hgail"), tmp_path / "run")
 
 
@@ -171,7 +171,7 @@ def test_a_run_stopped_by_a_signal_saves_and_resumes(tmp_path, monkeypatch, caps
 
 
 def test_a_complete_run_writes_its_results_again_with_the_times_of_the_whole_run(
-    tmp_path, monkeypatch, capsys, whole, complete
+    tmp_path, monkeypatch, whole, complete, capsys
 ):
     for name in ("summary.json", "metrics.csv", "curves.png", "policies/seed-1.npz"):
         (tmp_path / "run" / name).unlink()
@@ -198,7 +198,7 @@ def test_a_complete_run_writes_its_results_again_with_the_times_of_the_whole_run
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_a_finished_run_is_left_as_it_is(tmp_path, capsys, complete, named):
+def test_a_finished_run_is_left_as_it_is(tmp_path, complete, capsys, named):
     """A command with --resume auto may be repeated until it does nothing, as in a script of a cluster."""
     folder = "run" if named else "runs/point-hgail-1"
     if not named:
@@ -232,7 +232,7 @@ def test_a_damaged_checkpoint_costs_a_round(tmp_path, monkeypatch, capsys, whole
     assert outcome(tmp_path / "run") == whole("hgail")
 
 
-def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, capsys, whole, complete):
+def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, whole, complete, capsys):
     shutil.rmtree("run/checkpoints")
     Path("run/.17.partial.metrics.csv").touch()
     start("--resume", "run")
@@ -244,7 +244,7 @@ def test_what_was_killed_before_its_first_checkpoint_begins_again(tmp_path, caps
     assert outcome(tmp_path / "runs" / "point-hgail-1") == whole("hgail")
 
 
-def test_a_folder_is_trained_in_by_one_process_at_a_time(capsys, complete):
+def test_a_folder_is_trained_in_by_one_process_at_a_time(complete, capsys):
     with sole_user(complete), pytest.raises(SystemExit) as exit_info:
         start("--resume", "run")
     assert exit_info.value.code == 2
@@ -265,7 +265,7 @@ def test_a_folder_is_trained_in_by_one_process_at_a_time(capsys, complete):
         (["--no-pretrain"], "config.learner.pretrain is True there and False here"),
     ],
 )
-def test_another_run_is_refused_in_one_line(tmp_path, capsys, complete, arguments, message):
+def test_another_run_is_refused_in_one_line(tmp_path, complete, capsys, arguments, message):
     for checkpoints in ("there", "missing"):
         if checkpoints == "missing":
             shutil.rmtree("run/checkpoints")
