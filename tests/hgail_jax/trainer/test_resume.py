@@ -425,8 +425,8 @@ def test_a_run_on_an_arm_whose_description_was_changed_is_another_one(monkeypatc
     refuse_another_run("folder", first, identity())
     with monkeypatch.context() as changed:  # the MJCF that it names
         changed.setattr("hgail_jax.trainer.run.digest", lambda model: "another")
-        with pytest.raises(AnotherRunError, match="its robot's description, or the model"):
+        with pytest.raises(AnotherRunError, match="description and model of the robot is"):
             refuse_another_run("folder", first, identity())
     description.write_text(text.replace("2.61, 2.61, 2.61", "2.0, 2.0, 2.0"))
-    with pytest.raises(AnotherRunError, match="folder holds another run: its robot's description, or the model"):
+    with pytest.raises(AnotherRunError, match=r"description and model of the robot is \w{8} there"):
         refuse_another_run("folder", first, identity())
