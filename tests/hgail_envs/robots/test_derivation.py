@@ -127,6 +127,19 @@ def test_pictures_show_what_touches_of_an_arm_without_other_geoms(tmp_path, foun
     assert not (robot.model.geom_group == VISUAL_GROUP).any()
 
 
+def test_of_a_pad_the_touching_geom_of_the_highest_priority_decides(tmp_path, found):
+    path, others = written(tmp_path, found), ((1, 0.9, 1), (2, 0.4, 1), (3, 0.7, 0))
+    more = [
+        f'<geom size="0.001" priority="{first}" friction="{mu}" contype="{bit}" conaffinity="{bit}"/>'
+        for first, mu, bit in others
+    ]
+    (tmp_path / "arm.xml").write_text(arm(FINGERS.replace("</body>", f"{''.join(more)}</body>")))
+    model = ServoArm(path, "grasp").model
+    pads = [model.geom(pad).id for pad in PADS]
+    touch = np.isin(model.pair_geom1, pads) | np.isin(model.pair_geom2, pads)
+    np.testing.assert_array_equal(model.pair_friction[touch, 0], [0.4] * 4)
+
+
 def test_what_is_written_is_what_is_read(tmp_path, found):
     read = read_description(written(tmp_path, found))
     for field in dataclasses.fields(found):

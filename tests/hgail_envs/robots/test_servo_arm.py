@@ -222,17 +222,17 @@ def test_a_script_does_the_tasks(task, robot, least):
 
 @pytest.mark.slow  # MJX-JAX compiles for a minute or two
 @pytest.mark.parametrize(
-    ("task", "robot", "least"),
+    ("task", "robot"),
     [
-        ("push", "franka", 0.9),
-        ("push", "ur5e", 0.9),
-        ("pick-and-place", "franka", 0.5),  # .62, and 1.00 by C MuJoCo: see docs/lab/robots.md
-        ("pick-and-place", "ur5e", 0.9),
+        ("push", "franka"),
+        ("push", "ur5e"),
+        pytest.param("pick-and-place", "franka", marks=pytest.mark.xfail(reason=".62 on MJX-JAX", strict=True)),
+        ("pick-and-place", "ur5e"),
     ],
 )
-def test_a_script_does_them_on_mjx(task, robot, least):
+def test_a_script_does_them_on_mjx(task, robot):
     env = made(task, robot, substeps=8, worlds=50, impl="jax")
-    assert run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome.success.mean() >= least
+    assert run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome.success.mean() >= 0.9
 
 
 @pytest.mark.parametrize(("robot", "force"), [("franka", 70.0), ("ur5e", 46.0)])
@@ -410,9 +410,16 @@ def test_a_jaw_pushes_with_the_place_where_its_pads_meet():
 
 
 @pytest.mark.slow  # half a minute each, MJX-JAX two minutes
-@pytest.mark.parametrize(("impl", "least"), [("c", 0.94), ("jax", 0.88)])
-@pytest.mark.parametrize("task", ["push", "pick-and-place"])
-def test_scripts_push_and_pick_on_the_flat_arm(task, impl, least):
+@pytest.mark.parametrize(
+    ("task", "impl"),
+    [
+        ("push", "c"),
+        pytest.param("push", "jax", marks=pytest.mark.xfail(reason=".90 on MJX-JAX", strict=True)),
+        ("pick-and-place", "c"),
+        ("pick-and-place", "jax"),
+    ],
+)
+def test_scripts_push_and_pick_on_the_flat_arm(task, impl):
     env = made(task, "so101", substeps=8, worlds=50, impl=impl)
     outcome = run_controller(env, next(iter(env.controllers)), 50, seed=0).outcome
-    assert outcome.success.mean() >= least
+    assert outcome.success.mean() >= 0.94

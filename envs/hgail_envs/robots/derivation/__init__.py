@@ -26,7 +26,7 @@ _LEAST_CHANGE = 0.004  # metres by which the gap of a hand changes at least
 _LOAD = 0.15  # of the strongest joint's torque, that of the heaviest object at the start
 _GRAVITY = 9.81  # m/s²
 _HEAVIEST = 2.0  # kg, of the tasks' objects
-_FASTEST_DRIVE = 70.0  # rad/s, of the hand's servo by itself: with twice that it shakes, and drops cubes
+_FASTEST_DRIVE = 70.0  # rad/s, of the hand's servo by itself: with 200 it shakes, and drops cubes
 _FAINT, _LIGHTEST = 30.0, 0.02  # newtons where a model names no force; kg, less than which no object weighs
 
 
