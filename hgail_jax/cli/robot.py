@@ -25,7 +25,9 @@ from hgail_jax.trainer.train_options import unless_given
 PROGRAM = "hgail robot"
 
 _TASK, _CONTROLLER = "pick-and-place", "from-above"
-_EPISODES = 2
+_FILMED = 2  # episodes
+_EPISODES = 20  # two are too few to see a bad grip
+_FEW = 18
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,9 +73,11 @@ def main(arguments: list[str] | None = None) -> None:
         fail(PROGRAM, error, 2)
     print(f"the script picks the cube up and brings it to its place in {picked} of {_EPISODES} episodes")
     print(f"{path}{', ' + ', '.join(map(str, files[1:])) if shown else ''}")
+    why = f"look at {files[1]}: is an axis wrong?" if shown else "a picture would show if an axis is wrong"
     if not picked:
-        why = f"look at {files[1]}: is an axis wrong?" if shown else "a picture would show if an axis is wrong"
         fail(PROGRAM, f"the script never picks the cube up; {why}", 1)
+    if picked < _FEW:
+        print(f"that is little, and policies hardly learn what the script cannot do; {why}")
 
 
 def _write(derived: Derived, path: Path, picture: Path, video: Path) -> tuple[int, bool]:
@@ -89,12 +93,14 @@ def _write(derived: Derived, path: Path, picture: Path, video: Path) -> tuple[in
         try:
             with replace_path(picture) as of_picture, replace_path(video) as of_video:
                 portrait(of_picture, env)
-                outcomes = film(of_video, env, lambda seen: np.asarray(controller(jnp.asarray(seen))), _EPISODES)
-                return sum(outcomes), True
+                film(of_video, env, lambda seen: np.asarray(controller(jnp.asarray(seen))), _FILMED)
+            shown = True
         except RenderingError as error:
             print(f"no picture and no film: {error}")
-        outcome = run_controller(env, _CONTROLLER, _EPISODES, seed=0).outcome
-        return int(np.sum(outcome.success)), False
+            shown = False
+        with StatusLine(f"the script's success in {_EPISODES} episodes"):
+            outcome = run_controller(env, _CONTROLLER, _EPISODES, seed=0).outcome
+        return int(np.sum(outcome.success)), shown
 
 
 def _beside(derived: Derived, folder: Path) -> Description:

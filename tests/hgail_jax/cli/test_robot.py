@@ -48,7 +48,8 @@ def test_what_is_refused_takes_a_line_and_leaves_no_file(folder, capsys, content
     assert files(folder) == ["my_arm.xml"]
 
 
-def test_a_failure_while_filming_leaves_no_file(folder, monkeypatch):
+@pytest.fixture
+def derived(monkeypatch):
     """The description, which takes long to derive and to make a task with, is any text here."""
     written = []
 
@@ -61,11 +62,31 @@ def test_a_failure_while_filming_leaves_no_file(folder, monkeypatch):
     monkeypatch.setattr(robot, "write_description", lambda *given: repr(given))
     monkeypatch.setattr("hgail_envs.make", make)
     monkeypatch.setattr(robot, "portrait", lambda path, env: path.write_bytes(b"half"))
+    monkeypatch.setattr(robot, "film", lambda path, *given: path.write_bytes(b"film"))
+    return written
+
+
+def test_a_failure_while_filming_leaves_no_file(folder, derived, monkeypatch):
     monkeypatch.setattr(robot, "film", lambda *given: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(SystemExit, match="2"):
         main(["robot", "my_arm.xml"])
-    assert written == ["('the description', ['a note'])"]
+    assert derived == ["('the description', ['a note'])"]
     assert files(folder) == ["my_arm.xml"]
+
+
+@pytest.mark.parametrize(("solved", "line"), [(20, ""), (18, ""), (17, "that is little"), (0, "never picks")])
+def test_a_script_that_often_fails_is_reported(folder, derived, monkeypatch, capsys, solved, line):
+    outcome = types.SimpleNamespace(success=np.arange(20) < solved)
+    monkeypatch.setattr(robot, "run_controller", lambda *given, **named: types.SimpleNamespace(outcome=outcome))
+    if solved:
+        main(["robot", "my_arm.xml"])
+    else:
+        with pytest.raises(SystemExit, match="1"):
+            main(["robot", "my_arm.xml"])
+    printed = "".join(capsys.readouterr())
+    assert f"in {solved} of 20 episodes" in printed
+    assert line in printed and ("look at my_arm.png" in printed) == bool(line)
+    assert files(folder) == ["my_arm.mp4", "my_arm.png", "my_arm.toml", "my_arm.xml"]
 
 
 def test_files_that_are_there_stay(folder, capsys):
@@ -80,7 +101,7 @@ def test_files_that_are_there_stay(folder, capsys):
 def test_a_users_arm_is_shown_trained_and_played(folder, capsys):
     main(["robot", "my_arm.xml", "--top-speed", "3"])
     out = capsys.readouterr().out
-    assert "in 2 of 2 episodes" in out
+    assert "in 20 of 20 episodes" in out
     assert files(folder) == ["my_arm.mp4", "my_arm.png", "my_arm.toml", "my_arm.xml"]
     assert np.asarray(Image.open("my_arm.png")).std() > 10
     env = gymnasium.make("hgail_envs/FetchPush-v0", robot="my_arm.toml")
