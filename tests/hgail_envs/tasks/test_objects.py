@@ -317,7 +317,7 @@ def test_mjx_jax_moves_as_c_mujoco(name):
     gripper, thing = 1000 * np.moveaxis(errors, 1, 0)
     print(f"{name}: gripper {np.median(gripper):.3f} mm, object 90th percentile {np.percentile(thing, 90):.3f} mm")
     assert np.median(gripper) <= 0.5
-    assert np.percentile(thing, 90) <= 2.0
+    assert np.percentile(thing, 90) <= 3.0
 
 
 @pytest.mark.slow

@@ -268,8 +268,8 @@ def test_the_scripted_hand_stacks():
 
 @pytest.mark.slow
 def test_fifty_steps_are_too_few_for_a_hand_that_explores():
-    """As the docstring has it: with a noise of .1 on the actions two thirds are done by then, nearly all by the end."""
+    """As the docstring has it: with a noise of .1 three fifths are done by then, most by the end."""
     reward = np.asarray(explored(SCENE).reward)
     assert len(reward) == 100
-    for steps, least, most in ((50, 0.6, 0.75), (100, 0.95, 1.0)):
+    for steps, least, most in ((50, 0.5, 0.7), (100, 0.8, 0.95)):
         assert least <= (reward[:steps] == 0.0).any(axis=0).mean() <= most

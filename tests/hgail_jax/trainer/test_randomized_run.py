@@ -89,7 +89,7 @@ def test_a_policy_of_td3_is_shown_the_actions_on_their_way(monkeypatch):
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8, critics=1)
     tiny = Preset(Config(learner=few, policy_hidden=(8,), discriminator_minibatches=0), TD3.hyperparameters())
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": tiny})
-    run.main([*SIZES, "--learner", "td3", "--randomize", "known"])
+    run.main([*SIZES, "--method", "her", "--learner", "td3", "--randomize", "known"])
     policy = load_policy("run/policies/seed-1.npz")
     assert policy.randomization == LEVELS["known"]
     assert policy.squash

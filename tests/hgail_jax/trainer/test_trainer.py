@@ -30,6 +30,8 @@ SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch, tmp_path, request):
+    if "whole_runs" in request.fixturenames:
+        return
     make_runs_tiny(monkeypatch)
     if not request.node.get_closest_marker("slow"):
         train_without_a_compiler(monkeypatch)
@@ -55,7 +57,8 @@ class After(threading.Event):
 def test_a_run_has_no_number_that_is_none(monkeypatch, learner):
     """Of a round alone `test_train` has it."""
     few = TD3(rollouts=1, updates=2, batch=8, buffer_episodes=8)
-    preset = Preset(Config(num_envs=4, rounds=1, learner=few, policy_hidden=(8,), discriminator_minibatches=1))
+    config = Config(num_envs=4, rounds=1, learner=few, policy_hidden=(8,), discriminator_minibatches=1)
+    preset = Preset(config, TD3.hyperparameters())
     monkeypatch.setitem(DEFAULTS["point"], "td3", {"cpu": preset})
     options = dataclasses.replace(SMALL, seeds=1, rounds=1, learner=learner)
     with jax.debug_nans(True):
@@ -249,8 +252,13 @@ def test_final_evaluations_have_as_many_episodes_as_asked_for(monkeypatch):
     ]
 
 
+@pytest.fixture
+def whole_runs():
+    """Asks for runs of the task's own sizes."""
+
+
 @pytest.mark.slow
-def test_two_seeds_learn_reach_and_run_in_the_reference(tmp_path):
+def test_two_seeds_learn_reach_and_run_in_the_reference(tmp_path, whole_runs):
     run.main(["--seeds", "2", "--out", str(tmp_path / "run")])
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert min(summary["success_rate"]["per_seed"]) >= 0.98
