@@ -74,7 +74,7 @@ if not process:
     [
         (("--method", "ppo"), {"rtol": 1e-3, "atol": 1e-4}),
         pytest.param(("--method", "hgail", "--learner", "ppo"), {"rtol": 1e-3, "atol": 1e-4}, marks=pytest.mark.slow),
-        # many gradient steps enlarge what is rounded otherwise: other flags of the compiler make as much
+        # many gradient steps enlarge a difference in rounding: other flags of the compiler change as much
         pytest.param(("--method", "hgail", "--learner", "td3"), {"rtol": 1e-2, "atol": 1e-2}, marks=pytest.mark.slow),
     ],
 )

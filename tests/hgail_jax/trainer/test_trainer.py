@@ -30,9 +30,8 @@ SMALL = TrainOptions(task="point", seeds=2, num_envs=4, rounds=4)
 
 @pytest.fixture(autouse=True)
 def tiny(monkeypatch, tmp_path, request):
-    if "whole_runs" in request.fixturenames:
-        return
-    make_runs_tiny(monkeypatch)
+    if "whole_runs" not in request.fixturenames:
+        make_runs_tiny(monkeypatch)
     if not request.node.get_closest_marker("slow"):
         train_without_a_compiler(monkeypatch)
     monkeypatch.chdir(tmp_path)
