@@ -246,7 +246,7 @@ def test_as_many_episodes_succeed_as_in_python(site, policy):
     starts = [start_of(jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(len(there))]
     (here,) = in_node(site, "evaluate", [{"task": task_of(policy), "policy": path_of(policy), "starts": starts}])
     print(f"{policy}: {np.mean(here):.3f} in Node, {there.mean():.3f} in Python")
-    # a puck's way differs by what is rounded otherwise
+    # a difference in rounding changes a puck's way
     assert abs(np.mean(here) - there.mean()) <= (0.06 if task_of(policy) == "slide" else 0.02)
 
 

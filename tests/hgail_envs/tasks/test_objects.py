@@ -299,8 +299,8 @@ def test_no_controller_reads_the_official_observation():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["push", "pick-and-place", "stack", "tower"])
-def test_mjx_jax_moves_as_c_mujoco(name):
+@pytest.mark.parametrize(("name", "most"), [("push", 2.0), ("pick-and-place", 3.0), ("stack", 3.0), ("tower", 3.0)])
+def test_mjx_jax_moves_as_c_mujoco(name, most):
     """After an action from equal states, time and again."""
     env, other = (hgail_envs.make(name, impl=impl) for impl in ("c", "jax"))
     step, step_on_jax, place = (jax.jit(jax.vmap(each)) for each in (env.step, other.step, env.place))
@@ -317,7 +317,7 @@ def test_mjx_jax_moves_as_c_mujoco(name):
     gripper, thing = 1000 * np.moveaxis(errors, 1, 0)
     print(f"{name}: gripper {np.median(gripper):.3f} mm, object 90th percentile {np.percentile(thing, 90):.3f} mm")
     assert np.median(gripper) <= 0.5
-    assert np.percentile(thing, 90) <= 3.0
+    assert np.percentile(thing, 90) <= most
 
 
 @pytest.mark.slow

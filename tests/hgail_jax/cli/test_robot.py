@@ -62,13 +62,13 @@ def derived(monkeypatch):
     monkeypatch.setattr(robot, "write_description", lambda *given: repr(given))
     monkeypatch.setattr("hgail_envs.make", make)
     monkeypatch.setattr(robot, "portrait", lambda path, env: path.write_bytes(b"half"))
-    monkeypatch.setattr(robot, "film", lambda path, *given: path.write_bytes(b"film"))
+    monkeypatch.setattr(robot, "film", lambda path, env, act, episodes: path.write_text(f"{episodes} episodes"))
     monkeypatch.setattr(robot, "run_controller", lambda env, name, episodes, seed: solved_of(episodes, episodes))
     return written
 
 
 def solved_of(solved, episodes):
-    """What running a script returns, as far as it is read."""
+    """Returns what `run_controller` does, with the success of the episodes alone, of which the first ones succeed."""
     return types.SimpleNamespace(outcome=types.SimpleNamespace(success=np.arange(episodes) < solved))
 
 
@@ -92,6 +92,7 @@ def test_a_script_that_often_fails_is_reported(folder, derived, monkeypatch, cap
     printed = "".join(capsys.readouterr())
     assert f"in {solved} of 20 episodes" in printed
     assert [line for line in ("nearly all", "never picks") if line in printed] == lines
+    assert (folder / "my_arm.mp4").read_text() == "2 episodes"
     assert files(folder) == ["my_arm.mp4", "my_arm.png", "my_arm.toml", "my_arm.xml"]
 
 
