@@ -60,9 +60,9 @@ def hand_boxes(name: str) -> list[HandBox]:
     """Returns the boxes of an arm's hand; `name` is that of a description, see `read_description`.
 
     Of the colliding shapes of each body of the hand, which is as open as an object is wide, the convex hull is taken,
-    and of it what is lower than the top of an object on the table, and not in front of the pad on its side. The box has
-    the inertia of that, and so nearly its volume. What is no larger than the pad has none, nor has the palm, and nor
-    has a model without colliding geoms.
+    and of it what is lower than the top of an object on the table, and not in front of the pad on its side. Its lower
+    and its upper half have a box each, along the tool's axes and as large as the half. What is no larger than the pad
+    has none, nor has the palm, and nor has a model without colliding geoms.
     """
     return _found(name, text_of(name))
 
@@ -103,7 +103,10 @@ def _found(name: str, text: str) -> list[HandBox]:
         points = np.concatenate([_cut(shape, np.array([0.0, side, 0.0]), face) for shape in shapes])
         larger = (points < pad.min(axis=0) - _BEYOND) | (points > pad.max(axis=0) + _BEYOND)
         if larger.any() and np.ptp(points, axis=0).min() > _LEAST:
-            boxes.append(_fitted(hand, body, points, side, face))
+            middle_height = 0.5 * (points[:, 0].min() + points[:, 0].max())
+            for way in (1.0, -1.0):
+                half = _cut(points, np.array([way, 0.0, 0.0]), way * middle_height)
+                boxes.append(_around(hand, body, half, side, face))
     return boxes
 
 
@@ -160,24 +163,17 @@ def _surface(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return _CORNERS * (size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
 
 
-def _fitted(hand: _Hand, body: int, points: np.ndarray, side: float, face: float) -> HandBox:
-    """Returns the box with the inertia of a convex hull of points, `[points, 3]`, without what passes a pad's face."""
-    spec = mujoco.MjSpec()
-    mesh = spec.add_mesh(name="hull", uservert=points.ravel())
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, meshname="hull")
-    box = spec.compile()
-    axes, pos, size = rotation(box.geom_quat[0]), box.geom_pos[0].copy(), box.geom_size[0].copy()
-    across = side * axes[1]
-    beyond = max(0.0, face - (side * pos[1] - np.abs(across) @ size))
-    thin = int(np.argmax(np.abs(across)))
-    size[thin] -= 0.5 * beyond / abs(across[thin])
-    pos += axes[:, thin] * 0.5 * beyond / across[thin]
-    to_body = _axes(hand.data.xmat[body]).T
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, (to_body @ hand.frame @ axes).ravel())
-    place = hand.data.site("grip").xpos + hand.frame @ pos - hand.data.xpos[body]
-    return HandBox(hand.model.body(body).name, to_body @ place, quat, size)
+def _around(hand: _Hand, body: int, points: np.ndarray, side: float, face: float) -> HandBox:
+    """Returns the box around points, `[points, 3]`, along the tool's axes, without what passes a pad's face."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    if side > 0:
+        low[1] = max(low[1], face)
+    else:
+        high[1] = min(high[1], -face)
+    to_body, quat = _axes(hand.data.xmat[body]).T, np.zeros(4)
+    mujoco.mju_mat2Quat(quat, (to_body @ hand.frame).ravel())
+    place = hand.data.site("grip").xpos + hand.frame @ (0.5 * (low + high)) - hand.data.xpos[body]
+    return HandBox(hand.model.body(body).name, to_body @ place, quat, 0.5 * (high - low))
 
 
 def _axes(matrix: np.ndarray) -> np.ndarray:
