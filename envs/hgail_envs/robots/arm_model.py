@@ -72,13 +72,19 @@ def attach_arm(
 
 
 def _contact_by_priority(body: mujoco.MjsBody) -> dict[str, Any]:
-    """Returns fields of a geom that touches as a body does: means over its geoms of the highest priority, if any."""
+    """Returns fields of a geom that touches as a body does: means over its geoms of the highest priority, if any.
+
+    What lies on all of them touches each, so that they are stiffer together: compliances, (1 - impedance) / impedance,
+    are divided by their number.
+    """
     geoms = [geom for geom in body.geoms if geom.priority > 0 and (geom.contype or geom.conaffinity)]
     if not geoms:
         return {}
     highest = max(geom.priority for geom in geoms)
     geoms = [geom for geom in geoms if geom.priority == highest]
     means = {name: np.mean([getattr(geom, name) for geom in geoms], axis=0) for name in _CONTACT}
+    impedance = means["solimp"][:2]
+    means["solimp"][:2] = len(geoms) * impedance / (1.0 + (len(geoms) - 1) * impedance)
     return means | {"priority": highest, "condim": max(geom.condim for geom in geoms)}
 
 

@@ -97,7 +97,10 @@ def pairs_of_pads(model):
 
 
 def test_pads_with_priority_touch_in_training_as_in_the_full_model():
-    """The 2F-85's file gives both boxes of a pad priority; in training there is one, with the mean of their numbers."""
+    """The 2F-85's file gives both boxes of a pad priority; in training there is one, with the mean of their numbers.
+
+    Only its impedance is higher, see the next test.
+    """
     full, training = engine_of("ur5e").model, ROBOTS["ur5e"]("grasp").model
     data, cube, touching = mujoco.MjData(full), full.geom("cube").id, []
     for name in ("right_pad1", "right_pad2"):
@@ -113,7 +116,37 @@ def test_pads_with_priority_touch_in_training_as_in_the_full_model():
     assert len(pairs) == 4  # two pads touch the cube and the table
     for field, theirs in zip(("friction", "solref", "solimp", "dim", "margin"), expected, strict=True):
         ours = getattr(training, f"pair_{field}")[pairs]
+        if field == "solimp":
+            ours, theirs = ours[:, 2:], theirs[2:]
         np.testing.assert_allclose(ours, np.broadcast_to(theirs, ours.shape), rtol=1e-6, err_msg=field)
+
+
+def test_a_cube_sinks_as_far_into_a_pad_of_one_box_as_into_the_file_s_two():
+    full, training = engine_of("ur5e").model, ROBOTS["ur5e"]("grasp").model
+    pair = pairs_of_pads(training)[0]
+    of_training = sunk([training.geom("right_pad").size], training.pair_solref[pair], training.pair_solimp[pair])
+    boxes = [full.geom(f"arm/hand/right_pad{number}") for number in (1, 2)]
+    of_file = sunk([box.size for box in boxes], boxes[0].solref, boxes[0].solimp)
+    assert of_training == pytest.approx(of_file, rel=0.03)
+
+
+def sunk(sizes, solref, solimp):
+    """Returns how far a cube sinks by its weight into boxes beside each other, by C MuJoCo, in metres."""
+    scene = mujoco.MjSpec()
+    scene.option.timestep = 0.002
+    thickness = [np.sort(size)[0] for size in sizes]
+    for number, size in enumerate(sizes):
+        edges = np.sort(size)[[1, 2, 0]] if len(sizes) == 1 else np.asarray(size)[[0, 2, 1]]
+        geom = scene.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=edges, priority=1)
+        geom.pos[1] = (number - 0.5 * (len(sizes) - 1)) * 2.0 * edges[1]
+        geom.solref, geom.solimp = solref, solimp
+    cube = scene.worldbody.add_body(pos=[0.0, 0.0, thickness[0] + 0.025])
+    cube.add_freejoint()
+    cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.025] * 3, mass=2.0)
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 2000)
+    return thickness[0] + 0.025 - data.qpos[2]
 
 
 @pytest.mark.parametrize("robot", ["franka", "so101"])
