@@ -74,8 +74,8 @@ def attach_arm(
 def _contact_by_priority(body: mujoco.MjsBody) -> dict[str, Any]:
     """Returns fields of a geom that touches as a body does: means over its geoms of the highest priority, if any.
 
-    What lies on all of them touches each, so that they are stiffer together: compliances, (1 - impedance) / impedance,
-    are divided by their number.
+    What lies on all of them touches each. So both ends of the impedance are raised until compliances, (1 - impedance) /
+    impedance, are divided by their number.
     """
     geoms = [geom for geom in body.geoms if geom.priority > 0 and (geom.contype or geom.conaffinity)]
     if not geoms:

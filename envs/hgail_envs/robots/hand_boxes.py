@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 from hgail_envs.robots.arm_model import HIDDEN, PREFIX, attach_arm
 from hgail_envs.robots.description import read_description, text_of
 from hgail_envs.robots.grip import tabulate_hand
-from hgail_envs.robots.hand import PADS, rotation
+from hgail_envs.robots.hand import PADS
 
 _WIDTH = 0.05  # metres of the scene of an object on the table, along each edge
 _LEAST = 0.005  # metres of the scene by which a shape must reach below its top, and of its thickness
@@ -106,7 +106,7 @@ def _found(name: str, text: str) -> list[HandBox]:
             middle_height = 0.5 * (points[:, 0].min() + points[:, 0].max())
             for way in (1.0, -1.0):
                 half = _cut(points, np.array([way, 0.0, 0.0]), way * middle_height)
-                boxes.append(_around(hand, body, half, side, face))
+                boxes.append(_around(hand, body, half))
     return boxes
 
 
@@ -163,13 +163,9 @@ def _surface(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return _CORNERS * (size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
 
 
-def _around(hand: _Hand, body: int, points: np.ndarray, side: float, face: float) -> HandBox:
-    """Returns the box around points, `[points, 3]`, along the tool's axes, without what passes a pad's face."""
+def _around(hand: _Hand, body: int, points: np.ndarray) -> HandBox:
+    """Returns the box around points, `[points, 3]`, along the tool's axes."""
     low, high = points.min(axis=0), points.max(axis=0)
-    if side > 0:
-        low[1] = max(low[1], face)
-    else:
-        high[1] = min(high[1], -face)
     to_body, quat = _axes(hand.data.xmat[body]).T, np.zeros(4)
     mujoco.mju_mat2Quat(quat, (to_body @ hand.frame).ravel())
     place = hand.data.site("grip").xpos + hand.frame @ (0.5 * (low + high)) - hand.data.xpos[body]

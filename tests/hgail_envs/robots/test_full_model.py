@@ -99,7 +99,7 @@ def pairs_of_pads(model):
 def test_pads_with_priority_touch_in_training_as_in_the_full_model():
     """The 2F-85's file gives both boxes of a pad priority; in training there is one, with the mean of their numbers.
 
-    Only its impedance is higher, see the next test.
+    Both ends of its impedance d are higher: a half of the compliance, (1 - d) / d, is that of 2 d / (1 + d).
     """
     full, training = engine_of("ur5e").model, ROBOTS["ur5e"]("grasp").model
     data, cube, touching = mujoco.MjData(full), full.geom("cube").id, []
@@ -117,7 +117,7 @@ def test_pads_with_priority_touch_in_training_as_in_the_full_model():
     for field, theirs in zip(("friction", "solref", "solimp", "dim", "margin"), expected, strict=True):
         ours = getattr(training, f"pair_{field}")[pairs]
         if field == "solimp":
-            ours, theirs = ours[:, 2:], theirs[2:]
+            theirs[:2] = 2.0 * theirs[:2] / (1.0 + theirs[:2])
         np.testing.assert_allclose(ours, np.broadcast_to(theirs, ours.shape), rtol=1e-6, err_msg=field)
 
 
@@ -131,11 +131,12 @@ def test_a_cube_sinks_as_far_into_a_pad_of_one_box_as_into_the_file_s_two():
 
 
 def sunk(sizes, solref, solimp):
-    """Returns how far a cube sinks by its weight into boxes beside each other, by C MuJoCo, in metres."""
+    """Returns how far a cube of 2 kg sinks by its weight into boxes beside each other, by C MuJoCo, in metres."""
     scene = mujoco.MjSpec()
     scene.option.timestep = 0.002
     thickness = [np.sort(size)[0] for size in sizes]
     for number, size in enumerate(sizes):
+        # the thin edge upward, and the file's two beside each other along y
         edges = np.sort(size)[[1, 2, 0]] if len(sizes) == 1 else np.asarray(size)[[0, 2, 1]]
         geom = scene.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=edges, priority=1)
         geom.pos[1] = (number - 0.5 * (len(sizes) - 1)) * 2.0 * edges[1]

