@@ -68,7 +68,7 @@ def policy_files(path: Path) -> list[Path]:
         return [path]
     found = list((path / "policies").glob("*.npz")) or list(path.glob("*.npz"))
     if not found and (path / "config.json").exists() and not (path / "summary.json").exists():
-        raise ValueError(f"{path} has no policies until the run ends; hgail train --resume {path} resumes it")
+        raise ValueError(f"{path} has no policies until the run ends; resume it with its options and --resume {path}")
     if not found:
         raise ValueError(f"{path} does not hold a policy: it is no regular file, nor a run's folder with policies")
     seeds = [file for file in found if re.fullmatch(r"seed-\d+\.npz", file.name)]  # no copies of theirs

@@ -20,7 +20,7 @@ def check_robot(name: str) -> None:
     if is_file(name):
         read_description(name)
     else:
-        check_name("robot", name, (*ROBOTS, "a file of your own, FILE.toml"))
+        check_name("robot", name, (*ROBOTS, "FILE.toml, which hgail robot writes"))
 
 
 def make_robot(name: str, scene: str, base_x: float, start_height: float) -> Robot:

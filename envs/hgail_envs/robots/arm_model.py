@@ -169,6 +169,8 @@ def read_model(name: str, actuators: bool = False) -> mujoco.MjSpec:
     welds = [equality for equality in spec.equalities if pulled & {equality.name1, equality.name2}]
     for element in (*spec.keys, *spec.lights, *spec.cameras, *spec.sensors, *others, *welds, *mocaps):
         spec.delete(element)
+    for site in spec.sites:
+        site.group = HIDDEN  # pictures would show the file's marks over the arm
     spec.nuser_actuator = -1  # MuJoCo would warn that there are none
     complete(spec)
     _check_names(name, arm, spec)

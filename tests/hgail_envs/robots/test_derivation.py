@@ -127,6 +127,13 @@ def test_pictures_show_what_touches_of_an_arm_without_other_geoms(tmp_path, foun
     assert not (robot.model.geom_group == VISUAL_GROUP).any()
 
 
+def test_pictures_do_not_show_the_sites_of_a_file(tmp_path, found):
+    pictures = ServoArm(written(tmp_path, found), "grasp").load(visual=True)
+    sites = [pictures.site(site) for site in range(pictures.nsite)]
+    groups = [int(site.group[0]) for site in sites if site.name.startswith("arm/")]
+    assert groups and not mujoco.MjvOption().sitegroup[groups].any()
+
+
 def test_of_a_pad_the_touching_geom_of_the_highest_priority_decides(tmp_path, found):
     path, others = written(tmp_path, found), ((1, 0.9, 1), (2, 0.4, 1), (3, 0.7, 0))
     more = [

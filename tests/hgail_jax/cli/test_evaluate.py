@@ -259,7 +259,10 @@ def test_the_reference_of_an_arm_is_its_full_model(tmp_path, capsys, shipped_pol
         (["--seed", "-1"], "seed is -1"),
         (["--task", "poke"], "unknown task 'poke'"),
         (["--policy", "none.npz"], "there is no file or folder none.npz"),
-        (["--policy", "stopped"], "stopped has no policies until the run ends; hgail train --resume stopped resumes"),
+        (
+            ["--policy", "stopped"],
+            "stopped has no policies until the run ends; resume it with its options and --resume stopped",
+        ),
         (["--policy", "ended"], "ended does not hold a policy: it is no regular file, nor a run's folder"),
         (["--policy", "text.md"], "text.md does not hold a policy: File is not a zip file"),
         (["--policy", "."], ". does not hold a policy: it is no regular file, nor a run's folder"),
