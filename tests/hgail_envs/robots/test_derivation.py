@@ -118,6 +118,15 @@ def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path, 
     assert fingers[0] - fingers[1] - 0.016 == pytest.approx(0.05, abs=1e-3)  # as the maker's boxes are
 
 
+def test_fingers_that_end_below_their_pads_stay_as_clear_of_the_table(tmp_path, fewer_places):
+    left, right = FINGERS.split('<body name="right_finger"')
+    back = '<geom type="box" size="0.003 0.01 0.03" pos="{} 0 0.006" mass="0.01"/></body>'  # 10 mm behind the pad
+    fingers = left.replace("</body>", back.format(0.005)) + '<body name="right_finger"'
+    found, _ = derived(tmp_path, fingers=fingers + right.replace("</body>", back.format(-0.005)))
+    np.testing.assert_allclose(found.tool.pos, [0, 0, 0.16 - 0.0185], atol=1e-3)  # of the pads
+    assert found.clearance == pytest.approx(0.004 + 0.006, abs=1e-6)
+
+
 def test_pictures_show_what_touches_of_an_arm_without_other_geoms(tmp_path, found):
     robot, links = ServoArm(written(tmp_path, found), "grasp"), ("turret", "upper", "fore", "palm", "left_finger")
     pictures = robot.load(visual=True)

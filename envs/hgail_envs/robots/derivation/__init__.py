@@ -137,7 +137,7 @@ def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[
         hand=hand,
         armature=armature,
         payload=payload,
-        clearance=Description.clearance / scale,
+        clearance=Description.clearance / scale + pads.beyond,
         meeting=0.0 if abs(meeting) < 0.002 / scale else meeting,
         tilt_weight=place.tilt_weight,
         scale=scale,

@@ -33,6 +33,8 @@ class Pads(NamedTuple):
     parts: tuple[Part, Part]
     facing: bool
     """Whether the faces of the pads overlap, so that they can hold something."""
+    beyond: float
+    """Metres by which the fingers end beyond the pads."""
 
 
 def find_pads(model: mujoco.MjModel, parts: Parts, motion: Motion, width: float, scale: float) -> Pads:
@@ -71,7 +73,8 @@ def _pads_at(model: mujoco.MjModel, parts: Parts, motion: Motion, step: int, sca
         first, second = (_in_palm(hand, snapshot, palm, box) for box in boxes)
         gaps.append((second - first) @ axes[:, 1] - 2.0 * size[1])
         middles.append((first + second) / 2 + axes[:, 0] * height)
-    return Pads(axes, np.array(gaps), np.array(middles), (boxes[0], boxes[1]), bool(half > _OVERLAP))
+    beyond = max(float((points @ axes[:, 0]).max()) for points, _ in clouds) - depth
+    return Pads(axes, np.array(gaps), np.array(middles), (boxes[0], boxes[1]), bool(half > _OVERLAP), beyond)
 
 
 def _axes(closing: np.ndarray, pointing: np.ndarray, last: np.ndarray) -> np.ndarray:
