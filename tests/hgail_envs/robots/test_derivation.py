@@ -100,6 +100,8 @@ def test_parts_axes_and_servos_are_those_of_the_arm(found_and_said):
     np.testing.assert_allclose(x, [0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(y, [-1, 0, 0], atol=1e-6)  # the right finger opens along -x
     np.testing.assert_allclose([found.hand.closed, found.hand.opened], [[0, 0], [0.04, 0.04]], atol=2e-3)
+    np.testing.assert_allclose([*found.palm.pos[:2], found.palm.pos[2] + found.palm.size[0]], [0, 0, 0.08], atol=1e-6)
+    np.testing.assert_allclose(found.palm.size[1:], [0.06, 0.02], atol=1e-6)  # it ends and is wide as the arm's box is
     assert found.scale == 1.0 and found.meeting == 0.0
     assert not any("guess" in line for line in notes)
 
@@ -209,6 +211,7 @@ def test_the_franka_is_the_one_that_comes_with_the_package(tmp_path):
     found, _ = derive(Given(tmp_path / "franka.xml", torque=shipped.torque, top_speed=shipped.top_speed))
     assert_alike(found, shipped)
     assert (found.hand.force, found.hand.stiffness) == (shipped.hand.force, shipped.hand.stiffness)
+    assert found.palm.pos[2] + found.palm.size[0] == pytest.approx(shipped.palm.pos[2] + shipped.palm.size[0], abs=4e-3)
 
 
 def test_the_ur5e_with_a_linkage_is_the_one_that_comes_with_the_package():

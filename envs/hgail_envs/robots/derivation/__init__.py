@@ -12,7 +12,7 @@ import numpy as np
 from hgail_envs.robots.arm_model import attach_hand, complete, read_file
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.limits import for_each, limit_of, torques
-from hgail_envs.robots.derivation.motion import Motion, move_hand
+from hgail_envs.robots.derivation.motion import Motion, move_hand, points_of, same_bodies
 from hgail_envs.robots.derivation.pads import CUBE_WIDTH, ROOM, Pads, find_pads, quaternion_of, tool_of, turned
 from hgail_envs.robots.derivation.placement import Place, find_place, reach_of
 from hgail_envs.robots.derivation.tree import Parts, find_parts
@@ -22,6 +22,11 @@ from hgail_envs.scenes import explained
 
 _SCALES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)  # metres of the scene to one of the robot; the least possible is taken
 _TOP_SPEED = 3.14  # rad/s, where none is given
+_PALM, _TO_PALM = (
+    (0.03, 0.05, 0.03),
+    0.1,
+)  # metres of the scene, half the edges of a box and how far above the tool it is
+_THINNEST = 0.002  # metres, half of the least edge of a palm
 _LEAST_CHANGE = 0.004  # metres by which the gap of a hand changes at least
 _LOAD = 0.15  # of the strongest joint's torque, that of the heaviest object at the start
 _GRAVITY = 9.81  # m/s²
@@ -131,7 +136,7 @@ def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[
         home=place.home,
         reach=[place.distance, 0.0],
         tool=Part(palm, tool, quat),
-        palm=Part(palm, tool - axes[:, 0] * 0.1 / scale, quat, np.array([0.03, 0.05, 0.03]) / scale),
+        palm=_palm(found, tool),
         right_pad=pads.parts[1],
         left_pad=pads.parts[0],
         hand=hand,
@@ -142,6 +147,21 @@ def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[
         tilt_weight=place.tilt_weight,
         scale=scale,
     )
+
+
+def _palm(found: _Found, tool: np.ndarray) -> Part:
+    """Returns the box around the lowest part of the palm, or an ordinary one if the palm has no shape or is a jaw."""
+    model, parts, motion, scale, pads, _ = found
+    palm, sides = same_bodies(model, motion.model, parts)
+    half = np.array(_PALM) / scale
+    middle = tool - pads.axes[:, 0] * _TO_PALM / scale
+    points, _ = points_of(motion.model, motion.data[0], palm, {palm})
+    if len(points) and not any(palm in side for side in sides):
+        places = points @ pads.axes
+        lowest = places[places[:, 0] > places[:, 0].max() - 2.0 * half[0]]
+        least, most = lowest.min(axis=0), lowest.max(axis=0)
+        middle, half = pads.axes @ ((least + most) / 2.0), np.maximum((most - least) / 2.0, _THINNEST)
+    return Part(model.body(parts.palm).name, middle, quaternion_of(pads.axes), half)
 
 
 def _hand(found: _Found) -> tuple[Hand, float]:
