@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 import hgail_envs
+from hgail_envs.tasks.controllers import push
 from hgail_envs.tasks.grasp import Grasp
 from hgail_envs.tasks.reach import Reach
 from hgail_jax.play.recording import run_controller
@@ -29,6 +30,21 @@ def test_lines_are_straight_and_at_full_speed_until_one_stride_away():
     np.testing.assert_allclose(straight(far), [1.0, -0.5, 0.25, 1.0], rtol=1e-3)
     np.testing.assert_allclose(straight(near), [0.5, 0.0, 0.0, 1.0], atol=1e-3)
     np.testing.assert_allclose(closed(far), [1.0, -0.5, 0.25, -1.0], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("height", "falling", "pushes"), [(0.425, 0.01, True), (0.44, 0.01, False), (0.44, 0.0, True), (0.46, 0.0, False)]
+)
+def test_push_begins_where_the_hand_is_low_or_comes_no_lower(height, falling, pushes):
+    hand = jnp.array([1.24, 0.7, height])
+    state = {
+        "gripper position": hand,
+        "gripper velocity": jnp.array([0.0, 0.0, -falling]),
+        "cube position": jnp.array(CUBE),
+        "cube position less gripper position": CUBE - hand,
+        "target position": jnp.array([1.4, 0.7, 0.425]),
+    }
+    assert float(push(state)[0]) == pytest.approx(0.6 if pushes else 0.0)
 
 
 def test_controllers_take_batches():

@@ -26,6 +26,7 @@ _PALM, _TO_PALM = (
     (0.03, 0.05, 0.03),
     0.1,
 )  # metres of the scene, half the edges of a box and how far above the tool it is
+_LOWEST = 0.02  # metres of the scene, the part of a palm that can touch what is on the table
 _THINNEST = 0.002  # metres, half of the least edge of a palm
 _LEAST_CHANGE = 0.004  # metres by which the gap of a hand changes at least
 _LOAD = 0.15  # of the strongest joint's torque, that of the heaviest object at the start
@@ -158,7 +159,7 @@ def _palm(found: _Found, tool: np.ndarray) -> Part:
     points, _ = points_of(motion.model, motion.data[0], palm, {palm})
     if len(points) and not any(palm in side for side in sides):
         places = points @ pads.axes
-        lowest = places[places[:, 0] > places[:, 0].max() - 2.0 * half[0]]
+        lowest = places[places[:, 0] > places[:, 0].max() - _LOWEST / scale]
         least, most = lowest.min(axis=0), lowest.max(axis=0)
         middle, half = pads.axes @ ((least + most) / 2.0), np.maximum((most - least) / 2.0, _THINNEST)
     return Part(model.body(parts.palm).name, middle, quaternion_of(pads.axes), half)
