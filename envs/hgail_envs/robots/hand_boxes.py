@@ -94,18 +94,18 @@ def _found(name: str, text: str) -> list[HandBox]:
     colliding, boxes = (hand.model.geom_contype | hand.model.geom_conaffinity) != 0, []
     for body in _bodies_beside_the_palm(hand.model, arm.palm.body, [getattr(arm, pad).body for pad in PADS]):
         geoms = np.flatnonzero((hand.model.geom_bodyid == body) & colliding).tolist()
-        shapes = [_cut(hand.points(geom), np.array([1.0, 0.0, 0.0]), top) for geom in geoms]
+        shapes = [cut_hull(hand.points(geom), np.array([1.0, 0.0, 0.0]), top) for geom in geoms]
         if not any(map(len, shapes)):
             continue
         side = float(np.sign(np.concatenate(shapes)[:, 1].mean() - middle))
         pad = pads[0 if side > 0 else 1]
         face = float((side * pad[:, 1]).min()) + _RECESS
-        points = np.concatenate([_cut(shape, np.array([0.0, side, 0.0]), face) for shape in shapes])
+        points = np.concatenate([cut_hull(shape, np.array([0.0, side, 0.0]), face) for shape in shapes])
         larger = (points < pad.min(axis=0) - _BEYOND) | (points > pad.max(axis=0) + _BEYOND)
         if larger.any() and np.ptp(points, axis=0).min() > _LEAST:
             middle_height = 0.5 * (points[:, 0].min() + points[:, 0].max())
             for way in (1.0, -1.0):
-                half = _cut(points, np.array([way, 0.0, 0.0]), way * middle_height)
+                half = cut_hull(points, np.array([way, 0.0, 0.0]), way * middle_height)
                 boxes.append(_around(hand, body, half))
     return boxes
 
@@ -136,7 +136,7 @@ def _bodies_beside_the_palm(model: mujoco.MjModel, palm: str, of_pads: list[str]
     return sorted(carried if palm in of_pads else carried - {first})
 
 
-def _cut(points: np.ndarray, normal: np.ndarray, least: float) -> np.ndarray:
+def cut_hull(points: np.ndarray, normal: np.ndarray, least: float) -> np.ndarray:
     """Cuts a convex hull of points, `[points, 3]`, along a plane: those above it, and where edges pass through it."""
     heights = points @ normal - least
     inside, outside = points[heights >= 0.0], points[heights < 0.0]

@@ -24,7 +24,8 @@ _PERIOD = 0.04  # seconds between two actions
 _FULL_SPEED = _STRIDE / _PERIOD  # m/s
 _SAFE_SPEED = 0.6  # actions; a cube that is pushed faster tips over
 _PUSHING_HEIGHT, _PASSING_HEIGHT = 0.42, 0.5  # metres of the gripper; a cube's top is at 0.45, the pads end 2 cm lower
-_BELOW_TOP, _COMING_DOWN = 0.45, 0.001  # metres of the gripper, whose pads touch the cube there, and metres an action
+_BELOW_TOP = 0.45  # metres of the gripper, whose pads touch the cube there
+_COMING_DOWN = 0.001  # metres an action, from which a hand is on its way down
 _CLEAR = 0.475  # least height of the gripper at which the hand passes over an object, metres
 _RUN_UP = 0.06  # metres behind the object's centre at which a push begins
 _BESIDE, _LINED_UP = 0.028, 0.015  # metres: a hand behind the object is at least as far back and at most as far aside
@@ -129,7 +130,8 @@ def push(seen: Seen) -> jax.Array:
     speed = jnp.minimum(jnp.sqrt(2.0 * _GRAVITY * distance) / _FULL_SPEED, _SAFE_SPEED)
     pushes = speed * direction - _GAIN * aside
     goes_round = jnp.where(height > _CLEAR, _GAIN * (apart - _RUN_UP * direction), 0.0)
-    stays = (height < _BELOW_TOP) & (seen["gripper velocity"][..., 2:] > -_COMING_DOWN)  # some hands come no lower
+    falls = seen["gripper velocity"][..., 2:] <= -_COMING_DOWN
+    stays = (height < _BELOW_TOP) & ~falls  # where a larger clearance keeps some hands
     low = (height < _PUSHING_HEIGHT + 0.01) | stays
     across = jnp.where(behind, jnp.where(low, pushes, goes_round), jnp.where(over, 0.0, goes_round))
     wanted = jnp.where(behind, _PUSHING_HEIGHT, _PASSING_HEIGHT)

@@ -30,6 +30,9 @@ def derived(folder, *args, **kwargs):
     return derive(Given(path, **given))
 
 
+INERTIAL = '<inertial pos="0 0 0.04" mass="0.5" diaginertia="0.001 0.001 0.001"/>'
+
+
 def search_fewer_places(patched):
     """Has the search go through fewer places, which takes most of the time that deriving takes."""
     patched.setattr(placement, "_SHARES", placement._SHARES[::3])
@@ -100,8 +103,6 @@ def test_parts_axes_and_servos_are_those_of_the_arm(found_and_said):
     np.testing.assert_allclose(x, [0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(y, [-1, 0, 0], atol=1e-6)  # the right finger opens along -x
     np.testing.assert_allclose([found.hand.closed, found.hand.opened], [[0, 0], [0.04, 0.04]], atol=2e-3)
-    np.testing.assert_allclose([*found.palm.pos[:2], found.palm.pos[2] + found.palm.size[0]], [0, 0, 0.08], atol=1e-6)
-    np.testing.assert_allclose(found.palm.size[1:], [0.06, 0.02], atol=1e-6)  # it ends and is wide as the arm's box is
     assert found.scale == 1.0 and found.meeting == 0.0
     assert not any("guess" in line for line in notes)
 
@@ -120,13 +121,45 @@ def test_the_derived_arm_stands_where_it_reaches_and_closes_on_a_cube(tmp_path, 
     assert fingers[0] - fingers[1] - 0.016 == pytest.approx(0.05, abs=1e-3)  # as the maker's boxes are
 
 
-def test_fingers_that_end_below_their_pads_stay_as_clear_of_the_table(tmp_path, fewer_places):
-    left, right = FINGERS.split('<body name="right_finger"')
-    back = '<geom type="box" size="0.003 0.01 0.03" pos="{} 0 0.006" mass="0.01"/></body>'  # 10 mm behind the pad
-    fingers = left.replace("</body>", back.format(0.005)) + '<body name="right_finger"'
-    found, _ = derived(tmp_path, fingers=fingers + right.replace("</body>", back.format(-0.005)))
+@pytest.mark.parametrize("longer", [("left",), ("right", "left")])
+def test_fingers_that_end_below_their_pads_stay_as_clear_of_the_table(tmp_path, fewer_places, longer):
+    fingers = FINGERS
+    for side, back in (("left", 0.005), ("right", -0.005)):
+        if side in longer:  # 10 mm behind the pad
+            pad = f'<body name="{side}_finger"'
+            more = f'<geom type="box" size="0.003 0.01 0.03" pos="{back} 0 0.006" mass="0.01"/>'
+            before, after = fingers.split(pad)
+            fingers = before + pad + after.replace("</body>", more + "</body>", 1)
+    found, _ = derived(tmp_path, fingers=fingers)
     np.testing.assert_allclose(found.tool.pos, [0, 0, 0.16 - 0.0185], atol=1e-3)  # of the pads
     assert found.clearance == pytest.approx(0.004 + 0.006, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lower", "end", "sides"),
+    [
+        ('<geom type="box" size="0.03 0.01 0.02" pos="0 0 0.08"/>', 0.1, (0.03, 0.01)),
+        ('<body name="shell"><geom type="box" size="0.03 0.01 0.02" pos="0 0 0.08"/></body>', 0.1, (0.03, 0.01)),
+        ('<geom type="capsule" size="0.02" fromto="0 0 0.06 0 0 0.09"/>', 0.11, (0.02, 0.02)),
+        (
+            '<geom type="box" size="0.03 0.01 0.002" pos="0 0 0.081"/>',
+            0.083,
+            (0.06, 0.02),
+        ),  # and 17 mm of the palm's box
+    ],
+)
+def test_the_palm_is_the_box_around_its_lowest_two_centimetres(tmp_path, fewer_places, lower, end, sides):
+    found, _ = derived(tmp_path, fingers=FINGERS + lower)
+    np.testing.assert_allclose(found.palm.pos, [0, 0, end - 0.01], atol=1e-6)
+    np.testing.assert_allclose(found.palm.size, [0.01, *sides], atol=1e-6)
+
+
+def test_a_palm_without_a_shape_gets_an_ordinary_box(tmp_path, fewer_places):
+    path = tmp_path / "arm.xml"
+    path.write_text(arm().replace('<geom type="box" size="0.06 0.02 0.04" pos="0 0 0.04" mass="0.5"/>', INERTIAL))
+    found, _ = derive(Given(path))
+    np.testing.assert_allclose(found.palm.size, [0.03, 0.05, 0.03])
+    np.testing.assert_allclose(found.palm.pos, np.subtract(found.tool.pos, [0, 0, 0.1]), atol=1e-6)
 
 
 def test_pictures_show_what_touches_of_an_arm_without_other_geoms(tmp_path, found):
@@ -198,6 +231,10 @@ def test_a_mocap_body_that_pulls_the_hand_is_left_out(tmp_path, found):
 def test_a_small_arm_gets_a_smaller_cube_and_workspace(tmp_path, fewer_places):
     found, _ = derived(tmp_path, length=0.22)
     assert found.scale > 1.2 and 0.1 < found.reach[0] < 0.5
+    assert found.clearance == pytest.approx(0.004 / found.scale, abs=1e-6)
+    np.testing.assert_allclose(
+        found.palm.pos[2] + found.palm.size[0] * np.array([1, -1]), [0.08, 0.08 - 0.02 / found.scale]
+    )
 
 
 @pytest.mark.slow
@@ -229,6 +266,7 @@ def test_the_so101_is_the_one_that_comes_with_the_package():
     shipped = read_description("so101")
     assert_alike(found, shipped, aslant=12)  # degrees: found pads are parallel at the width of the cube
     assert (found.scale, found.tilt_weight) == (shipped.scale, shipped.tilt_weight)
+    np.testing.assert_allclose(found.palm.size, [0.015, 0.025, 0.015])  # as of any jaw
     assert found.meeting == pytest.approx(shipped.meeting, abs=1e-3)
     assert found.reach == pytest.approx(shipped.reach, abs=0.02)
 

@@ -146,9 +146,11 @@ def test_the_narrowest_gap_is_the_room_between_pads_that_have_turned(robot):
 
 @pytest.mark.slow
 def test_a_cube_that_turns_a_pad_of_a_linkage_is_held():
-    """It lies aslant between them and rises with the hand; the middles of the pads are up to 61 mm apart."""
-    outcome = run_controller(made("grasp", "ur5e", substeps=8, worlds=32), "straight", 32, seed=0).outcome
-    assert outcome.achieved.mean() > 0.95
+    """It lies aslant between them and rises with the hand; the middles of the pads are up to 63 mm apart."""
+    recording = run_controller(made("grasp", "ur5e", substeps=8, worlds=32), "straight", 32, seed=0)
+    lies = recording.achieved[-1, :, 2] < 0.428  # others stand on an edge in the hand
+    assert lies.sum() >= 15
+    assert recording.outcome.achieved[lies].mean() > 0.95
 
 
 @pytest.mark.parametrize("robot", FEW_ARMS)
@@ -414,7 +416,7 @@ def test_a_jaw_pushes_with_the_place_where_its_pads_meet():
     ("task", "impl", "least"),
     [
         ("push", "c", 0.6),  # .68 of these starts
-        ("push", "jax", 0.4),  # .52 or .56, by XLA's flags
+        ("push", "jax", 0.4),
         ("pick-and-place", "c", 0.94),
         ("pick-and-place", "jax", 0.94),
     ],

@@ -33,7 +33,7 @@ def test_lines_are_straight_and_at_full_speed_until_one_stride_away():
 
 
 @pytest.mark.parametrize(
-    ("height", "falling", "pushes"), [(0.425, 0.01, True), (0.44, 0.01, False), (0.44, 0.0, True), (0.46, 0.0, False)]
+    ("height", "falling", "pushes"), [(0.425, 0.01, True), (0.44, 0.002, False), (0.44, 0.0, True), (0.46, 0.0, False)]
 )
 def test_push_begins_where_the_hand_is_low_or_comes_no_lower(height, falling, pushes):
     hand = jnp.array([1.24, 0.7, height])

@@ -8,26 +8,25 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from hgail_envs.robots.arm_model import attach_hand, complete, read_file
 from hgail_envs.robots.derivation.given import Given
 from hgail_envs.robots.derivation.limits import for_each, limit_of, torques
-from hgail_envs.robots.derivation.motion import Motion, move_hand, points_of, same_bodies
+from hgail_envs.robots.derivation.motion import Motion, move_hand, moving_with, same_bodies, shapes_of
 from hgail_envs.robots.derivation.pads import CUBE_WIDTH, ROOM, Pads, find_pads, quaternion_of, tool_of, turned
 from hgail_envs.robots.derivation.placement import Place, find_place, reach_of
 from hgail_envs.robots.derivation.tree import Parts, find_parts
 from hgail_envs.robots.description import Description, Hand, Part
 from hgail_envs.robots.grip import WEIGHT_PER_FORCE
+from hgail_envs.robots.hand_boxes import cut_hull
 from hgail_envs.scenes import explained
 
 _SCALES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)  # metres of the scene to one of the robot; the least possible is taken
 _TOP_SPEED = 3.14  # rad/s, where none is given
-_PALM, _TO_PALM = (
-    (0.03, 0.05, 0.03),
-    0.1,
-)  # metres of the scene, half the edges of a box and how far above the tool it is
 _LOWEST = 0.02  # metres of the scene, the part of a palm that can touch what is on the table
-_THINNEST = 0.002  # metres, half of the least edge of a palm
+_ORDINARY = (0.03, 0.05, 0.03)  # metres of the scene, half the edges of a palm where no shape says more
+_TO_ORDINARY = 0.1  # metres of the scene from the tool up to its middle
 _LEAST_CHANGE = 0.004  # metres by which the gap of a hand changes at least
 _LOAD = 0.15  # of the strongest joint's torque, that of the heaviest object at the start
 _GRAVITY = 9.81  # m/s²
@@ -119,7 +118,7 @@ def _fit(model: mujoco.MjModel, parts: Parts, motion: Motion) -> tuple[float, Pa
 def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[float]) -> Description:
     model, parts, _, scale, pads, place = found
     tool, axes = tool_of(pads, scale)
-    quat, palm = quaternion_of(axes), model.body(parts.palm).name
+    quat = quaternion_of(axes)
     hand, grip = _hand(found)
     payload = min(_HEAVIEST, WEIGHT_PER_FORCE * grip / _GRAVITY, _LOAD * max(torque) / _GRAVITY / place.distance)
     if payload < _LIGHTEST:
@@ -136,7 +135,7 @@ def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[
         top_speed=top_speed,
         home=place.home,
         reach=[place.distance, 0.0],
-        tool=Part(palm, tool, quat),
+        tool=Part(model.body(parts.palm).name, tool, quat),
         palm=_palm(found, tool),
         right_pad=pads.parts[1],
         left_pad=pads.parts[0],
@@ -151,18 +150,19 @@ def _describe(given: Given, found: _Found, torque: list[float], top_speed: list[
 
 
 def _palm(found: _Found, tool: np.ndarray) -> Part:
-    """Returns the box around the lowest part of the palm, or an ordinary one if the palm has no shape or is a jaw."""
+    """Returns the box around the lowest part of the palm; an ordinary one if the palm has no shape, or is a jaw."""
     model, parts, motion, scale, pads, _ = found
-    palm, sides = same_bodies(model, motion.model, parts)
-    half = np.array(_PALM) / scale
-    middle = tool - pads.axes[:, 0] * _TO_PALM / scale
-    points, _ = points_of(motion.model, motion.data[0], palm, {palm})
-    if len(points) and not any(palm in side for side in sides):
-        places = points @ pads.axes
-        lowest = places[places[:, 0] > places[:, 0].max() - _LOWEST / scale]
-        least, most = lowest.min(axis=0), lowest.max(axis=0)
-        middle, half = pads.axes @ ((least + most) / 2.0), np.maximum((most - least) / 2.0, _THINNEST)
-    return Part(model.body(parts.palm).name, middle, quaternion_of(pads.axes), half)
+    hand, name, quat, down = motion.model, model.body(parts.palm).name, quaternion_of(pads.axes), pads.axes[:, 0]
+    palm, sides = same_bodies(model, hand, parts)
+    shapes = [points for _, points in shapes_of(hand, motion.data[0], palm, moving_with(hand, palm, sides))]
+    hulls = [points[ConvexHull(points, qhull_options="QJ").vertices] for points in shapes if len(points)]
+    end = max((float((points @ down).max()) for points in hulls), default=0.0)
+    lowest = [cut_hull(points, down, end - _LOWEST / scale) for points in hulls]
+    if not any(map(len, lowest)):
+        return Part(name, tool - down * _TO_ORDINARY / scale, quat, np.array(_ORDINARY) / scale)
+    places = np.concatenate(lowest) @ pads.axes
+    least, most = places.min(axis=0), places.max(axis=0)
+    return Part(name, pads.axes @ (least + most) / 2.0, quat, (most - least) / 2.0)
 
 
 def _hand(found: _Found) -> tuple[Hand, float]:

@@ -106,16 +106,33 @@ def _width(hand: mujoco.MjModel, data: mujoco.MjData, palm: int, sides: list[set
     return float(np.linalg.norm(ends[0][:, None] - ends[1][None], axis=-1).min())
 
 
+def moving_with(model: mujoco.MjModel, palm: int, sides: list[set[int]]) -> set[int]:
+    """Returns the palm and the bodies that are fixed to it, but for those of the sides; none if it is a side's."""
+    found = {palm}.difference(*sides)
+    for body in range(palm + 1, model.nbody):  # parents come first
+        if int(model.body_parentid[body]) in found and not model.body_jntnum[body]:
+            found |= {body}.difference(*sides)
+    return found
+
+
+def shapes_of(model: mujoco.MjModel, data: mujoco.MjData, palm: int, bodies: set[int]) -> list[tuple[int, np.ndarray]]:
+    """Returns the body of each shape of bodies, and points on it, `[points, 3]`, in the palm's frame."""
+    geoms = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) in bodies]
+    colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+    found = []
+    for geom in colliding or geoms:
+        world = data.geom_xpos[geom] + _surface(model, geom) @ data.geom_xmat[geom].reshape(3, 3).T
+        points = (world - data.xpos[palm]) @ data.xmat[palm].reshape(3, 3)
+        found.append((int(model.geom_bodyid[geom]), points))
+    return found
+
+
 def points_of(model: mujoco.MjModel, data: mujoco.MjData, palm: int, side: set[int]) -> tuple[np.ndarray, np.ndarray]:
     """Returns points on the shapes of bodies, `[points, 3]`, in the palm's frame, and the body of each."""
-    geoms = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) in side]
-    colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
     found, bodies = [np.zeros((0, 3))], [np.zeros(0, int)]
-    for geom in colliding or geoms:
-        local = _surface(model, geom)
-        world = data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T
-        found.append((world - data.xpos[palm]) @ data.xmat[palm].reshape(3, 3))
-        bodies.append(np.full(len(local), model.geom_bodyid[geom]))
+    for body, points in shapes_of(model, data, palm, side):
+        found.append(points)
+        bodies.append(np.full(len(points), body))
     return np.concatenate(found), np.concatenate(bodies)
 
 
@@ -130,7 +147,10 @@ def _surface(model: mujoco.MjModel, geom: int) -> np.ndarray:
         return np.stack(np.meshgrid(grid, grid, grid), axis=-1).reshape(-1, 3) * size
     if kind in _ROUND:
         angles, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 17), grid * size[1])
-        return np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), along], axis=-1).reshape(-1, 3)
+        points = np.stack([size[0] * np.cos(angles), size[0] * np.sin(angles), along], axis=-1).reshape(-1, 3)
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            points = np.concatenate([points, [[0.0, 0.0, way * (size[1] + size[0])] for way in (-1.0, 1.0)]])
+        return points
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         directions = np.random.default_rng(0).normal(size=(60, 3))
         return size[0] * directions / np.linalg.norm(directions, axis=1, keepdims=True)
