@@ -84,8 +84,8 @@ class Description:
     payload: float = 2.0
     """Most mass of an object, kg; heavier ones become as light."""
     clearance: float = 0.004
-    """Metres between the table and the lowest end of the pads, below which the gripper is not led. Servos that are at
-    their limits let it sink farther."""
+    """Metres between the table and the lowest end of the pads, below which the gripper is not led: larger where the
+    fingers end below the pads. Servos that are at their limits let it sink farther."""
     meeting: float = 0.0
     """Metres along the tool's y from the point between the pads to where they meet, of a hand with one jaw."""
     tilt_weight: float = 0.15
