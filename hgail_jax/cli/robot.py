@@ -1,4 +1,4 @@
-"""Derives the description of an arm of your own from its MJCF, and shows a scripted pick with it."""
+"""Derives the description of an arm of your own from its MJCF or URDF, and shows a scripted pick with it."""
 
 import dataclasses
 import os
@@ -32,7 +32,7 @@ _ENOUGH = 18
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Derives the description of an arm of your own from its MJCF, and shows a scripted pick with it."""
+    """Derives the description of an arm of your own from its MJCF or URDF, and shows a scripted pick with it."""
 
     model: Annotated[Path, tyro.conf.Positional]
     """MJCF or URDF of the arm, or of the arm and its hand."""

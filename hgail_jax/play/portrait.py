@@ -13,6 +13,7 @@ from hgail_jax.io.files import replace_path
 
 _SIZE = (480, 640)  # height, width
 _OF_PARTS = 4  # group of the pads and the palm
+_SEE_THROUGH = 0.35  # alpha of theirs, through which the hand and the axes are seen
 _AXES = (("points", (0.9, 0.1, 0.1, 1.0)), ("closes", (0.1, 0.65, 0.2, 1.0)))  # colours of the tool's x and y
 _LENGTH, _WIDTH = 0.12, 0.004  # metres
 _NEAR = 0.55  # metres from the hand to the second camera
@@ -31,6 +32,7 @@ def portrait(path: Path, env: GoalEnv) -> None:
     near.elevation = -12
     options = mujoco.MjvOption()
     options.geomgroup[_OF_PARTS] = 1
+    model.geom_rgba[model.geom_group == _OF_PARTS, 3] = _SEE_THROUGH
     model.geom("table_top").rgba[3] = 0.0
     with open_renderer(model, *_SIZE) as renderer:
         pictures = []

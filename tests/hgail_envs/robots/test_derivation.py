@@ -294,6 +294,7 @@ FIXED = FINGERS.replace('axis="1 0 0"', 'axis="0 1 0"').replace('axis="-1 0 0"',
 THIRD = '<body name="thumb" pos="0 0.03 0.13"><joint name="j" type="slide" range="0 0.02"/><geom size="0.01"/></body>'
 CUBE = '<body name="cube" pos="0.5 0 0"><freejoint/><geom size="0.02"/></body>'
 OTHER = '<body name="second_arm" pos="0 1 0"><joint/><geom size="0.02"/></body>'
+TABLE = '<body name="table"><body><geom type="box" size="0.2 0.2 0.2" pos="0.7 0 0"/></body></body>'
 WEAK = MOTORS + SERVOS.replace("30 30", "0.1 0.1")
 
 
@@ -308,6 +309,7 @@ WEAK = MOTORS + SERVOS.replace("30 30", "0.1 0.1")
         ({"actuators": WEAK}, "the hand grips with 0.* N, which holds no cube"),
         ({"length": 0.02}, "the workspace is out of reach: it comes 0.29 m far"),
         ({"more": CUBE}, "the body 'cube' is free; leave the arm alone in the file"),
+        ({"more": TABLE}, "the body 'table' is not the arm's; leave the arm alone in the file"),
         ({"more": OTHER}, "must have one arm alone; its trees of joints begin at second_arm, turret"),
         ({"top_speed": (1.0, 2.0)}, "--top-speed has 2 numbers; give one, or one for each of the 6 joints"),
         ({"pads": ("left_finger", "finger")}, "--pads: there is no body 'finger'; the fingers are left_finger"),
@@ -325,10 +327,12 @@ def test_a_file_without_joints_is_no_arm(tmp_path):
         derive(Given(tmp_path / "part.xml"))
 
 
-def test_an_unknown_flange_is_refused_with_those_that_there_are(tmp_path):
+def test_a_flange_that_is_none_is_refused(tmp_path):
     (tmp_path / "hand.xml").write_text(f"<mujoco><worldbody><body name='hand'>{FINGERS}</body></worldbody></mujoco>")
     with pytest.raises(ValueError, match="the arm has no site or body 'wrist_3' as its flange; it has flange, base"):
         derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="wrist_3")
+    with pytest.raises(ValueError, match="the flange 'fore' is not at the arm's end: there comes wrist, "):
+        derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="fore")
 
 
 @pytest.mark.slow  # as the UR5e's is, above

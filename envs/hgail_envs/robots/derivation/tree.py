@@ -5,6 +5,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from hgail_envs.robots.arm_model import HAND_PREFIX
 from hgail_envs.robots.derivation.given import Given
 
 _LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
@@ -26,6 +27,8 @@ def find_parts(model: mujoco.MjModel, given: Given) -> Parts:
     The arm is the chain of bodies with joints from the base to where it branches, into fingers. A chain that does not
     branch ends with a jaw, which closes on the body before it.
     """
+    if given.hand is not None:
+        _check_flange(model, given.flange)
     children = _children(model)
     arm, node = [], 0
     while len(children.get(node, [])) == 1:
@@ -77,7 +80,23 @@ def _children(model: mujoco.MjModel) -> dict[int, list[int]]:
     if len(children[0]) != 1:
         roots = ", ".join(model.body(body).name for body in children[0])
         raise ValueError(f"the file must have one arm alone; its trees of joints begin at {roots}")
+    base = _ancestors(model, children[0][0])[-2]
+    for body in model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0].tolist():
+        if body and (stranger := _ancestors(model, body)[-2]) != base and model.body_mocapid[stranger] < 0:
+            raise ValueError(
+                f"the body {model.body(stranger).name!r} is not the arm's; leave the arm alone in the file"
+            )
     return children
+
+
+def _check_flange(model: mujoco.MjModel, flange: str) -> None:
+    """Checks that no joint of the arm comes after the flange, a site or a body."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
+    at = int(model.site_bodyid[site]) if site >= 0 else model.body(flange).id
+    moving = [model.body(body).name for body in sorted(_subtree(model, at) - {at}) if model.body_jntnum[body]]
+    after = [name for name in moving if not name.startswith(HAND_PREFIX)]
+    if after:
+        raise ValueError(f"the flange {flange!r} is not at the arm's end: there comes {', '.join(after)}")
 
 
 def _kinds(model: mujoco.MjModel, body: int) -> list[int]:
