@@ -331,7 +331,7 @@ def test_a_flange_that_is_none_is_refused(tmp_path):
     (tmp_path / "hand.xml").write_text(f"<mujoco><worldbody><body name='hand'>{FINGERS}</body></worldbody></mujoco>")
     with pytest.raises(ValueError, match="the arm has no site or body 'wrist_3' as its flange; it has flange, base"):
         derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="wrist_3")
-    with pytest.raises(ValueError, match="the flange 'fore' is not at the arm's end: there comes wrist, "):
+    with pytest.raises(ValueError, match="the flange 'fore' is not at the arm's end: after it comes wrist, "):
         derived(tmp_path, "", MOTORS, hand=tmp_path / "hand.xml", flange="fore")
 
 

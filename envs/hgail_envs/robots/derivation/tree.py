@@ -96,7 +96,7 @@ def _check_flange(model: mujoco.MjModel, flange: str) -> None:
     moving = [model.body(body).name for body in sorted(_subtree(model, at) - {at}) if model.body_jntnum[body]]
     after = [name for name in moving if not name.startswith(HAND_PREFIX)]
     if after:
-        raise ValueError(f"the flange {flange!r} is not at the arm's end: there comes {', '.join(after)}")
+        raise ValueError(f"the flange {flange!r} is not at the arm's end: after it comes {', '.join(after)}")
 
 
 def _kinds(model: mujoco.MjModel, body: int) -> list[int]:
