@@ -217,7 +217,7 @@ def test_degrees_endless_joints_and_bodies_without_names_change_nothing(tmp_path
     np.testing.assert_allclose(ranges[:6, 1], [3.0] * 5 + [2 * np.pi], atol=1e-5)
 
 
-def test_a_mocap_body_that_pulls_the_hand_is_left_out(tmp_path, found):
+def test_a_mocap_body_that_pulls_the_hand_is_left_out(tmp_path, found, fewer_places):
     weld = '<equality><weld body1="mocap" body2="palm"/></equality></mujoco>'
     pulled = arm(more='<body name="mocap" mocap="true"><geom size="0.01"/></body>').replace("</mujoco>", weld)
     (tmp_path / "pulled.xml").write_text(pulled)
@@ -225,6 +225,7 @@ def test_a_mocap_body_that_pulls_the_hand_is_left_out(tmp_path, found):
         ServoArm(written(tmp_path, found, file), "reach").model for file in ("pulled.xml", "arm.xml")
     )
     assert (with_mocap.nmocap, with_mocap.neq, with_mocap.nbody) == (0, without.neq, without.nbody)
+    assert derive(Given(tmp_path / "pulled.xml")).description.joints == found.joints
 
 
 @pytest.mark.slow  # its workspace is sought for one scale after another
@@ -349,6 +350,7 @@ def test_a_hand_in_a_file_of_its_own_is_attached(tmp_path):
 def test_three_fingers_are_two_sides_once_they_are_named(tmp_path):
     found, _ = derived(tmp_path, fingers=FINGERS + THIRD, pads=("left_finger", "right_finger"))
     assert (found.right_pad.body, found.left_pad.body) == ("right_finger", "left_finger")
+    assert found.palm.pos[2] + found.palm.size[0] == pytest.approx(0.08)  # without the thumb
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import hgail_envs  # noqa: F401  (registers the tasks with Gymnasium)
+import hgail_envs
 from hgail_envs.vision.rendering import RenderingError
 from hgail_jax.cli import main, robot
 from hgail_jax.io.policy import load_policy
+from hgail_jax.play import portrait
 from tests.hgail_envs.robots.arms import FINGERS, MOTORS, arm
 
 
@@ -105,12 +106,15 @@ def test_files_that_are_there_stay(folder, capsys):
 
 
 @pytest.mark.slow  # a film without a GPU, and a training
-def test_a_users_arm_is_shown_trained_and_played(folder, capsys):
+def test_a_users_arm_is_shown_trained_and_played(folder, capsys, monkeypatch):
     main(["robot", "my_arm.xml", "--top-speed", "3"])
     out = capsys.readouterr().out
     assert "in 20 of 20 episodes" in out
     assert files(folder) == ["my_arm.mp4", "my_arm.png", "my_arm.toml", "my_arm.xml"]
-    assert np.asarray(Image.open("my_arm.png")).std() > 10
+    shown = np.asarray(Image.open("my_arm.png"))
+    monkeypatch.setattr(portrait, "_SEE_THROUGH", 1.0)
+    portrait.portrait(Path("opaque.png"), hgail_envs.make("pick-and-place", robot="my_arm.toml"))
+    assert shown.std() > 10 and (shown != np.asarray(Image.open("opaque.png"))).any()  # of the hand behind its boxes
     env = gymnasium.make("hgail_envs/FetchPush-v0", robot="my_arm.toml")
     assert env.reset(seed=0)[0]["observation"][0] == pytest.approx(1.344, abs=2e-3)
     small = ["--seeds", "1", "--num-envs", "2", "--rounds", "1", "--evaluation-episodes", "2"]

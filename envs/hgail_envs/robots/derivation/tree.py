@@ -80,13 +80,18 @@ def _children(model: mujoco.MjModel) -> dict[int, list[int]]:
     if len(children[0]) != 1:
         roots = ", ".join(model.body(body).name for body in children[0])
         raise ValueError(f"the file must have one arm alone; its trees of joints begin at {roots}")
-    base = _ancestors(model, children[0][0])[-2]
-    for body in model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0].tolist():
-        if body and (stranger := _ancestors(model, body)[-2]) != base and model.body_mocapid[stranger] < 0:
-            raise ValueError(
-                f"the body {model.body(stranger).name!r} is not the arm's; leave the arm alone in the file"
-            )
+    _check_alone(model, children[0][0])
     return children
+
+
+def _check_alone(model: mujoco.MjModel, first: int) -> None:
+    """Checks that all that collides hangs on the same base as the first body with joints, or is the world's own."""
+    base = _ancestors(model, first)[-2]
+    for body in model.geom_bodyid[(model.geom_contype | model.geom_conaffinity) != 0].tolist():
+        stranger = _ancestors(model, body)[-2] if body else base
+        if stranger != base and model.body_mocapid[stranger] < 0:
+            name = model.body(stranger).name
+            raise ValueError(f"the body {name!r} is not the arm's; leave the arm alone in the file")
 
 
 def _check_flange(model: mujoco.MjModel, flange: str) -> None:
